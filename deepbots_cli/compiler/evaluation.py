@@ -35,6 +35,7 @@ from deepbots_cli.program import CurriculumStage, EvaluationCase, Program, ident
 from deepbots_cli.program.task import (
     ActionNoise,
     ActionRange,
+    AdaptiveRate,
     Choices,
     Criterion,
     ExpectedKey,
@@ -59,6 +60,7 @@ from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec
+from deepbots_cli.scenario.training import AdaptiveRate as AdaptiveRateSpec
 from deepbots_cli.scenario.training import Hindsight as HindsightSpec
 from deepbots_cli.scenario.training import Teacher as TeacherSpec
 from deepbots_cli.scenario.training import Training as TrainingSpec
@@ -123,9 +125,13 @@ def training(
 
 
 def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
-    """Return the hyperparameters with a single value or a schedule; an unusual learning rate is a finding."""
+    """Return the hyperparameters with a single value, a schedule or an adaptive rate; an unusual learning rate is a
+    finding."""
     read = []
     for name, value in own.items():
+        if isinstance(value, AdaptiveRateSpec):
+            read.append(Hyperparameter(name, AdaptiveRate(value.kl, value.start)))
+            continue
         if name == "replay" or not (isinstance(value, (bool, int, float, str)) or value is None):
             continue
         ramp = read_schedule(value) if isinstance(value, str) else None

@@ -37,7 +37,15 @@ from deepbots_cli.program.robots import (
     MessageLayout,
     Thrust,
 )
-from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule
+from deepbots_cli.program.task import (
+    ActionNoise,
+    ActionRange,
+    AdaptiveRate,
+    Choices,
+    Hindsight,
+    ImageObservation,
+    Schedule,
+)
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 
@@ -698,6 +706,8 @@ def _setting(value: object) -> object:
     match value:
         case Schedule(start=start, end=end):
             return f"{start:g} -> {end:g}" if start != end else start
+        case AdaptiveRate(kl=kl, start=start):
+            return f"{{kl: {kl:g}, start: {start:g}}}"
         case ActionNoise(type=kind, sigma=sigma, theta=theta):
             drift = f", theta: {theta:g}" if kind == "ornstein_uhlenbeck" else ""
             return f"{{type: {kind}, sigma: {_setting(sigma)}{drift}}}"

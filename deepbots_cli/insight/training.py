@@ -37,7 +37,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
-from deepbots_cli.program.task import Schedule, idle_action
+from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
 from deepbots_cli.runtime import Supervisor
@@ -224,7 +224,7 @@ class TrainingEvidence:
     def number_setting(self, name: str) -> float | None:
         """Return a hyperparameter as a number, the first one of a schedule; None if it is none."""
         value = self.settings.get(name)
-        value = value.start if isinstance(value, Schedule) else value
+        value = value.start if isinstance(value, Schedule | AdaptiveRate) else value
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
     @cached_property

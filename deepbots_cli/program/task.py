@@ -463,11 +463,19 @@ class Schedule:
 
 
 @dataclass(frozen=True)
+class AdaptiveRate:
+    """A learning rate that begins at `start`, and follows the KL divergence of the policy to the target `kl`."""
+
+    kl: float
+    start: float
+
+
+@dataclass(frozen=True)
 class Hyperparameter:
     """A hyperparameter, under the algorithm's own name for it."""
 
     name: str
-    value: bool | int | float | str | Schedule | None
+    value: bool | int | float | str | Schedule | AdaptiveRate | None
 
 
 @dataclass(frozen=True)

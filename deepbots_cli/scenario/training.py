@@ -81,6 +81,20 @@ class PolicyNetwork(Section):
     """Activation function of the hidden layers."""
 
 
+class AdaptiveRate(Section):
+    """A learning rate that follows the divergence of the policy."""
+
+    kl: Positive
+    """Target of the KL divergence between the policies before and after an update. After an update with more than
+    twice of it, the rate is divided by 1.5; with less than half of it, it is multiplied by 1.5; within 1e-5 to
+    1e-2."""
+    start: Positive = 1e-3
+    """Learning rate of the first update."""
+
+
+AnyRate = Annotated[AdaptiveRate | Schedule, FORMS]
+
+
 class Training(Section):
     """Keys of all algorithms; each adds its hyperparameters."""
 
@@ -178,6 +192,9 @@ class _OnPolicy(Training):
 
 
 class _Proximal(_OnPolicy):
+    learning_rate: AnyRate | None = None  # type: ignore[assignment]  # takes more
+    """Learning rate: a number, a schedule such as `3e-4 -> 0`, or `{kl: 0.01}` for a rate that follows the KL
+    divergence of the policy."""
     batch_size: Annotated[int, WholeNumber(2, 1_000_000_000)] | None = None
     """Samples in one gradient step."""
     n_epochs: PositiveInt | None = None
@@ -361,6 +378,9 @@ class Auto(SAC, PPO, MaskablePPO):  # type: ignore[misc]  # `ent_coef` is that o
     """The learning algorithm. By default, deepbots chooses it."""
     total_timesteps: Annotated[int, WholeNumber(1, 10**12)] | None = None  # type: ignore[assignment]  # chosen as well
     """Number of steps to train for, summed over all environments."""
+    learning_rate: AnyRate | None = None  # type: ignore[assignment]  # that of PPO, which takes more
+    """Learning rate: a number, a schedule such as `3e-4 -> 0`, or `{kl: 0.01}` for a rate that follows the KL
+    divergence of the policy."""
 
 
 def _read(name: str, model: Any) -> Iterator[tuple[str, type[Training]]]:

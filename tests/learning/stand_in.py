@@ -22,7 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document.load import loads
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Choices, Hyperparameter, Schedule, Solved, Training
+from deepbots_cli.program.task import AdaptiveRate, Choices, Hyperparameter, Schedule, Solved, Training
 
 FALL = math.radians(15)
 TRACK = 0.39
@@ -120,6 +120,8 @@ def _train(training: Training) -> str:
 
 
 def _figure(value: object) -> object:
+    if isinstance(value, AdaptiveRate):
+        return {"kl": value.kl, "start": value.start}
     return f"{value.start!r} -> {value.end!r}" if isinstance(value, Schedule) else value
 
 

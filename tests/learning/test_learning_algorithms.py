@@ -16,6 +16,8 @@ import pytest
 import stable_baselines3
 import stand_in
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from stand_in import hyper
 
 from deepbots_cli import api
@@ -27,7 +29,7 @@ from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import ActionNoise, Hindsight, Network, Schedule, Training
+from deepbots_cli.program.task import ActionNoise, AdaptiveRate, Hindsight, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
 from tests.few import few
@@ -65,6 +67,38 @@ def test_an_algorithm_keeps_the_optimizer_settings_of_stable_baselines(algorithm
     for name in ("eps", "betas", "weight_decay", "amsgrad"):
         assert ours.policy.optimizer.defaults[name] == plain.policy.optimizer.defaults[name]
     assert "optimizer_class" not in ours.policy_kwargs
+
+
+# Learning rates
+
+
+@given(st.lists(st.floats(0.0, 1.0), max_size=60))
+def test_an_adaptive_rate_moves_against_the_divergence_within_its_limits(divergences: list[float]) -> None:
+    rate = algorithms.DivergenceRate(AdaptiveRate(kl=0.01, start=1e-3))
+    for divergence in divergences:
+        before = rate(0.5)
+        rate.follow(divergence)
+        factor = rate(0.5) / before
+        if divergence > 0.02:
+            assert factor == pytest.approx(max(1 / 1.5, 1e-5 / before))
+        elif 0.0 < divergence < 0.005:
+            assert factor == pytest.approx(min(1.5, 1e-2 / before))
+        else:
+            assert factor == 1.0
+
+
+def test_a_training_writes_the_rate_that_it_took(tmp_path: Path) -> None:
+    path = tmp_path / "cart.yaml"
+    path.write_text(
+        "deepbots: 1\nextends: cartpole\nname: Adaptive\ntrain: {algorithm: PPO, total_timesteps: 1024, n_steps: 64,"
+        " environments: 2, batch_size: 64, learning_rate: {kl: 1.0e-5, start: 2e-3}}\n"
+    )
+    result = train(path, run=tmp_path / "run", loggers=["csv"], stop_when_solved=False)
+    rows = [line.split(",") for line in (result.run / "logs" / "scalars.csv").read_text().splitlines()]
+    rates = [float(value) for _, name, value in rows[1:] if name == "train/learning_rate"]
+    assert rates[0] == pytest.approx(2e-3)
+    assert rates == sorted(rates, reverse=True)
+    assert rates[-1] < 1e-3
 
 
 # Noise

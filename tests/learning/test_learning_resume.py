@@ -34,6 +34,7 @@ from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import (
     ActionNoise,
+    AdaptiveRate,
     Hindsight,
     Network,
     Schedule,
@@ -129,6 +130,11 @@ CASES: dict[str, dict[str, Any]] = {
         "continuous": True,
     },
     "DQN": {"training": Training("DQN", 1_000, 2, hyper(**OFF_POLICY, buffer_size=300), SMALL)},
+    "adaptive rate": {
+        "training": Training(
+            "PPO", 1_200, 2, hyper(n_steps=32, batch_size=32, learning_rate=AdaptiveRate(0.01, 1e-3)), SMALL
+        )
+    },
     "A2C": {"training": Training("A2C", 1_500, 2, normalize="reward")},
     "RecurrentPPO": {
         "training": Training("RecurrentPPO", 800, 2, hyper(lstm=8, n_steps=32, batch_size=32), SMALL)

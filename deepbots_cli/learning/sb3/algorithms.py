@@ -29,7 +29,7 @@ from deepbots_cli.learning.sb3 import defaults, internals
 from deepbots_cli.learning.sb3.asymmetric import asymmetric
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
-from deepbots_cli.program.task import Hyperparameter, Schedule, Training
+from deepbots_cli.program.task import AdaptiveRate, Hyperparameter, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
 
@@ -43,6 +43,7 @@ _ACTIVATIONS: Mapping[str, type[nn.Module]] = {
     "silu": nn.SiLU,
     "tanh": nn.Tanh,
 }
+_MIN_RATE, _MAX_RATE = 1e-5, 1e-2
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
 _BYTES_PER_COPY = 29_000_000  # measured for a cart-pole in PyBullet
@@ -330,10 +331,34 @@ def _value(given: Hyperparameter) -> object:
     if given.name == "train_freq" and isinstance(given.value, str):
         count, _, unit = given.value.partition(" ")
         return int(count), unit.rstrip("s")
+    if isinstance(given.value, AdaptiveRate):
+        return DivergenceRate(given.value)
     if not isinstance(given.value, Schedule):
         return given.value
     start, end = given.value.start, given.value.end
     return lambda remaining: end + (start - end) * remaining
+
+
+class DivergenceRate:
+    """A learning rate that keeps the KL divergence of an update near a target.
+
+    The rule and its numbers are those of RSL-RL (Schwarke et al., arXiv:2509.10771), applied after each update instead
+    of each batch.
+    """
+
+    def __init__(self, settings: AdaptiveRate) -> None:
+        self.kl = settings.kl
+        self.rate = settings.start
+
+    def __call__(self, remaining: float) -> float:
+        return self.rate
+
+    def follow(self, divergence: float) -> None:
+        """Change the rate after an update with this divergence."""
+        if divergence > 2.0 * self.kl:
+            self.rate = max(_MIN_RATE, self.rate / 1.5)
+        elif 0.0 < divergence < 0.5 * self.kl:
+            self.rate = min(_MAX_RATE, self.rate * 1.5)
 
 
 class DecayingNoise(ActionNoise):

@@ -318,6 +318,8 @@ class OnPolicyLearner(StableLearner):
         self._shown = None if self._demonstrations is None else Lessons(self.model, self._demonstrations)
         self._taught: Array | None = None
         self._lessons: Lessons | None = None
+        rate = self.model.learning_rate
+        self._adaptive_rate = rate if isinstance(rate, algorithms.DivergenceRate) else None
 
     def be_taught(self, plan: Plan) -> None:
         if not self._takes_fragments or self._memory:
@@ -381,6 +383,9 @@ class OnPolicyLearner(StableLearner):
                 model.dump_logs(count)
             with self._imitation():
                 model.train()
+        divergence = model.logger.name_to_value.get("train/approx_kl")
+        if self._adaptive_rate is not None and divergence is not None:
+            self._adaptive_rate.follow(divergence)
 
     def _imitation(self) -> AbstractContextManager[None]:
         """Return the context of an update with a teacher."""
@@ -401,7 +406,13 @@ class OnPolicyLearner(StableLearner):
         buffer = self.model.rollout_buffer
         return buffer.observations, buffer.actions, buffer.log_probs
 
+    def state(self) -> dict[str, Any]:
+        rate = self._adaptive_rate
+        return super().state() | {"learning_rate": None if rate is None else rate.rate}
+
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        if self._adaptive_rate is not None and kept.learning_rate is not None:
+            self._adaptive_rate.rate = kept.learning_rate
         if self._takes_fragments and self.setup.training.teacher is not None and kept.replay[0]:
             self._lessons = Lessons(self.model)
         super().restore(kept, arrays, same)

@@ -54,6 +54,8 @@ class StableState(CheckpointState):
     """First and last step (of a row of the environment) of each file of the replay buffer."""
     replay: tuple[Count, Count]
     """The size of the replay buffer, and the step in its first row."""
+    learning_rate: Annotated[float, Field(gt=0, le=1)] | None = None
+    """The present rate, where it follows the divergence of the policy."""
 
     @model_validator(mode="after")
     def _fits_its_counters(self) -> Self:
