@@ -14,6 +14,7 @@ places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
+symmetry.py     the mirror symmetry of a training
 search.py       the search of `tune`
 topics.py       the ROS 2 topics of sensors and actuators
 inputs.py       the files that the scenario was made from, as a run keeps copies of them
@@ -47,6 +48,7 @@ from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
 from deepbots_cli.compiler.search import compile_search
+from deepbots_cli.compiler.symmetry import symmetry
 from deepbots_cli.compiler.topics import topics
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
@@ -207,6 +209,8 @@ def _program(namespace: Namespace) -> Program:
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
+    if agent.training is not None and (mirror := symmetry(namespace, agent.with_critic)) is not None:
+        agent = replace(agent, training=replace(agent.training, symmetry=mirror))
     ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
         name=spec.name,

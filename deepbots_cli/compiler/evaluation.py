@@ -212,12 +212,21 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
         headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
+    elif train.symmetry is not None and (reason := _reason_against_symmetry(train)):
+        headline, help = reason, "use PPO, or remove `symmetry`"
     elif namespace.scenario.critic and not train.has_critic:
         headline = f"{algorithm} has no critic beside its policy, so it cannot use `critic`"
         help = "use PPO, or remove `critic`"
     else:
         return
     namespace.values.add("DB612", ("train", "algorithm"), headline, help)
+
+
+def _reason_against_symmetry(train: TrainingSpec) -> str:
+    """Return why a training cannot learn from mirror images; empty if it can."""
+    if not train.mirrors:
+        return f"{train.algorithm} cannot learn from mirror images"
+    return "a training with a teacher cannot learn from mirror images" if train.teacher is not None else ""
 
 
 def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:

@@ -16,6 +16,7 @@ values.py        Expression, the leaf of all of these
 world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
 task.py          agents, endings, training, evaluation
+symmetry.py      the mirror images of observations and actions
 resets.py        placements, randomized parameters
 identity.py      canonical JSON, digests, interfaces
 draws.py         the draws of a reset, by name
@@ -118,7 +119,7 @@ class Program:
         """The program of the worlds of a training: the observation has the values of the critic at its end."""
         if not self.agent.critic:
             return self
-        return self.with_agents(observation=(*self.agent.observation, *self.agent.critic))
+        return replace(self, agents={name: agent.with_critic for name, agent in self.agents.items()})
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes

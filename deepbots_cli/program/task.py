@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.program.symmetry import Symmetry
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.robots.model import Vector
 
@@ -524,9 +525,10 @@ class Training:
     teacher: Teacher | None = None
     staleness: int = 0
     patience: int | None = None
+    symmetry: Symmetry | None = None
 
     def digest_fields(self) -> dict[str, object]:
-        later = {"shards": 1, "teacher": None, "staleness": 0, "patience": None}
+        later = {"shards": 1, "teacher": None, "staleness": 0, "patience": None, "symmetry": None}
         return {
             name: value for name, value in vars(self).items() if name not in later or value != later[name]
         }
@@ -581,6 +583,11 @@ class Agent:
 
     def digest_fields(self) -> dict[str, object]:
         return {name: getattr(self, name) for name in _AGENT_FIELDS if name != "critic" or self.critic}
+
+    @property
+    def with_critic(self) -> Agent:
+        """The agent whose observation has the values of the critic at its end, as in the worlds of a training."""
+        return replace(self, observation=(*self.observation, *self.critic)) if self.critic else self
 
     @property
     def policy_columns(self) -> tuple[int, ...] | None:

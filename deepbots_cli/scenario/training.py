@@ -21,6 +21,7 @@ from deepbots_cli.scenario.fields import (
     PositiveInt,
     Scalar,
     Schedule,
+    Text,
     WholeNumber,
 )
 
@@ -92,6 +93,27 @@ class AdaptiveRate(Section):
     """Learning rate of the first update."""
 
 
+WORD = Text(
+    "a word of a name",
+    r"[A-Za-z0-9](?:[A-Za-z0-9_]{0,62}[A-Za-z0-9])?",
+    "left",
+    refused="a word of a name",
+    help="write the part of the names by which the sides differ, such as `FL` of `FL_hip_joint`",
+)
+
+
+class Symmetry(Section):
+    """The mirror symmetry of a robot and its task, from which a policy learns twice as much: each sample of a rollout
+    has a mirror image."""
+
+    swap: dict[Annotated[str, WORD], Annotated[str, WORD]] = {}
+    """Words that change places in names: with `{FL: FR}`, `dog.q.FL_hip_joint` is the mirror image of
+    `dog.q.FR_hip_joint`. A word ends at `_`, at `.` and at the ends of a name."""
+    flip: Many[PlainText] = ()
+    """Numbers of the observation and the action that change their sign, by name or by pattern: `wz`, `v.y`,
+    `'*_hip_joint'`."""
+
+
 AnyRate = Annotated[AdaptiveRate | Schedule, FORMS]
 
 
@@ -110,6 +132,8 @@ class Training(Section):
     """The actions that it can take: one choice, several choices, ranges."""
     uses_masks: ClassVar[bool] = False
     """Whether the policy never takes a choice that `forbid` excludes."""
+    mirrors: ClassVar[bool] = False
+    """Whether it can learn from mirror images (`symmetry`)."""
     has_critic: ClassVar[bool] = False
     """Whether it has a value function beside the policy, which may see more (`critic` of a scenario)."""
 
@@ -134,6 +158,8 @@ class Training(Section):
     the original rewards."""
     teacher: Annotated[Teacher | PlainText, FORMS] | None = None
     """A script that teaches the policy."""
+    symmetry: Symmetry | None = None
+    """The mirror symmetry of the task: the policy also learns from the mirror image of each step."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the networks. `auto` is `cuda` (a GPU) if there is one, otherwise `cpu`. Small networks train
     faster on the CPU."""
@@ -269,6 +295,7 @@ class PPO(_StateDependentExploration, _Proximal):
     """On-policy; choices or ranges. The first to try."""
 
     import_path = "stable_baselines3:PPO"
+    mirrors = True
 
     algorithm: Literal["PPO"]
 
@@ -277,6 +304,7 @@ class A2C(_StateDependentExploration, _OnPolicy):
     """On-policy; choices or ranges. Simpler than PPO."""
 
     import_path = "stable_baselines3:A2C"
+    mirrors = True
 
     algorithm: Literal["A2C"]
     rms_prop_eps: Positive | None = None

@@ -12,6 +12,7 @@ models.py        models as zip files of the library, read without unpickling
 state.py         the state in a checkpoint beside the model
 critics.py       the predictions of the critic of an off-policy algorithm, beside the return that followed
 asymmetric.py    policies whose critic sees more
+symmetry.py      experience and its mirror image
 networks.py      the layers of a policy, and the values of its critic
 logs.py          scalars for TensorBoard and other loggers
 plugins.py       callbacks and loggers of other packages

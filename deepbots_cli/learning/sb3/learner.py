@@ -46,6 +46,7 @@ from deepbots_cli.learning.sb3.imitation import (
     only_imitating,
 )
 from deepbots_cli.learning.sb3.logs import encoded, number_of
+from deepbots_cli.learning.sb3.symmetry import mirrored_experience
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor, ShardedCollector
@@ -388,8 +389,10 @@ class OnPolicyLearner(StableLearner):
             self._adaptive_rate.follow(divergence)
 
     def _imitation(self) -> AbstractContextManager[None]:
-        """Return the context of an update with a teacher."""
+        """Return the context of an update: with a teacher, or with mirror images."""
         model, plan = self.model, self._plan
+        if (symmetry := self.setup.training.symmetry) is not None:
+            return mirrored_experience(model, symmetry)
         if self._shown is not None:
             if plan.only:
                 return only_imitating(model, self._shown, None)

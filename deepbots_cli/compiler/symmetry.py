@@ -1,0 +1,189 @@
+"""The mirror symmetry of a task, `train.symmetry`: pairs of words in names, and numbers that change their sign."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import NamedTuple
+
+from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.compiler.values import ValueReader
+from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.program.symmetry import Mirror, Symmetry
+from deepbots_cli.program.task import Agent
+from deepbots_cli.scenario.training import Symmetry as SymmetrySpec
+
+_PATH: NodePath = ("train", "symmetry")
+_MAX_LISTED = 3
+
+
+class RangedName(NamedTuple):
+    """A number with a name: where it is in time, its unit, and its range, which maps to [-1, 1]. A truth value
+    has no range."""
+
+    name: str
+    steps_ago: int
+    unit: str
+    low: float
+    high: float
+    is_truth: bool = False
+
+
+def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
+    """Return the symmetry of the training of an agent; None without one, and after a finding."""
+    spec = namespace.scenario.train
+    written = None if spec is None else spec.symmetry
+    if written is None or agent.training is None:
+        return None
+    reader = _SymmetryReader(written, namespace.values)
+    if not reader.is_inverse:
+        return None
+    if agent.goal is not None or agent.images:
+        what = "a `goal`" if agent.goal is not None else "pictures"
+        namespace.values.add(
+            "DB612", _PATH, f"`symmetry` does not know the mirror image of {what}", "remove `symmetry`"
+        )
+        return None
+    observed = [
+        RangedName(seen.name, seen.steps_ago, seen.unit, seen.low, seen.high, seen.truth)
+        for seen in agent.inputs
+    ]
+    acted = [
+        RangedName(name, 0, part.unit, part.low, part.high) for part in agent.ranges for name in part.names
+    ]
+    choices = {part.name: [option.name for option in part.options] for part in agent.choices}
+    observation, ranges = reader.mirror("observation", observed), reader.mirror("action", acted)
+    options = reader.options(choices)
+    reader.check_flips([entry.name for entry in (*observed, *acted)])
+    if observation is None or ranges is None or options is None:
+        return None
+    sources = [reader.image(name) for name in choices]
+    return Symmetry(observation, ranges, tuple(list(choices).index(name) for name in sources), options)
+
+
+class _SymmetryReader:
+    """Finds mirror images of names. `is_inverse` is false after a finding about the pairs of words."""
+
+    def __init__(self, spec: SymmetrySpec, values: ValueReader) -> None:
+        self._values, self._flips = values, spec.flip
+        self._words: dict[str, str] = {}
+        self.is_inverse = True
+        for word, other in spec.swap.items():
+            for one, image in ((word, other), (other, word)):
+                if self._words.setdefault(one, image) != image:
+                    self.is_inverse = False
+                    self._values.add(
+                        "DB202",
+                        (*_PATH, "swap", word),
+                        f"`{one}` has two mirror images, `{self._words[one]}` and `{image}`",
+                        "write each word in one pair; a mirror image of a mirror image is the original",
+                    )
+        words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
+        self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{words})(?![A-Za-z0-9])") if words else None
+
+    def image(self, name: str) -> str:
+        """Return the name of the mirror image: each word of a pair is replaced by the other one."""
+        if self._pattern is None:
+            return name
+        return self._pattern.sub(lambda match: self._words[match[0]], name)
+
+    def _changes_sign(self, name: str) -> bool:
+        return any(fnmatchcase(name, pattern) for pattern in self._flips)
+
+    def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
+        """Return the mirror image of numbers; None after a finding."""
+        places = {(number.name, number.steps_ago): place for place, number in enumerate(numbers)}
+        sources: list[int] = []
+        factors: list[float] = []
+        offsets: list[float] = []
+        missing: dict[str, str] = {}
+        wrong: dict[str, str] = {}
+        for number in numbers:
+            image = self.image(number.name)
+            place = places.get((image, number.steps_ago))
+            if place is None:
+                missing[number.name] = image
+                continue
+            other = numbers[place]
+            if reason := self._reason_against(number, other):
+                wrong[number.name] = reason
+                continue
+            sign = -1.0 if self._changes_sign(number.name) else 1.0
+            sources.append(place)
+            factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, other, sign)
+            factors.append(factor)
+            offsets.append(offset)
+        self._report_missing(section, missing)
+        for name, reason in list(wrong.items())[:1]:
+            more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
+            self._values.add(
+                "DB203",
+                (*_PATH, "flip"),
+                f"the mirror image of `{name}` is not possible{more}: {reason}",
+                "list under `flip` both numbers of a pair, or none; truth values have no sign",
+            )
+        if missing or wrong:
+            return None
+        return Mirror(tuple(sources), tuple(factors), tuple(offsets))
+
+    def _reason_against(self, number: RangedName, other: RangedName) -> str:
+        """Return why two numbers are no mirror images of each other; empty if they may be."""
+        if (number.unit, number.is_truth) != (other.unit, other.is_truth):
+            return f"`{other.name}` is another kind of value"
+        if self._changes_sign(number.name) != self._changes_sign(other.name):
+            return f"only one of them and `{other.name}` changes its sign"
+        if number.is_truth and self._changes_sign(number.name):
+            return "a truth value cannot change its sign"
+        return ""
+
+    def _report_missing(self, section: str, missing: Mapping[str, str]) -> None:
+        """Report numbers whose mirror image is not in the section."""
+        if not missing:
+            return
+        name, image = next(iter(missing.items()))
+        more = f", and of {len(missing) - 1} more there is none either" if len(missing) > 1 else ""
+        self._values.add(
+            "DB201",
+            (*_PATH, "swap"),
+            f"the {section} has no `{image}`, the mirror image of `{name}`{more}",
+            f"change the words under `swap`, or add `{image}` to the {section}",
+        )
+
+    def options(self, choices: Mapping[str, Sequence[str]]) -> tuple[tuple[int, ...], ...] | None:
+        """Return for each choice the mirror image of each option of its source; None after a finding."""
+        tables: list[tuple[int, ...]] = []
+        for name, options in choices.items():
+            source = choices.get(self.image(name))
+            images = [self.image(option) for option in source or ()]
+            missing = [image for image in images if image not in options]
+            if source is None or missing or len(images) != len(options):
+                lacking = f"no option `{missing[0]}`" if missing else f"no mirror image `{self.image(name)}`"
+                self._values.add(
+                    "DB201",
+                    (*_PATH, "swap"),
+                    f"the action `{name}` has {lacking}",
+                    "change the words under `swap`, or name the options of the action in pairs",
+                )
+                return None
+            tables.append(tuple(options.index(image) for image in images))
+        return tuple(tables)
+
+    def check_flips(self, names: Sequence[str]) -> None:
+        """Report patterns that match no number."""
+        for index, pattern in enumerate(self._flips):
+            if not any(fnmatchcase(name, pattern) for name in names):
+                listed = ", ".join(f"`{name}`" for name in names[:_MAX_LISTED])
+                self._values.add(
+                    "DB206",
+                    (*_PATH, "flip", index),
+                    f"`{pattern}` matches no number of the observation or the action",
+                    f"write names such as {listed}, or patterns such as `*_hip_joint`",
+                )
+
+
+def _between_ranges(number: RangedName, other: RangedName, sign: float) -> tuple[float, float]:
+    """Return factor and offset from the other number, scaled to [-1, 1], to this one."""
+    middles = [(entry.low + entry.high) / 2.0 for entry in (number, other)]
+    halves = [(entry.high - entry.low) / 2.0 for entry in (number, other)]
+    return sign * halves[1] / halves[0], (sign * middles[1] - middles[0]) / halves[0] + 0.0
