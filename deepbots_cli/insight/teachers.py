@@ -49,7 +49,8 @@ def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
 
 def _has_teacher(evidence: TrainingEvidence) -> bool:
     training = evidence.program.agent.training
-    return evidence.run.demonstrations.exists() or (training is not None and training.teacher is not None)
+    taught_by_file = evidence.run.demonstrations.exists() or evidence.run.teacher.exists()
+    return taught_by_file or (training is not None and training.teacher is not None)
 
 
 def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:

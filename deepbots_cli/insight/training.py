@@ -325,6 +325,7 @@ def training_command(run: Run, assignments: Sequence[str]) -> list[str]:
     )
     words += [] if teacher is None or "train.teacher" in settings else ["--teacher", teacher.script]
     words += ["--teacher", str(run.demonstrations)] if run.demonstrations.exists() else []
+    words += ["--teacher", str(run.teacher)] if run.teacher.exists() else []
     words += [word for path, value in settings.items() for word in ("--set", f"{path}={value}")]
     is_given = any(word.partition("=")[0] == "--engine" for word in record.command)
     words += (

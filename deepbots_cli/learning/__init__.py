@@ -25,6 +25,7 @@ decline.py               whether the last evaluations of a training are worse th
 environments.py          the creation of worlds: one by one, or as a batch
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 teacher.py               a script or a recording as teacher: when the policy imitates it, and how much
+policy_teacher.py        a policy of another run as teacher
 demonstrations.py        the episodes of a recording, run again to teach
 scaling.py               the speed of a training with several numbers of shards
 curriculum.py            the stages of a training

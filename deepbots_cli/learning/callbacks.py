@@ -169,6 +169,9 @@ class TrainingCallback:
             hidden: list[str] = []
             if teaching.demonstrations is not None:
                 played = list(teaching.demonstrations.episodes)
+            elif teaching.policy is not None:
+                evaluator, engine = active.evaluator, active.run.record.engine
+                played = teaching.policy.play(scenario, evaluator.build, engine, evaluator.starts)
             else:
                 script, evaluator = teaching.teacher.script, active.evaluator
                 played = play_script(evaluator.build, scenario, script, evaluator.starts)

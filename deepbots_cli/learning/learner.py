@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.demonstrations import Demonstrations
+    from deepbots_cli.learning.policy_teacher import PolicyTeacher
     from deepbots_cli.learning.sb3.logs import TrainingLog
     from deepbots_cli.learning.teacher import Plan
 
@@ -57,7 +58,7 @@ class Setup:
     `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`,
     and `demonstrations` come from a recording that teaches. `policy_columns` are the places of the numbers that the
     policy sees, where an observation has further ones that only a critic may see; None if the policy sees all. An
-    evaluation calls `predict` with these numbers alone.
+    evaluation calls `predict` with these numbers alone. `teacher` is a policy that teaches.
     """
 
     training: Training
@@ -70,6 +71,7 @@ class Setup:
     rows: int = 1
     demonstrations: Demonstrations | None = None
     policy_columns: tuple[int, ...] | None = None
+    teacher: PolicyTeacher | None = None
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from deepbots_cli.learning.directories import is_training, numbered_files
 from deepbots_cli.learning.episodes import WINDOW_EPISODES, read_log_tail
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import ChosenBy, EvaluationRecord, RunRecord, changed_settings
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER
 from deepbots_cli.learning.study import Study
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
@@ -285,9 +285,12 @@ def _defines_success(run: Path) -> bool:
 
 
 def teacher_of(run: Path) -> str | None:
-    """Return the script that teaches the policy of a run, or the file of a recording that does."""
+    """Return the script that teaches the policy of a run, or the file of a recording or the folder of a policy
+    that does."""
     if (run / DEMONSTRATIONS_NAME).is_file():
         return DEMONSTRATIONS_NAME
+    if (run / TEACHER_FOLDER).is_dir():
+        return f"{TEACHER_FOLDER}/"
     kept = run / RESOLVED_NAME
     try:
         # Reading all of the file takes 5 ms.

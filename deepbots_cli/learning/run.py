@@ -7,6 +7,7 @@
     │                        loaded from it
     ├── environment.py       the generated code, to read; it is never run from here
     ├── demonstrations.mcap  a copy of the recording that teaches the policy
+    ├── teacher/             the policy that teaches, with its scenario
     ├── monitor.csv          a line per episode
     ├── tensorboard/
     ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best
@@ -46,12 +47,22 @@ from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind
 
 DEMONSTRATIONS_NAME = "demonstrations.mcap"
+TEACHER_FOLDER = "teacher"
 
 ModelName = str
 """The name of a file in `models/agent` of a run, without its suffix: `best`, `last`,
 `candidate-000000020000`, `step-000020000`."""
 _FILES = (RECORD_NAME, RESOLVED_NAME, "monitor.csv", ".lock")
-_FOLDERS = (INPUTS_FOLDER, "tensorboard", "models", "evaluations", "logs", "checkpoints", "failures")
+_FOLDERS = (
+    INPUTS_FOLDER,
+    "tensorboard",
+    "models",
+    "evaluations",
+    "logs",
+    "checkpoints",
+    "failures",
+    TEACHER_FOLDER,
+)
 
 
 @dataclass
@@ -66,6 +77,7 @@ class Run:
         self.program = self.compiled.program
         self.monitor, self.tensorboard = self.path / "monitor.csv", self.path / "tensorboard"
         self.demonstrations = self.path / DEMONSTRATIONS_NAME
+        self.teacher = self.path / TEACHER_FOLDER
         self.evaluations, self.checkpoints = self.path / "evaluations", self.path / "checkpoints"
 
     @cached_property
@@ -74,6 +86,11 @@ class Run:
 
     def model(self, name: ModelName, agent: str = ONLY_AGENT) -> Path:
         return self.path / MODELS_FOLDER / agent / f"{name}.zip"
+
+    @staticmethod
+    def model_below(folder: Path) -> Path:
+        """Return the place of the best model in the folder of a run."""
+        return folder / MODELS_FOLDER / ONLY_AGENT / "best.zip"
 
     @property
     def evaluation_seed(self) -> int:

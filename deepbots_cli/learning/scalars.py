@@ -84,7 +84,7 @@ class Scalars:
     def record_teacher(self, teaching: Teaching, plan: Plan) -> None:
         log = self._active.log
         log.record("teacher/weight", plan.weight)
-        if teaching.demonstrations is None:
+        if teaching.demonstrations is None and teaching.policy is None:
             driven = 0 if plan.lesson is None else plan.lesson.worlds
             log.record("teacher/driven_worlds", driven / self._active.learner.setup.training.environments)
         if teaching.score is not None:  # each stage of a curriculum has its own score

@@ -1,17 +1,18 @@
-"""A teacher, which is a script or a recording: when the policy imitates it, and how much.
+"""A teacher, which is a script, a recording or another policy: when the policy imitates it, and how much.
 
 At first the policy only imitates: the script drives some of the worlds, fewer and fewer with time and
 agreement, and provides its action in every state (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The
 critic learns meanwhile. This ends when an evaluation shows that the policy is about as good as the script, or
 after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose weight fades.
-A recording does not drive; the policy imitates its actions in its states.
+A recording does not drive; the policy imitates its actions in its states. Another policy does not drive either: it
+provides its action in every state.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, Field
 
@@ -20,6 +21,9 @@ from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.program.task import Teacher
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import Lesson
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.policy_teacher import PolicyTeacher
 
 ENOUGH = 0.95
 """The share of the script's success rate at which imitation alone ends."""
@@ -38,7 +42,7 @@ class Plan:
     """The plan of a teacher for the next fragment.
 
     Attributes:
-        lesson: The lesson for the collector; None when the teacher is done, or is a recording.
+        lesson: The lesson for the collector; None when the teacher is done, or is no script.
         weight: The weight of the imitation loss.
         only: Whether the policy only imitates.
     """
@@ -67,6 +71,7 @@ class Teaching:
         imitates: Whether the policy can imitate; otherwise the script only drives, and its steps stay in the
             replay buffer.
         demonstrations: The demonstrations of a recording, which is the teacher then.
+        policy: The policy that is the teacher then.
     """
 
     def __init__(
@@ -77,9 +82,12 @@ class Teaching:
         *,
         imitates: bool,
         demonstrations: Demonstrations | None = None,
+        policy: PolicyTeacher | None = None,
     ) -> None:
         self.teacher, self._total, self._worlds, self._has_loss = teacher, total, worlds, imitates
-        self.demonstrations, self._is_script = demonstrations, demonstrations is None
+        self.demonstrations, self.policy = demonstrations, policy
+        self._is_script = demonstrations is None and policy is None
+        self._has_stages = demonstrations is None
         self.score: Summary | None = None
         """The score of the script from the starts of the evaluations."""
         self.drives = False
@@ -95,7 +103,7 @@ class Teaching:
 
     def knows(self, stage: int) -> bool:
         """Return whether the score of the script in a stage of the curriculum is known."""
-        return self.score is not None and (self._stage == stage or not self._is_script)
+        return self.score is not None and (self._stage == stage or not self._has_stages)
 
     def begin(self, stage: int, episodes: Sequence[Episode], defines_success: bool) -> str:
         """Take over the episodes of the script in a stage of the curriculum. Returns its score in a sentence.
@@ -104,8 +112,11 @@ class Teaching:
         If none of them succeeds, the script does not teach in this stage.
         """
         self.score = summary = Summary.of_episodes(episodes)
-        name, mean = f"the teacher {self.teacher.script}", f"mean return {summary.mean_return:.3g}"
-        if stage != self._stage and (self._is_script or self._stage < 0):
+        name = f"the teacher {self.teacher.script if self.policy is None else self.policy.name}"
+        if self.demonstrations is not None:
+            name = "the teacher, a recording"
+        mean = f"mean return {summary.mean_return:.3g}"
+        if stage != self._stage and (self._has_stages or self._stage < 0):
             self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
         self._is_able = bool(summary.success_rate) or not defines_success
         success = f"success {summary.success_rate:.0%}, " if defines_success else ""
@@ -114,10 +125,7 @@ class Teaching:
             if self._is_able
             else ""
         )
-        return (
-            f"{name if self._is_script else 'the teacher, a recording'}: {success}{mean} in"
-            f" {len(episodes)} episodes{explores}"
-        )
+        return f"{name}: {success}{mean} in {len(episodes)} episodes{explores}"
 
     def plan(self, steps: int) -> Plan:
         """Return the plan for a fragment after `steps` timesteps."""

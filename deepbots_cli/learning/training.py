@@ -29,6 +29,7 @@ from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import MAX_STEPS, Summary
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds, play_script
+from deepbots_cli.learning.policy_teacher import PolicyTeacher, copy_teacher
 from deepbots_cli.learning.records import (
     FORMAT,
     RunRecord,
@@ -44,10 +45,11 @@ from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, cr
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
+from deepbots_cli.scenario.training import ALGORITHMS
 
 
 def train(
@@ -94,8 +96,8 @@ def train(
             the last one.
         initialize_from: A run whose best model initializes this policy, tensor by tensor if names and shapes
             are the same; or a model of a run.
-        demonstrations: A recording (.mcap) whose episodes teach the policy, in the place of the teacher of
-            the scenario.
+        demonstrations: A recording (.mcap) whose episodes teach the policy, or a run (or a model of it) whose
+            policy does, in the place of the teacher of the scenario.
         callbacks: Names of callbacks that installed packages register.
         loggers: Names of loggers in addition to TensorBoard: `csv`, and loggers that installed packages
             register.
@@ -131,7 +133,10 @@ def train(
     engine = engine_kinds.chosen(engine or compiled.program.engine)
     build = build or supervisor_factory(engine, permissions=compiled.permissions)
     taken_over = _validate_setup(compiled.program, training, build, source)
-    if demonstrations is not None:
+    teacher = _teaching_run(demonstrations)
+    if teacher is not None:
+        PolicyTeacher(teacher, compiled.program)
+    elif demonstrations is not None:
         demonstrate(demonstrations, compiled.program, build)
     elif training.teacher is not None:
         _check_teacher(training.teacher, compiled.program, stage, build, seed)
@@ -154,7 +159,9 @@ def train(
         new = Run.create(path, record, compiled)
         if source is not None:
             shutil.copyfile(source.path, new.model("initial"))
-        if demonstrations is not None:
+        if teacher is not None:
+            copy_teacher(teacher, new.teacher)
+        elif demonstrations is not None:
             shutil.copyfile(demonstrations, new.demonstrations)
         on_start(path)
         checkpoints = Checkpoints(new, learners.class_of(training).State)
@@ -218,11 +225,41 @@ def checked_settings(
         raise UsageError(f"keep_checkpoints must be from 0 to 10000, not {keep_checkpoints}")
     Curriculum(program, options.get("stage"))
     plugins.check(callbacks, loggers)
-    if (recording := options.get("demonstrations")) is not None:
+    if (demonstrations := options.get("demonstrations")) is not None:
         algorithms.check_teachable(training)
-        read_recording(recording, program)
+        if training.symmetry is not None:
+            raise UsageError(
+                "a training with a teacher cannot learn from mirror images; remove `train.symmetry`"
+            )
+        teacher = _teaching_run(demonstrations)
+        if teacher is None:
+            read_recording(demonstrations, program)
+        else:
+            _check_taught_by_policy(training)
+            PolicyTeacher(teacher, program)
     source = options.get("initialize_from")
     return training, None if source is None else ModelRef.open(source)
+
+
+def _teaching_run(demonstrations: str | Path | None) -> ModelRef | None:
+    """Return the run whose policy teaches; None where a recording teaches, or nothing."""
+    if demonstrations is None or str(demonstrations).endswith(RECORDING_SUFFIX):
+        return None
+    return ModelRef.open(demonstrations)
+
+
+def _check_taught_by_policy(training: Training) -> None:
+    """Check that a policy can teach a training.
+
+    Raises:
+        UsageError: The algorithm is not on-policy.
+    """
+    model = ALGORITHMS[training.algorithm]
+    if not (model.on_policy and model.imitates):
+        raise UsageError(
+            f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of that policy as"
+            " teacher"
+        )
 
 
 def resume(

@@ -29,9 +29,10 @@ from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import Executor
 from deepbots_cli.learning.held_out import Evaluator
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.policy_teacher import PolicyTeacher
 from deepbots_cli.learning.records import BestModel, ChosenBy, RunRecord, Status, TrainingResult, write_record
 from deepbots_cli.learning.report import Reporter
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import TrainingLog
@@ -111,7 +112,10 @@ class TrainingProcess:
         self._shown = (
             demonstrate(run.demonstrations, run.program, self.build) if run.demonstrations.exists() else None
         )
-        self._callback.teaching = _teaching(training, self._shown)
+        self._teacher: PolicyTeacher | None = None
+        if run.teacher.exists():
+            self._teacher = PolicyTeacher(ModelRef.open(run.teacher), run.program)
+        self._callback.teaching = _teaching(training, self._shown, self._teacher)
         if self.checkpoints.state is not None:
             self._callback.restore(self.checkpoints.state.callback)
         self._status: Status = "failed"
@@ -183,7 +187,9 @@ class TrainingProcess:
         collector = self._make_collector(stack, TrainingCounter(callback, episode_log))
         self._evaluator.shards = collector if isinstance(collector, ShardedCollector) else None
         policy_seed = derive_seed(run.record.seed, "policy")
-        learner = create_learner(self.training, run.program, collector, policy_seed, self._shown)
+        learner = create_learner(
+            self.training, run.program, collector, policy_seed, self._shown, self._teacher
+        )
         learner.log = log = TrainingLog(run)
         callback.attach(learner, log)
         checkpoints.attach(callback, learner, log)
@@ -373,7 +379,12 @@ class TrainingCounter:
 
 
 def create_learner(
-    training: Training, program: Program, collector: Collector, seed: int, shown: Demonstrations | None = None
+    training: Training,
+    program: Program,
+    collector: Collector,
+    seed: int,
+    shown: Demonstrations | None = None,
+    teacher: PolicyTeacher | None = None,
 ) -> Learner:
     setup = Setup(
         training,
@@ -385,6 +396,7 @@ def create_learner(
         collector,
         demonstrations=shown,
         policy_columns=program.with_critic.agent.policy_columns,
+        teacher=teacher,
     )
     return learners.create(setup)
 
@@ -405,14 +417,21 @@ def _storage_errors_of_threads_left_out() -> Iterator[None]:
         threading.excepthook = report_failure
 
 
-def _teaching(training: Training, shown: Demonstrations | None) -> Teaching | None:
-    """Imitate the demonstrations if there are any, otherwise the script of the scenario."""
-    teacher = training.teacher or (None if shown is None else Teacher(""))
+def _teaching(
+    training: Training, shown: Demonstrations | None, policy: PolicyTeacher | None
+) -> Teaching | None:
+    """Imitate the demonstrations or the policy if there is one, otherwise the script of the scenario."""
+    teacher = training.teacher or (None if shown is None and policy is None else Teacher(""))
     if teacher is None:
         return None
     imitates = ALGORITHMS[training.algorithm].imitates
     return Teaching(
-        teacher, training.total_timesteps, training.environments, imitates=imitates, demonstrations=shown
+        teacher,
+        training.total_timesteps,
+        training.environments,
+        imitates=imitates,
+        demonstrations=shown,
+        policy=policy,
     )
 
 

@@ -126,8 +126,8 @@ def command(
     teacher: Annotated[
         str | None,
         option(
-            "--teacher SCRIPT|FILE",
-            "Let a script of the scenario, or the episodes of a recording (.mcap), teach the policy first;"
+            "--teacher SCRIPT|FILE|RUN",
+            "Let a script of the scenario, the episodes of a recording (.mcap), or the policy of a run teach first;"
             " by default `train.teacher`.",
         ),
     ] = None,
@@ -144,7 +144,7 @@ def command(
     _check_retry(retry, seeds, to_view=to_view)
     scenario = _checked_options(scenario, seed, seeds, run)
     listed = None if seeds is None else seed_list(seeds)
-    is_recorded = teacher is not None and teacher.endswith(RECORDING_SUFFIX)
+    is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
     undivided = [
         *with_engine(overrides, engine),
         *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"]),

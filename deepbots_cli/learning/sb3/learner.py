@@ -357,6 +357,8 @@ class OnPolicyLearner(StableLearner):
                 collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
             self._taught = fragment.columns.get("taught")
+            if self.setup.teacher is not None and self._plan.weight:
+                self._taught = self.setup.teacher.actions(fragment.observations)
         self._callback.on_rollout_end()
         return True
 
@@ -416,7 +418,8 @@ class OnPolicyLearner(StableLearner):
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         if self._adaptive_rate is not None and kept.learning_rate is not None:
             self._adaptive_rate.rate = kept.learning_rate
-        if self._takes_fragments and self.setup.training.teacher is not None and kept.replay[0]:
+        is_taught = self.setup.training.teacher is not None or self.setup.teacher is not None
+        if self._takes_fragments and is_taught and kept.replay[0]:
             self._lessons = Lessons(self.model)
         super().restore(kept, arrays, same)
 
