@@ -328,6 +328,11 @@ class ArrayLearner(Learner):
             collector.ask_ahead(self.actor(), self.fragment_steps, with_masks=self.takes_masks)
         self.fragment = fragment
         self._monitor.on_collected()
+        statistics = self._monitor.active.statistics
+        if statistics.mean_return is not None:
+            self.log.record("rollout/ep_rew_mean", statistics.mean_return)
+        if self._monitor.defines_success and statistics.success_rate is not None:
+            self.log.record("rollout/success_rate", statistics.success_rate)
         self.log.dump(self.steps)
         return True
 

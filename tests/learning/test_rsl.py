@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import subprocess
@@ -18,7 +19,10 @@ pytest.importorskip("rsl_rl")
 
 import stand_in
 import torch
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import GaussianDistribution
 from stand_in import hyper
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 
 from deepbots_cli import api
@@ -29,6 +33,7 @@ from deepbots_cli.learning.learner import Setup
 from deepbots_cli.learning.rsl import internals
 from deepbots_cli.learning.rsl.learner import RslLearner
 from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program.task import Training
 from tests.learning.interruption import At
 from tests.private_members import private_members
@@ -49,6 +54,12 @@ def policy(training: Training = SHORT, **settings: Any) -> RslLearner:
     made = learner.create(Setup(training, RANGES, RANGES, **settings))
     assert isinstance(made, RslLearner)
     return made
+
+
+def scalars_of(folder: Path) -> EventAccumulator:
+    events = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
+    events.Reload()
+    return events
 
 
 def digest_of(folder: Path) -> str:
@@ -80,6 +91,13 @@ def test_an_interrupted_training_has_the_weights_of_one_that_was_not(
     assert train(task, run=tmp_path / "parts", build=stand_in.build, progress=At(1_000)).interrupted
     parts = resume(tmp_path / "parts", build=stand_in.build)
     assert (parts.weights_digest, parts.inexact) == (whole.weights_digest, ())
+    for name in ("train/learning_rate", "rollout/ep_rew_mean"):
+        values = [
+            [(event.step, event.value) for event in scalars_of(run).Scalars(name)]
+            for run in (whole.run, parts.run)
+        ]
+        assert len(values[0]) > 10
+        assert values[0] == values[1]
 
 
 def test_the_prediction_is_the_mean_of_the_distribution_in_the_range_of_the_agent() -> None:
@@ -197,7 +215,18 @@ def test_the_seed_determines_the_initial_weights() -> None:
     assert policy(seed=1).digest() == policy(seed=1).digest() != policy(seed=2).digest()
 
 
-# The private members
+# The library
+
+
+def test_our_defaults_of_networks_are_those_of_the_library() -> None:
+    program = stand_in.compiled(training=SHORT, continuous=True).program
+    effective = {entry.name: entry.value for entry in effective_hyperparameters(program, 2_000)}
+    arguments = {
+        **inspect.signature(GaussianDistribution).parameters,
+        **inspect.signature(MLPModel).parameters,
+    }
+    for name in ("init_std", "std_type", "learn_std", "obs_normalization"):
+        assert effective[name] == arguments[name].default
 
 
 def test_the_libraries_have_each_private_member() -> None:
