@@ -21,12 +21,13 @@ import stand_in
 import torch
 from rsl_rl.models import MLPModel
 from rsl_rl.modules import GaussianDistribution
+from stable_baselines3.common.logger import Logger
 from stand_in import hyper
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensordict import TensorDict
 
 from deepbots_cli import api
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.learning import evaluate, learner, resume, train
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import Setup
@@ -35,6 +36,8 @@ from deepbots_cli.learning.rsl.learner import RslLearner
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.collector import LocalCollector
+from deepbots_cli.rollout.worlds import Worlds
 from tests.learning.interruption import At
 from tests.private_members import private_members
 
@@ -98,6 +101,29 @@ def test_an_interrupted_training_has_the_weights_of_one_that_was_not(
         ]
         assert len(values[0]) > 10
         assert values[0] == values[1]
+
+
+def test_the_value_of_the_observation_at_a_time_limit_is_added_to_the_last_reward() -> None:
+    settings = hyper(num_steps_per_env=16, learning_rate=1e-12, schedule="fixed")  # the values stay
+    training = replace(SHORT, hyperparameters=settings)
+    program = stand_in.compiled(training=training, continuous=True, max_steps=5).program
+    collector = LocalCollector(Worlds([stand_in.build(program)], [0]))
+    spaces = collector.observation_space, collector.action_space
+    made = learner.create(Setup(training, *spaces, collector=collector))
+    assert isinstance(made, RslLearner)
+    made.log = Logger(None, [])  # type: ignore[assignment]
+    fragment = collector.collect(made.act, 16)
+    assert fragment is not None
+    made.fragment = fragment
+    made.update()
+    stored = made.algorithm.storage.rewards[..., 0].numpy()
+    assert [ending.timed_out for _, ending in fragment.endings] == [True] * 3
+    expected = fragment.rewards.copy()
+    for step, ending in fragment.endings:
+        values = made.values([ending.observation])
+        assert values is not None
+        expected[step, ending.row] += made.algorithm.gamma * values[0]
+    assert np.abs(stored - expected).max() < 1e-5
 
 
 def test_the_prediction_is_the_mean_of_the_distribution_in_the_range_of_the_agent() -> None:
@@ -168,6 +194,13 @@ def test_a_choice_is_refused_in_a_finding_and_in_an_error() -> None:
         learner.create(Setup(SHORT, RANGES, gym.spaces.Discrete(2)))
 
 
+def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rsl_rl.algorithms", None)
+    monkeypatch.delitem(sys.modules, "deepbots_cli.learning.rsl.learner")
+    with pytest.raises(MissingExtraError, match=r"^training with rsl_rl\.PPO needs the 'rsl' extra"):
+        learner.create(Setup(SHORT, RANGES, RANGES))
+
+
 def test_an_image_is_refused() -> None:
     image = gym.spaces.Box(0, 255, (8, 8, 3), np.uint8)
     with pytest.raises(UsageError, match=r"^rsl_rl\.PPO observes a vector of numbers, without images"):
@@ -216,6 +249,19 @@ def test_the_seed_determines_the_initial_weights() -> None:
 
 
 # The library
+
+
+def test_the_algorithm_of_the_library_gets_the_effective_hyperparameters() -> None:
+    training = replace(SHORT, hyperparameters=hyper(gamma=0.9, schedule="fixed"))
+    program = stand_in.compiled(training=training, continuous=True).program
+    algorithm = policy(training).algorithm
+    shown = {
+        entry.name: entry.value
+        for entry in effective_hyperparameters(program, 2_000)
+        if hasattr(algorithm, entry.name) and entry.name != "optimizer"
+    }
+    assert shown.keys() >= {"learning_rate", "gamma", "schedule", "clip_param", "use_clipped_value_loss"}
+    assert {name: getattr(algorithm, name) for name in shown} == shown
 
 
 def test_our_defaults_of_networks_are_those_of_the_library() -> None:
