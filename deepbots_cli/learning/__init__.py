@@ -10,6 +10,7 @@ records.py               the content of `run.json` and of the evaluations of a r
 directories.py           directories of runs, groups and studies: names, locks, files that are written whole
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
 sb3/                     the learner of the built-in algorithms
+rsl/                     the learner of rsl_rl.PPO
 checkpoints.py           the whole state of a training, from which it continues to the bit
 checkpoint_files.py      the files of a checkpoint, and their valid content
 active.py                the parts of a training that runs in this process

@@ -31,7 +31,7 @@ from deepbots_cli.learning.checkpoint_files import (
 )
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor
+from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -288,7 +288,8 @@ class ArrayLearner(Learner):
     arrays without further code.
 
     A subclass defines `act`, `update`, `predict` and `weights`, and `memory` if the next update depends on
-    further arrays.
+    further arrays. If `act` depends on nothing but `weights` and the global random generators, the subclass
+    sets `acts_from_weights`, and shards can have copies of the policy.
 
     Attributes:
         fragment_steps: The steps of each row between two updates.
@@ -297,6 +298,8 @@ class ArrayLearner(Learner):
 
     fragment_steps = 64
     takes_callbacks = False
+    acts_from_weights: ClassVar[bool] = False
+    """Whether the actions depend on `weights` and on the global generators of random numbers only."""
     fragment: Fragment
 
     def __init__(self, setup: Setup) -> None:
@@ -322,13 +325,24 @@ class ArrayLearner(Learner):
             self.steps += len(step.dones)
             return self._monitor.on_step()
 
-        fragment = collector.collect(self.act, self.fragment_steps, on_step, with_masks=self.takes_masks)
+        actor = self.actor() if isinstance(collector, ShardedCollector) else self.act
+        fragment = collector.collect(actor, self.fragment_steps, on_step, with_masks=self.takes_masks)
         if fragment is None:
             return False
+        if self.setup.training.staleness and isinstance(collector, ShardedCollector):
+            collector.ask_ahead(self.actor(), self.fragment_steps, with_masks=self.takes_masks)
         self.fragment = fragment
         self._monitor.on_collected()
+        statistics = self._monitor.active.statistics
+        if statistics.mean_return is not None:
+            self.log.record("rollout/ep_rew_mean", statistics.mean_return)
+        if self._monitor.defines_success and statistics.success_rate is not None:
+            self.log.record("rollout/success_rate", statistics.success_rate)
         self.log.dump(self.steps)
         return True
+
+    def actor(self) -> PolicyActor:
+        return _ArrayActor(self) if self.acts_from_weights else super().actor()
 
     def end(self) -> None:
         self._monitor.on_end()
@@ -349,6 +363,31 @@ class ArrayLearner(Learner):
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         self.steps = kept.steps
         _overwrite(self.memory(), arrays)
+
+
+class _ArrayActor:
+    """The actor of an `ArrayLearner` whose actions depend on its weights only."""
+
+    def __init__(self, learner: ArrayLearner) -> None:
+        self._learner = learner
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        return self._learner.act(observations, starts, masks)
+
+    def begin(self) -> None:
+        """The actor does nothing before a fragment."""
+
+    def parameters(self) -> Mapping[str, Any]:
+        return self._learner.weights()
+
+    def memory(self) -> Mapping[str, Array]:
+        return {}
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        _overwrite(self._learner.weights(), parameters)
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        """The policy has no memory between two fragments."""
 
 
 def class_of(training: Training) -> type[Learner]:

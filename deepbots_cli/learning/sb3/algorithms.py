@@ -261,7 +261,15 @@ def check(training: Training) -> None:
     """
     if training.teacher is not None:
         check_teachable(training)
-    hidden = training.network.hidden
+    check_size(training.network.hidden)
+
+
+def check_size(hidden: Sequence[int]) -> None:
+    """Check the sizes of the hidden layers of a network.
+
+    Raises:
+        UsageError: The network would be larger than any memory.
+    """
     if len(hidden) > _MOST_LAYERS:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
     if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:

@@ -1,8 +1,8 @@
 """The hyperparameters of a training: those of the scenario, our defaults, and the defaults of the library.
 
 Our defaults suit small networks and light worlds on a CPU. Every other default is the one of
-Stable-Baselines3 or sb3-contrib. It is read from the signature in the library's source, since importing the
-library takes seconds.
+Stable-Baselines3, sb3-contrib or RSL-RL. It is read from the signature in the library's source, since
+importing the library takes seconds.
 """
 
 from __future__ import annotations
@@ -24,9 +24,14 @@ LIBRARIES: Mapping[str, str] = {
     "MaskablePPO": "sb3_contrib",
     "RecurrentPPO": "sb3_contrib",
     "TQC": "sb3_contrib",
+    "rsl_rl.PPO": "rsl_rl",
 }
 """The package of each algorithm that Stable-Baselines3 does not have itself."""
-_LIBRARY_TITLES = {"stable_baselines3": "Stable-Baselines3", "sb3_contrib": "sb3-contrib"}
+_LIBRARY_TITLES = {
+    "stable_baselines3": "Stable-Baselines3",
+    "sb3_contrib": "sb3-contrib",
+    "rsl_rl": "RSL-RL",
+}
 _UNIFORM = "uniform"
 
 
@@ -116,6 +121,22 @@ _DETERMINISTIC = _ACTOR_CRITIC | {
     )
 }
 
+_RSL = {
+    "num_steps_per_env": Default(
+        lambda training, *_: max(24, 1024 // training.environments),
+        "1024 / `environments`, at least 24",
+    ),
+    # Clipped in the unit of the rewards, a value moves by `clip_param` in an update, and returns may be
+    # hundreds.
+    "use_clipped_value_loss": Default(
+        lambda training, *_: training.normalize is not None, "true with `normalize: reward`, otherwise false"
+    ),
+    "init_std": Default(lambda *_: 1.0, "1.0"),
+    "std_type": Default(lambda *_: "scalar", "scalar"),
+    "learn_std": Default(lambda *_: True, "true"),
+    "obs_normalization": Default(lambda *_: False, "false"),
+}
+
 DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "A2C": {},
     "DDPG": _DETERMINISTIC,
@@ -126,6 +147,7 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "SAC": _ACTOR_CRITIC,
     "TD3": _DETERMINISTIC,
     "TQC": _ACTOR_CRITIC,
+    "rsl_rl.PPO": _RSL,
 }
 """Our defaults, by algorithm and hyperparameter."""
 
@@ -185,22 +207,21 @@ def library_defaults(algorithm: str) -> Mapping[str, object] | None:
     spec = find_spec(LIBRARIES.get(algorithm, "stable_baselines3"))
     if spec is None or spec.origin is None:
         return None
-    defined = re.compile(rf"^class {algorithm}\(", re.MULTILINE)
+    name = algorithm.rpartition(".")[2]
+    defined = re.compile(rf"^class {name}[(:]", re.MULTILINE)
     for path in sorted(Path(spec.origin).parent.glob("*/*.py")):
         text = path.read_text(encoding="utf-8")
         if defined.search(text):
             (definition,) = (
-                node
-                for node in ast.parse(text).body
-                if isinstance(node, ast.ClassDef) and node.name == algorithm
+                node for node in ast.parse(text).body if isinstance(node, ast.ClassDef) and node.name == name
             )
             (start,) = (
                 node
                 for node in definition.body
                 if isinstance(node, ast.FunctionDef) and node.name == "__init__"
             )
-            names = [argument.arg for argument in start.args.args][-len(start.args.defaults) :]
-            return {name: _literal(default) for name, default in zip(names, start.args.defaults, strict=True)}
+            keys = [argument.arg for argument in start.args.args][-len(start.args.defaults) :]
+            return {key: _literal(default) for key, default in zip(keys, start.args.defaults, strict=True)}
     return None
 
 
