@@ -11,12 +11,15 @@ from __future__ import annotations
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.engine_kinds import diagonal_of
 from deepbots_cli.errors import EngineError, EvaluationError
+from deepbots_cli.geometry import Heights, ground_heights
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
@@ -350,6 +353,11 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         }
         masks = {"action_mask": self.options.of_space(self.action_space, row)} if self.forbids_options else {}
         return {**info, **masks, "reward_terms": terms}
+
+    @cached_property
+    def ground_height(self) -> Heights:
+        """The heights (m) of the ground at x, y (m) of the world frame, over columns."""
+        return ground_heights(self.scenario.world.terrain, diagonal_of(self.singles[0].engine.name))
 
     def rewards(self) -> Column:
         """Return the rewards of the last step, a copy."""
