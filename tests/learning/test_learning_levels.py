@@ -13,7 +13,9 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.cli import main
 from deepbots_cli.cli.records import training_text
+from deepbots_cli.errors import RunError
 from deepbots_cli.learning import evaluate, resume, train
 from deepbots_cli.learning.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
@@ -219,6 +221,45 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(tmp_path: Path) -> 
     assert scalars["curriculum/mean_level"][-1][1] == pytest.approx(result.levels.mean)
     evaluation = evaluate(result.run, episodes=60)
     assert {episode.drawn["level"] for episode in evaluation.outcomes} == set(range(6))
+
+
+def test_the_list_of_runs_shows_the_mean_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = train(compiled(), run=tmp_path / "run")
+    assert result.levels is not None
+    assert main(["runs", str(result.run), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mean_level"] == result.levels.mean
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_world_with_copies_of_a_robot_has_one_level(tmp_path: Path, engine: str) -> None:
+    task = api.compile(
+        "multi_cartpole",
+        overrides=[
+            "parameters.level=integer(0 .. 2)",
+            "parameters.fall_angle=15 deg - 2 deg * level",
+            "curriculum={set: {level: 0 .. 2}, levels: 3, up: fallen, down: max_steps}",
+            "train={algorithm: PPO, total_timesteps: 600, environments: 2, n_steps: 50, batch_size: 50}",
+        ],
+    )
+    result = train(task, run=tmp_path / "run", engine=engine)
+    rows = monitor(result.run)
+    endings: dict[int, list[str]] = {}
+    for row in rows:
+        endings.setdefault(drawn_level(row), []).append(row["ended_by"])
+    assert result.levels == LevelSpread(mean=2.0, lowest=2, highest=2, count=3)
+    for level in (0, 1):
+        assert endings[level].count("fallen") >= 2  # an episode in each world
+        assert "another_copy" in endings[level]
+
+
+def test_a_level_that_the_scenario_does_not_have_is_refused(tmp_path: Path) -> None:
+    run = train(compiled(), run=tmp_path / "run", progress=At(300)).run
+    (kept,) = (run / "checkpoints").glob("0*/state.json")
+    state = json.loads(kept.read_text())
+    state["stages"][0] = 9
+    kept.write_text(json.dumps(state))
+    with pytest.raises(RunError, match="stage 9"):
+        resume(run)
 
 
 def test_a_failure_repeats_in_the_level_of_its_world(tmp_path: Path) -> None:
