@@ -46,8 +46,10 @@ class LevelSpread(BaseModel, frozen=True, strict=True, allow_inf_nan=False):
     count: NonNegativeInt
 
     def __str__(self) -> str:
-        spread = str(self.lowest) if self.lowest == self.highest else f"{self.lowest} to {self.highest}"
-        return f"{self.mean:.2f} on average, {spread} of 0 to {self.count - 1}"
+        last = self.count - 1
+        if self.lowest == self.highest:
+            return f"all worlds in level {self.lowest} of 0 to {last}"
+        return f"mean level {self.mean:.2f}, worlds in {self.lowest} to {self.highest} of 0 to {last}"
 
 
 class Curriculum:
@@ -90,6 +92,10 @@ class Curriculum:
         self._recent = Generations[float](1)
         if until is not None and until.episodes is not None:
             self._recent = Generations[float](until.episodes, self._worlds, self._copies)
+
+    @property
+    def has_levels(self) -> bool:
+        return self._program.levels is not None
 
     @property
     def levels(self) -> LevelSpread | None:

@@ -366,7 +366,7 @@ class TrainingCounter:
 
     def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
         statistics, curriculum = self._statistics, self._curriculum
-        is_present = curriculum.levels is not None or stage == curriculum.index
+        is_present = curriculum.has_levels or stage == curriculum.index
         statistics.add(episode, world, present=is_present)
         self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
         if not is_present or self._callback.is_taught:

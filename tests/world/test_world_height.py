@@ -87,7 +87,7 @@ def test_a_place_that_is_not_finite_has_no_height_in_a_column() -> None:
 
 def test_a_plane_has_the_height_0() -> None:
     assert ground_height(None)(3.0, 4.0) == 0.0
-    assert ground_heights(None)(np.ones(3), 2.0).tolist() == [0.0, 0.0, 0.0]
+    assert ground_heights(None)(np.ones(3), np.ones(1)).tolist() == [0.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
