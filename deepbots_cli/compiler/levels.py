@@ -21,7 +21,8 @@ _TOLERANCE = 1e-9
 
 
 def levels(namespace: Namespace, program: Program) -> Levels | None:
-    """Return the levels of the curriculum of a program; None without levels and after a finding."""
+    """Return the levels of the curriculum of a program; None without levels, after a finding, and if a
+    parameter has one value: a training with `--set level=5` plays one level."""
     spec = namespace.scenario.levels
     return None if spec is None else _LevelsReader(namespace, program, spec).levels()
 
@@ -42,7 +43,7 @@ class _LevelsReader(NamespaceReader):
             headline = f"after `{shared[0]}` a world cannot be one level higher and one level lower"
             help = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
             self._values.add("DB407", (*spec.path, "down"), headline, help)
-        if len(self._values.findings.errors) > errors_before or start is None:
+        if len(self._values.findings.errors) > errors_before or start is None or None in values.values():
             return None
         return Levels(
             spec.levels,
@@ -102,12 +103,16 @@ class _LevelsReader(NamespaceReader):
         elif self._parameter(name) is not None:
             help = "name those in place of it"
             self._values.add("DB407", span, f"`{name}` is computed from other parameters", help)
-        elif not self._values.is_invalid(name):
+        elif not self._is_assigned(name) and not self._values.is_invalid(name):
             written = self._values.text(place).text
             help = f"draw it from all levels, for example `{name}: uniform({written})`"
-            headline = f"the scenario does not draw `{name}`, so its episodes cannot have levels of it"
-            self._values.add("DB407", span, headline, help)
+            headline = f"`{name}` has one value in all episodes, so nothing uses the levels"
+            self._values.add("DB205", span, headline, help)
         return None
+
+    def _is_assigned(self, name: str) -> bool:
+        """Return whether `--set` gives the parameter its value."""
+        return self._values.span(("parameters", name)).source.assigned is not None
 
     def _is_drawable(
         self, entry: EpisodeDraw, parameter: Expression, numbers: tuple[float, ...], place: NodePath

@@ -25,13 +25,6 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
             "there is no parameter `truncation.max_steps`",
             "level",
         ),
-        (
-            "set={fall_angle: 5 .. 15 deg}",
-            "DB407",
-            "fall_angle",
-            "the scenario does not draw `fall_angle`",
-            "fall_angle: uniform(5 .. 15 deg)",
-        ),
         ("set={mark: 1 .. 2 cm}", "DB407", "mark", "computed from other parameters", "those"),
         ("levels=4", "DB105", "0 .. 5", "4 levels do not divide the range", "levels: 6"),
         ("set={level: 0 .. 10}", "DB105", "0 .. 10", "the scenario draws 0 to 5", "wider range"),
@@ -66,6 +59,18 @@ def test_a_scenario_without_success_cannot_go_up_by_it() -> None:
 def test_a_parameter_that_changes_within_an_episode_has_no_levels() -> None:
     findings = check(load(SCENARIO, overrides=["parameters.level=integer(0 .. 5) every 1 s"])).findings
     assert [finding.headline for finding in findings.errors] == ["`level` changes within an episode"]
+
+
+def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
+    (finding,) = check(load(SCENARIO, overrides=["curriculum.set={fall_angle: 5 .. 15 deg}"])).findings
+    assert (finding.code, finding.severity, finding.span.text) == ("DB205", "warning", "fall_angle")
+    assert finding.help == "draw it from all levels, for example `fall_angle: uniform(5 .. 15 deg)`"
+
+
+def test_one_value_by_set_replaces_the_levels() -> None:
+    program = api.compile(SCENARIO, overrides=["level=3"]).program
+    assert program.levels is None
+    assert program.parameters == ()
 
 
 def test_levels_count_for_the_training_alone() -> None:

@@ -263,6 +263,15 @@ def test_a_level_that_the_scenario_does_not_have_is_refused(tmp_path: Path) -> N
         resume(run)
 
 
+def test_a_training_in_one_level_can_be_evaluated_in_another(tmp_path: Path) -> None:
+    result = train(compiled("level=3"), run=tmp_path / "run", total_timesteps=256)
+    assert result.levels is None
+    assert evaluate(result.run, episodes=2).episodes == 2
+    of_all = evaluate(train(compiled(), run=tmp_path / "all", total_timesteps=256).run, episodes=2)
+    assert of_all.episodes == 2
+    assert main(["eval", str(tmp_path / "all"), "--set", "level=5", "--episodes", "2"]) == 0
+
+
 def test_a_failure_repeats_in_the_level_of_its_world(tmp_path: Path) -> None:
     """The reward has no value in level 2."""
     from deepbots_cli.errors import EvaluationError
