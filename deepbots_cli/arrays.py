@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.expressions.functions import function_named
+from deepbots_cli.expressions.functions import Family, function_named
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 
 Array = NDArray[Any]
@@ -40,7 +40,7 @@ def _evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Any:
             return value
         case Name() if scalar in values:
             return values[scalar]
-        case Op(op=name, args=args):
+        case Op(op=name, args=args) if function_named(name).family is Family.PURE:
             return _array_function(name)(*(_evaluate(arg, values) for arg in args))
     raise DeepbotsError(f"{str(scalar)[:60]} has no value over arrays")
 

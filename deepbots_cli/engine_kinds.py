@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli import plugins
 
@@ -27,6 +27,10 @@ class Limitation(NamedTuple):
     help: str
 
 
+Diagonal = Literal["falling", "rising"]
+"""The diagonal of a cell of the ground, seen from above, x to the right and y up."""
+
+
 class EngineKind(NamedTuple):
     """A physics engine: `factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module
     that it imports, `batch` the `module:attribute` of its batches (many worlds of one model at once).
@@ -34,7 +38,7 @@ class EngineKind(NamedTuple):
     `last_python` is the last Python that the library is built for; `on_windows` is true if it is built for
     Windows. `mesh_terrain` is the reason why a mesh cannot be the ground, None if it can.
     `implausible_inertia` is the reason why a link cannot have an inertia that no rigid body has, None if it
-    can.
+    can. `diagonal` divides each cell of a ground with heights into two triangles.
     """
 
     summary: str
@@ -46,6 +50,7 @@ class EngineKind(NamedTuple):
     on_windows: bool = True
     mesh_terrain: Limitation | None = None
     implausible_inertia: Limitation | None = None
+    diagonal: Diagonal = "falling"
 
     @property
     def moves_followers(self) -> bool:
@@ -135,6 +140,7 @@ ENGINES = Engines(
             "deepbots_cli.engines.mujoco.engine:MuJoCoEngine",
             library="mujoco",
             batch="deepbots_cli.engines.mujoco.batch:MuJoCoBatch",
+            diagonal="rising",
             mesh_terrain=Limitation(
                 "a mesh cannot be the ground in MuJoCo, which uses the convex hull of a mesh",
                 "use a terrain of heights (heightfield, formula or pit), or the engine `pybullet`",
@@ -147,6 +153,13 @@ ENGINES = Engines(
         ),
     }
 )
+
+
+def diagonal_of(engine: str) -> Diagonal:
+    """Return the diagonal along which an engine divides the cells of the ground; that of PyBullet for an
+    engine of another package."""
+    kind = ENGINES.own.get(engine)
+    return "falling" if kind is None else kind.diagonal
 
 
 def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:

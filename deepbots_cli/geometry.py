@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from hashlib import sha256
 from io import BytesIO
 from math import floor, inf, log, sqrt
@@ -25,6 +26,7 @@ import numpy as np
 
 from deepbots_cli import tiles
 from deepbots_cli.arrays import evaluate
+from deepbots_cli.engine_kinds import Diagonal
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
@@ -36,10 +38,14 @@ if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
 
+    Column = NDArray[np.float64]
+
 # Terrain
 
 Height = Callable[[float, float], float]
 """The height (m) of the ground at x, y (m); beyond the terrain, the height of its nearest edge."""
+Heights = Callable[["Column", "Column"], "Column"]
+"""The same for columns: the heights at x, y, to the bit; NaN where a coordinate is."""
 
 RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side
@@ -53,12 +59,13 @@ class HeightGrid:
     """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along
     x, both upwards.
 
-    Each cell is two triangles; they meet along the diagonal from its corner at the greater x to that at the
-    greater y.
+    Each cell is two triangles, which meet along a diagonal. A falling diagonal joins the corner at the greater
+    x and the one at the greater y, a rising one the other two.
     """
 
     heights: NDArray[np.float64]
     size: tuple[float, float]
+    diagonal: Diagonal = "falling"
 
     @property
     def cell(self) -> tuple[float, float]:
@@ -68,7 +75,7 @@ class HeightGrid:
 
     def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return the vertices (n, 3) in m, and for each triangle the numbers of its vertices,
-        counter-clockwise from above."""
+        counter-clockwise from above; the diagonals are falling."""
         rows, columns = self.heights.shape
         x, y = np.meshgrid(
             np.linspace(-0.5, 0.5, columns) * self.size[0], np.linspace(-0.5, 0.5, rows) * self.size[1]
@@ -86,12 +93,41 @@ class HeightGrid:
             first = np.minimum(at.astype(int), len(heights) - 2)
             part = (at - first)[:, None]
             heights = (heights[first] * (1 - part) + heights[first + 1] * part).T
-        return HeightGrid(heights, self.size)
+        return HeightGrid(heights, self.size, self.diagonal)
+
+    def heights_function(self) -> Heights:
+        """Return a function of columns, which computes the same as `height_function`."""
+        rows, columns = self.heights.shape
+        z = self.heights
+        (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
+
+        def at(x: Column, y: Column) -> Column:
+            u = np.minimum(np.maximum((np.asarray(x, float) + half_x) / dx, 0.0), columns - 1.0)
+            v = np.minimum(np.maximum((np.asarray(y, float) + half_y) / dy, 0.0), rows - 1.0)
+            u, v = np.broadcast_arrays(u, v)
+            exists = ~(np.isnan(u) | np.isnan(v))
+            u, v = np.where(exists, u, 0.0), np.where(exists, v, 0.0)
+            column = np.minimum(u.astype(int), columns - 2)
+            row = np.minimum(v.astype(int), rows - 2)
+            u, v = u - column, v - row
+            east, north = z[row, column + 1], z[row + 1, column]
+            corner, far = z[row, column], z[row + 1, column + 1]
+            if self.diagonal == "rising":
+                lower = corner + u * (east - corner) + v * (far - east)
+                upper = corner + v * (north - corner) + u * (far - north)
+                heights = np.where(v <= u, lower, upper)
+            else:
+                lower = corner + u * (east - corner) + v * (north - corner)
+                upper = far + (1.0 - u) * (north - far) + (1.0 - v) * (east - far)
+                heights = np.where(u + v <= 1.0, lower, upper)
+            return np.where(exists, heights, np.nan)
+
+        return at
 
     def height_function(self) -> Height:
         """Return a function of plain floats, for use in a loop."""
         rows, columns = self.heights.shape
-        z = self.heights.tolist()
+        z, is_rising = self.heights.tolist(), self.diagonal == "rising"
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
 
         def at(x: float, y: float) -> float:
@@ -100,6 +136,11 @@ class HeightGrid:
             column, row = min(floor(u), columns - 2), min(floor(v), rows - 2)
             u, v = u - column, v - row
             here, there = z[row], z[row + 1]
+            if is_rising:
+                corner, far = here[column], there[column + 1]
+                if v <= u:
+                    return float(corner + u * (here[column + 1] - corner) + v * (far - here[column + 1]))
+                return float(corner + v * (there[column] - corner) + u * (far - there[column]))
             if u + v <= 1.0:
                 corner = here[column]
                 return float(corner + u * (here[column + 1] - corner) + v * (there[column] - corner))
@@ -133,15 +174,43 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     return grid
 
 
-def ground_height(terrain: Terrain | None) -> Height:
-    """Return the height of the ground, which is 0 if the ground is a plane."""
+def ground_height(terrain: Terrain | None, diagonal: Diagonal = "falling") -> Height:
+    """Return the height of the ground, which is 0 if the ground is a plane; `diagonal` is that of the
+    engine."""
+    return (lambda x, y: 0.0) if terrain is None else _height_of(terrain.shape, diagonal)
+
+
+def ground_heights(terrain: Terrain | None, diagonal: Diagonal = "falling") -> Heights:
+    """Return the height of the ground over columns; see `ground_height`."""
     if terrain is None:
-        return lambda x, y: 0.0
-    grid = height_grid(terrain.shape)
+        return lambda x, y: np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+    return _heights_of(terrain.shape, diagonal)
+
+
+@lru_cache(maxsize=4)
+def _height_of(terrain_shape: TerrainShape, diagonal: Diagonal) -> Height:
+    """Return the height of a relief. Worlds with the same one share it: a terrain of a million heights takes
+    32 MB as plain floats.
+    """
+    grid = height_grid(terrain_shape)
     if grid is not None:
-        return grid.height_function()
-    assert isinstance(terrain.shape, Mesh)  # all others are grids
-    return _mesh_height(mesh_triangles(terrain.shape))
+        return replace(grid, diagonal=diagonal).height_function()
+    assert isinstance(terrain_shape, Mesh)  # all others are grids
+    return _mesh_height(mesh_triangles(terrain_shape))
+
+
+@lru_cache(maxsize=4)
+def _heights_of(terrain_shape: TerrainShape, diagonal: Diagonal) -> Heights:
+    grid = height_grid(terrain_shape)
+    if grid is not None:
+        return replace(grid, diagonal=diagonal).heights_function()
+    height = _height_of(terrain_shape, diagonal)
+
+    def at(x: Column, y: Column) -> Column:
+        x, y = np.broadcast_arrays(x, y)
+        return np.array([height(*place) for place in zip(x.ravel(), y.ravel(), strict=True)]).reshape(x.shape)
+
+    return at
 
 
 def _pit(pit: Pit) -> HeightGrid:

@@ -523,6 +523,10 @@ def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Chang
                     one.text_at(path),
                     other.text_at(path),
                 )
+    if one.program.levels != other.program.levels:
+        had, has = one.program.levels is not None, other.program.levels is not None
+        texts = one.text_at("curriculum"), other.text_at("curriculum")
+        yield Change("curriculum", Effect.training, _kind(had, has), *texts)
 
 
 def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
@@ -565,7 +569,9 @@ def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]
 def values(scenario: Program) -> dict[str, str]:
     """Return every value of a scenario as text, by path; without cases, stages and paths of files."""
     kinds = dict.fromkeys(scenario.failures, "failure") | dict.fromkeys(scenario.agent.success, "success")
-    leaves = _leaves(replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=()), "")
+    leaves = _leaves(
+        replace(scenario.with_agents(robots=(), success=()), cases=(), curriculum=(), levels=None), ""
+    )
     texts: dict[str, str] = {}
     for path, text in leaves:
         path = re.sub(r"^endings/(\w+)", lambda match: f"endings/{kinds[match[1]]}/{match[1]}", path)

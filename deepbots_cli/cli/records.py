@@ -140,6 +140,8 @@ def training_text(result: TrainingResult) -> str:
     for end in result.stages:
         rows[f"stage {end.name}"] = f"done after {end.steps:,} steps, {end.episodes:,} episodes"
     rows["last stage"] = result.stage
+    if result.levels is not None:
+        rows["level"] = result.levels
     if result.mean_return is not None:
         rows["mean return"] = (
             f"{result.mean_return:.1f} over the most recent training episodes, with exploration"

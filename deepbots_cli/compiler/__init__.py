@@ -13,6 +13,7 @@ policy.py       action, observation, goal, scripts, copies of a robot
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
+levels.py       levels of the curriculum
 evaluation.py   training; cases of the evaluation and stages of the curriculum; tests of the scenario
 symmetry.py     the mirror symmetry of a training
 search.py       the search of `tune`
@@ -44,6 +45,7 @@ from deepbots_cli.compiler.episodes import (
 from deepbots_cli.compiler.evaluation import compile_variants, scenario_tests, training
 from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.compiler.learner import choose, with_learner
+from deepbots_cli.compiler.levels import levels
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, scripts
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
@@ -137,7 +139,7 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         if (
             checked.program is None
             or checked.spec is None
-            or not (checked.spec.evaluation.cases or checked.spec.curriculum)
+            or not (checked.spec.evaluation.cases or checked.spec.stages)
         ):
             return checked
         sent = frozenset(
@@ -247,7 +249,9 @@ def _program(namespace: Namespace) -> Program:
     sending = tuple(
         replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True)
     )
-    return with_reading_ages(replace(program, robots=sending, ros=topics(namespace, program)))
+    return with_reading_ages(
+        replace(program, robots=sending, ros=topics(namespace, program), levels=levels(namespace, program))
+    )
 
 
 def _agent(

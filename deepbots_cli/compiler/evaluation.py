@@ -285,13 +285,13 @@ def compile_variants(
         return (), program
     values = ValueReader(document.root, findings, {})
     compiler = _VariantCompiler(document, values, program, check)
-    count, size = len(spec.evaluation.cases) + len(spec.curriculum), count_and_depth(document.root)[0]
+    count, size = len(spec.evaluation.cases) + len(spec.stages), count_and_depth(document.root)[0]
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS}" if count > MAX_VARIANTS else str(count)
         scenario = "" if count > MAX_VARIANTS else f" of a scenario with {size:,} values"
         values.add_at_key(
             "DB005",
-            ("curriculum",) if spec.curriculum else ("evaluation", "cases"),
+            ("curriculum",) if spec.stages else ("evaluation", "cases"),
             f"{many} cases and stages{scenario} are too many",
             "use fewer cases and stages",
         )
@@ -307,7 +307,7 @@ def compile_variants(
     ]
     stages = [
         (stage, compiler.program("stage", stage.name, ("curriculum", index)))
-        for index, stage in enumerate(spec.curriculum)
+        for index, stage in enumerate(spec.stages)
     ]
     return tuple(compiler.checked), replace(
         program,
@@ -343,7 +343,7 @@ class _VariantCompiler:
     def check_order(self, spec: Scenario) -> None:
         """Check that every stage but the last has an end, and that no two have the same name."""
         values, first = self._values, dict[str, NodePath]()
-        for index, stage in enumerate(spec.curriculum):
+        for index, stage in enumerate(spec.stages):
             path: NodePath = ("curriculum", index)
             here: NodePath = (*path, "name")
             if stage.name in first:
@@ -352,7 +352,7 @@ class _VariantCompiler:
                     "DB202", here, f"`{stage.name}` is already a stage", "choose another name", labels=also
                 )
             first.setdefault(stage.name, here)
-            last = index == len(spec.curriculum) - 1
+            last = index == len(spec.stages) - 1
             criterion = read_until(stage.until)
             if criterion and criterion[0] == "success_rate" and not (spec.termination.success or spec.goal):
                 until = f"until: mean_return >= 100 over {criterion[2]} episodes"
@@ -508,7 +508,7 @@ class _Reader(NamespaceReader):
         """Return the test; None after an error."""
         errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
-        cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.curriculum]
+        cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.stages]
         for word, section, chosen, others in (
             ("case", "cases", spec.case, list(cases)),
             ("stage", "curriculum", spec.stage, stages),

@@ -131,7 +131,7 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
         ],
         "stage": [
             (("curriculum", index, "name"), "a stage of the curriculum", stage.name)
-            for index, stage in enumerate(spec.curriculum)
+            for index, stage in enumerate(spec.stages)
         ],
         "ending": [(("truncation", name), "a limit", name) for name in limits],
     }

@@ -52,6 +52,7 @@ from deepbots_cli.robots import meshes
 from deepbots_cli.robots.meshes import mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Mesh, Pose, Shape, Sphere, volume
 from deepbots_cli.scenario import world as world_spec
+from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLORS
 
 
@@ -276,6 +277,7 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
     match spec:
         case world_spec.Pit():
             height = fixed(spec, "height")
+            _check_height(spec, "height", None if height is None else height / 4, namespace)
             radius = _PIT_RIM_M if spec.radius is None else fixed(spec, "radius")
             noise = fixed(spec, "noise")
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
@@ -289,6 +291,7 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
         case world_spec.Heightfield():
             file = picture(namespace, (*spec.path, "file"), spec.file)
             size, height = namespace.fields.pair(spec, "size"), fixed(spec, "height")
+            _check_height(spec, "height", height, namespace)
             return None if file is None or size is None or height is None else Picture(*file, size, height)
         case world_spec.Formula():
             size = namespace.fields.pair(spec, "size")
@@ -333,6 +336,9 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
         cell,
         spec.seed,
     )
+    for kind, tile_spec in enumerate(spec.tiles.values() if len(values.findings) == findings_before else ()):
+        key = next(key for key in ("angle", "height", "depth") if key in type(tile_spec).model_fields)
+        _check_height(tile_spec, key, terrain.largest_height(kind), namespace)
     rows, columns = (round(extent / cell) + 1 for extent in terrain.size)
     if rows * columns > _MAX_HEIGHTS:
         headline = f"the terrain has {rows * columns:,} heights; the limit is {_MAX_HEIGHTS:,}"
@@ -340,6 +346,16 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
             "DB005", spec.path, headline, "write fewer levels, smaller tiles or a larger `cell`"
         )
     return terrain if len(values.findings) == findings_before else None
+
+
+def _check_height(section: Section, key: str, height: float | None, namespace: Namespace) -> None:
+    """Report a measure with which the ground is too high or too deep for an engine."""
+    if height is not None and height >= _MAX_HEIGHT_M:
+        headline = f"the ground is up to {height:g} m high"
+        if key == "depth":
+            headline = f"the ground is up to {height:g} m deep"
+        place = (*section.path, key) if key in section.model_fields_set else section.path
+        namespace.values.add("DB105", place, headline, "write heights between -10 km and 10 km")
 
 
 def _check_width(

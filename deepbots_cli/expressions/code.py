@@ -81,8 +81,10 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return number_code(value)
         case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
             return Code(f"{name}({', '.join(printed(part, args).text for part in parts)})")
-        case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=parts, keywords=[]):
-            return Code(f"np.{name}({', '.join(printed(part, args).text for part in parts)})")
+        case ast.Call(
+            func=ast.Attribute(value=ast.Name(id="np" | "self" as owner), attr=name), args=parts, keywords=[]
+        ):
+            return Code(f"{owner}.{name}({', '.join(printed(part, args).text for part in parts)})")
         case ast.Starred(value=ast.Name(id=name)):
             return args[f"*{name}"]
         case (

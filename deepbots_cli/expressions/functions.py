@@ -166,11 +166,12 @@ class Function(NamedTuple):
             `python` does.
         reduction: The meaning for a single argument that is a vector.
 
-    The meaning of a function of the world is a reading of the engine, unless it has a `tree`:
+    The meaning of a function of the world is a reading of the engine, unless it has a `tree` or a `method`:
         tree: Makes the scalar tree from the full names of the subjects; generated code calls the function of
             the same name in `runtime.formulas` with the poses of the subjects, which computes the same to the
             bit.
         reads_link_pose: The subject is read at the link that represents it; a robot is read at its base link.
+        method: The method of the supervisor, and of that of a batch, that computes it from values.
         pieces_operator: The operation that joins the values for a wall with several segments.
 
     memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the
@@ -196,6 +197,7 @@ class Function(NamedTuple):
     tree: Callable[..., Scalar] | None = None
     reads_link_pose: bool = False
     pieces_operator: str = "or"
+    method: str = ""
     memory: str = ""
 
     @property
@@ -479,6 +481,11 @@ _ENTRIES = (
                                                                  " of two bodies.",
              "clearance(rover, ball)",
              _LENGTH, _known(iv.POSITIVE), pieces_operator="min"),
+    Function("height", _OF_WORLD, (Param("x", dimension=LENGTH), Param("y", dimension=LENGTH)),
+             "The height of the ground at a point of the world frame, without objects. Beyond a terrain, it is"
+             " the height of its nearest edge; on a plane, it is 0.",
+             "position(rover).z - height(position(rover).x, position(rover).y)",
+             _LENGTH, method="ground_height"),
     Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid"
                                                           " objects.",
              "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),

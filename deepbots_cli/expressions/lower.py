@@ -181,6 +181,8 @@ class Lowering:
 
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
+        if not value.subjects:  # `height`
+            return tuple(Op(function.name, column) for column in self._columns(value, value.args))
         names = [_named(subject, function) for subject in value.subjects]
         if value.args:  # `to_body_frame`
             parts, body = self.scalars(value.args[0]), names[0][0]
@@ -269,6 +271,8 @@ class Target(NamedTuple):
 
 
 def _on_floats(function: Function) -> str:
+    if function.method:
+        return f"self.{function.method}({', '.join(function.arguments)})"
     return f"{function.helper}({', '.join(function.arguments)})" if function.helper else function.python
 
 
@@ -288,7 +292,7 @@ _ON_COLUMNS = {
 
 
 def _on_columns(function: Function) -> str:
-    if function.helper:
+    if function.helper or function.method:
         return _on_floats(function)
     text = _ON_COLUMNS.get(function.name) or function.array
     if not text and not all(_is_same_on_columns(node) for node in ast.walk(template(function.python))):

@@ -368,6 +368,11 @@ def _course(scenario: Program, root: Node) -> Tables:
             }
             for index, stage in enumerate(scenario.curriculum)
         ],
+        "levels": [
+            {"level": level, **{name: values[level] for name, values in levels.values}}
+            for levels in ([scenario.levels] if scenario.levels else [])
+            for level in range(levels.count)
+        ],
         "scripts": [
             {
                 "script": script.name,

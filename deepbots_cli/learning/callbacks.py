@@ -224,6 +224,7 @@ class TrainingCallback:
             activity=self.confirmations.activity or evaluations.activity,
             evaluation_seconds=self.evaluation_seconds,
             evaluation_seconds_left=self._evaluation_seconds_left(),
+            level="" if curriculum.levels is None else str(curriculum.levels),
             is_ending=self._is_ending,
         )
 

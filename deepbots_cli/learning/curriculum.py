@@ -1,4 +1,4 @@
-"""The stages of a training: which one it is in, and when the next begins."""
+"""The stages of a training: which one it is in, and when the next begins; or the levels of its worlds."""
 
 from __future__ import annotations
 
@@ -37,6 +37,21 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
     """The world of each recent value; versions before 0.2 did not keep it."""
 
 
+class LevelSpread(BaseModel, frozen=True, strict=True, allow_inf_nan=False):
+    """The levels of the worlds of a training, from 0 up; `count` levels in all."""
+
+    mean: float
+    lowest: NonNegativeInt
+    highest: NonNegativeInt
+    count: NonNegativeInt
+
+    def __str__(self) -> str:
+        last = self.count - 1
+        if self.lowest == self.highest:
+            return f"all worlds in level {self.lowest} of 0 to {last}"
+        return f"mean level {self.mean:.2f}, worlds in {self.lowest} to {self.highest} of 0 to {last}"
+
+
 class Curriculum:
     """Follows a training through the stages of its scenario. Without stages, the scenario is the only one.
 
@@ -49,14 +64,23 @@ class Curriculum:
         first: The name of the stage to begin in, if not the first one.
         worlds: The number of worlds.
         copies: The number of copies of a robot in each world.
+        world_levels: The level of each world, which the training keeps up to date.
 
     Raises:
         UsageError: The scenario has no such stage.
     """
 
-    def __init__(self, program: Program, first: str | None = None, worlds: int = 1, copies: int = 1) -> None:
+    def __init__(
+        self,
+        program: Program,
+        first: str | None = None,
+        worlds: int = 1,
+        copies: int = 1,
+        world_levels: Sequence[int] = (),
+    ) -> None:
         self._worlds, self._copies = worlds, copies
         self._program = program
+        self._world_levels = world_levels
         self.stages: Sequence[CurriculumStage] = program.curriculum
         self._skipped = 0 if first is None else self.stages.index(program.stage(first))
         self.completed: list[CompletedStage] = []
@@ -68,6 +92,18 @@ class Curriculum:
         self._recent = Generations[float](1)
         if until is not None and until.episodes is not None:
             self._recent = Generations[float](until.episodes, self._worlds, self._copies)
+
+    @property
+    def has_levels(self) -> bool:
+        return self._program.levels is not None
+
+    @property
+    def levels(self) -> LevelSpread | None:
+        """The present levels of the worlds; None without levels."""
+        levels, own = self._program.levels, self._world_levels
+        if levels is None or not own:
+            return None
+        return LevelSpread(mean=sum(own) / len(own), lowest=min(own), highest=max(own), count=levels.count)
 
     @property
     def index(self) -> int:

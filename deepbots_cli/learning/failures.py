@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
@@ -55,7 +55,8 @@ class Failure(BaseModel, strict=True):
 
     `start` is the seed of its reset, or the states of the random generators before it. `actions` are in the
     action space, one per step. `case` and `stage` name the variant of the scenario, if it is not the scenario
-    itself. With `ends_at_reset`, the error is that an ending was already true when the episode began.
+    itself, and `options` are the values that the episode took in place of draws. With `ends_at_reset`, the
+    error is that an ending was already true when the episode began.
     """
 
     error: str
@@ -66,6 +67,7 @@ class Failure(BaseModel, strict=True):
     start: NonNegativeInt | dict[str, Any]
     actions: list[Any]
     ends_at_reset: bool = False
+    options: dict[str, Any] | None = None
 
 
 class FailureRecorder(HistoryRecorder):
@@ -225,7 +227,7 @@ class BatchFailureRecorder:
         with closing(self._guarded(stage)) as world:
             for history in histories:
                 for _ in islice(
-                    steps(world, sequence_driver(history.actions), _start(history.start)),
+                    steps(world, sequence_driver(history.actions), _start(history.start, history.options)),
                     len(history.actions) + 1,
                 ):
                     pass
@@ -257,6 +259,7 @@ def _failure_text(
         start=start,
         actions=actions,
         ends_at_reset=ends_at_reset,
+        options=None if history.options is None else dict(history.options),
     )
     try:
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
@@ -297,7 +300,7 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
     """
     try:
         actions = [_action(world.action_space, kept) for kept in failure.actions]
-        start = _start(failure.start)
+        start = _start(failure.start, failure.options)
         if start.state is not None:
             set_random_state(world, start.state)
     except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
@@ -331,8 +334,8 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
     return failure.model_copy(update={"actions": failure.actions[:done]}), None
 
 
-def _start(kept: int | dict[str, Any]) -> Start:
-    return Start(state=kept) if isinstance(kept, dict) else Start(kept)
+def _start(kept: int | dict[str, Any], options: Mapping[str, Any] | None) -> Start:
+    return Start(options=options, state=kept) if isinstance(kept, dict) else Start(kept, options)
 
 
 def _plain(action: Any) -> Any:

@@ -45,10 +45,11 @@ class ListedRun:
     `remarks` are its differences from a usual one. `training`: the recent episodes of the training, in which
     the policy explores. `solved_after` are the steps after which a confirmation showed that the task is
     solved, if the run is solved; `best_steps` are those of the best model, and `chosen_by` is how it was
-    chosen. `decline` is the decline of its evaluations since then; None if there is none. `settings` are the
-    assignments of `--set`, `teacher` is the result of `teacher_of`. `success_rate` is None if the scenario
-    defines no success. `solved` is that of `run_verdict`. While a run trains, `cpu_seconds` is as old as its
-    last checkpoint. `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
+    chosen. `mean_level` is the mean level of its worlds at its end, None without levels. `decline` is the
+    decline of its evaluations since then; None if there is none. `settings` are the assignments of `--set`,
+    `teacher` is the result of `teacher_of`. `success_rate` is None if the scenario defines no success.
+    `solved` is that of `run_verdict`. While a run trains, `cpu_seconds` is as old as its last checkpoint.
+    `updated` is a time in UTC, and `problem` is the reason why the files cannot be read.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class ListedRun:
     solved: bool | None = None
     solved_after: int | None = None
     best_steps: int | None = None
+    mean_level: float | None = None
     chosen_by: ChosenBy | None = None
     remarks: tuple[str, ...] = ()
     cpu_seconds: float | None = None
@@ -156,6 +158,7 @@ def _listed_run(path: Path) -> ListedRun:
         solved=verdict.solved,
         solved_after=verdict.solved_after,
         best_steps=steps_of_best,
+        mean_level=result.levels.mean if result and result.levels else None,
         chosen_by=best.chosen_by if best else None,
         decline=_decline(path, record),
         cpu_seconds=result.cpu_seconds if result and state != "training" else _cpu_of_checkpoint(path),

@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypedDict
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning.curriculum import CompletedStage
+from deepbots_cli.learning.curriculum import CompletedStage, LevelSpread
 from deepbots_cli.learning.directories import RecordFormat, read_json, write_text
 from deepbots_cli.learning.episodes import Scores, SolvedAt
 from deepbots_cli.program import Program
@@ -93,6 +93,7 @@ class RunResult(BaseModel):
         confirmed_seed: The root seed of the starts that confirmed the task and ended the training; None if
             none did.
         stage: The stage of the curriculum in which the training ended; `stages` are the stages before it.
+        levels: The levels of the worlds at the end; None without levels.
         stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial,
             `patience` where no evaluation was better for long enough.
         inexact: Reasons why a resumed training differs from one without interruption.
@@ -116,6 +117,7 @@ class RunResult(BaseModel):
     weights_digest: str
     stage: str | None = None
     stages: tuple[CompletedStage, ...] = ()
+    levels: LevelSpread | None = None
     stopped_by: str | None = None
     inexact: tuple[str, ...] = ()
     confirmations: int = 0

@@ -42,10 +42,10 @@ class TrainingProgress:
     The means are over the recent episodes, and None before the first has ended. The success rate is also None
     if the scenario defines no success. `solved` is the criterion of the scenario, `best` the best model by
     the measure of the task, `evaluated` that of the last evaluation, `stage` the stage of the curriculum with
-    its criterion, for people to read. `period` is the time of a step in s, `evaluations` their number in this
-    process, and `activity` is an activity beside learning, such as a confirmation. `evaluation_seconds` is
-    the time of evaluations in this process, and `evaluation_seconds_left` the longest that may follow. With
-    `is_ending`, no further steps follow.
+    its criterion, `level` the levels of the worlds, both for people to read. `period` is the time of a step
+    in s, `evaluations` their number in this process, and `activity` is an activity beside learning, such as a
+    confirmation. `evaluation_seconds` is the time of evaluations in this process, and
+    `evaluation_seconds_left` the longest that may follow. With `is_ending`, no further steps follow.
     """
 
     steps: int
@@ -64,6 +64,7 @@ class TrainingProgress:
     evaluation_seconds: float = 0.0
     evaluation_seconds_left: float = 0.0
     is_ending: bool = False
+    level: str = ""
 
     def seconds_left(self, first_step: int, elapsed: float) -> float | None:
         """Return the longest time until the training ends, in s, after `elapsed` s since `first_step`; None
@@ -339,6 +340,8 @@ def progress_values(
         rows["now"] = ProgressValue(progress.activity.text)
     if progress.stage:
         rows["stage"] = ProgressValue(progress.stage, is_clear=True)
+    if progress.level:
+        rows["level"] = ProgressValue(progress.level, is_clear=True)
     rows["episodes"] = ProgressValue(f"{progress.episodes:,}")
     if speed >= 1.0:
         rows["speed"] = ProgressValue(f"{speed:,.0f} steps/s", is_clear=True)

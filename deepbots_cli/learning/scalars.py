@@ -36,6 +36,10 @@ class Scalars:
         value = curriculum.value(statistics.steps)
         if curriculum.stages:
             log.record("curriculum/stage", curriculum.index + 1)
+        if (levels := curriculum.levels) is not None:
+            log.record("curriculum/mean_level", levels.mean)
+            log.record("curriculum/lowest_level", levels.lowest)
+            log.record("curriculum/highest_level", levels.highest)
         if curriculum.criterion is not None and value is not None:
             log.record(f"curriculum/{curriculum.criterion.metric}", value)
             log.record("curriculum/threshold", curriculum.criterion.threshold)

@@ -7,6 +7,7 @@ directory. `LocalShards` has its shards in this process.
 
 from __future__ import annotations
 
+import json
 import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -28,6 +29,7 @@ from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
+from deepbots_cli.program.levels import LIMITS, SUCCESS
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import (
@@ -39,7 +41,7 @@ from deepbots_cli.rollout.collector import (
     Order,
     RunningEpisode,
 )
-from deepbots_cli.rollout.worlds import Array, BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, Array, BatchWorlds, Worlds
 from deepbots_cli.runtime.streams import derive_seed
 
 
@@ -47,7 +49,8 @@ from deepbots_cli.runtime.streams import derive_seed
 class WorldPlan:
     """The worlds of a training to create: those with these `numbers`, each in a stage of the curriculum.
 
-    `stages` changes when a world begins an episode of another stage, which is `present()` then.
+    `stages` changes when a world begins an episode of another stage, which is `present()` then. In a
+    curriculum of levels, `stages` are the levels.
     """
 
     run: Run
@@ -84,6 +87,8 @@ def make_worlds(
     curriculum = Curriculum(run.program, run.record.first_stage)
     engine = run.record.engine
     seeds = [world_seed(run, number) for number in plan.numbers]
+    levels = run.program.levels
+    outcomes: list[list[str]] = [[] for _ in seeds]
 
     def guarded(stage: int) -> FailureRecorder:
         scenario = curriculum.scenario_of(stage).with_critic
@@ -92,11 +97,25 @@ def make_worlds(
         )
 
     def end(world: int, episode: Episode) -> None:
+        if levels is not None:
+            outcomes[world] += outcomes_of(episode)
         on_episode(world, episode, stages[world], env.drawn[world])
 
+    def options(world: int) -> Mapping[str, Any] | None:
+        return None if levels is None else levels.settings(stages[world])
+
+    def draw(world: int) -> int:
+        """Return a random number that depends on the episodes of the world so far."""
+        state = json.dumps(env.random_state_of(world), sort_keys=True)
+        return derive_seed(run.record.seed, "environment", plan.numbers[world], "level", state)
+
     def next_seed(world: int) -> int | None:
-        """Move a world into the present stage. Returns the seed with which it begins there, or None if it is
-        there already."""
+        """Move a world into the present stage, or into its next level. Returns the seed with which it begins
+        in another stage, else None."""
+        if levels is not None:
+            stages[world] = levels.next(stages[world], outcomes[world], lambda: draw(world))
+            outcomes[world].clear()
+            return None
         if stages[world] == plan.present():
             return None
         stages[world] = plan.present()
@@ -112,19 +131,28 @@ def make_worlds(
         env = BatchWorlds(
             lambda stage: build_batch(curriculum.scenario_of(stage).with_critic, len(seeds), engine=engine),
             seeds,
-            stages,
+            stages if levels is None else None,
             on_step=on_step,
             on_episode=end,
             next_seed=next_seed,
+            options=options,
             recorder=recorder,
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world)
+        env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world, options=options)
     stack.callback(env.close)
     return env
+
+
+def outcomes_of(episode: Episode) -> list[str]:
+    """Return the outcome of an episode for levels; none if a copy of the robot did not end it itself."""
+    if episode.ended_by is None or episode.ended_by == ENDED_BY_ANOTHER_COPY:
+        return []
+    is_reached = episode.is_success and episode.ended_by in LIMITS
+    return [SUCCESS if is_reached else episode.ended_by]
 
 
 class Shard:

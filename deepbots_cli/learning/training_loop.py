@@ -94,7 +94,9 @@ class TrainingProcess:
         copies = run.program.agent.copies
         worlds = training.environments, copies.count if copies else 1
         self._statistics = Statistics(run.program.period, run.program.agent.solved, *worlds)
-        self._curriculum = Curriculum(run.program, run.record.first_stage, *worlds)
+        self._curriculum = Curriculum(
+            run.program, run.record.first_stage, *worlds, world_levels=self.checkpoints.stages
+        )
         self._restore_counts()
         self._first_step = self._statistics.steps
         if self.before is not None:
@@ -129,7 +131,9 @@ class TrainingProcess:
             return
         with damage_explained(self.run, latest_checkpoint(self.run)):
             self._curriculum.restore(state.curriculum)
-            if len(stages) != self.training.environments or max(stages) > self._curriculum.index:
+            levels = self.run.program.levels
+            last = self._curriculum.index if levels is None else levels.count - 1
+            if len(stages) != self.training.environments or max(stages) > last:
                 raise ValueError(f"{len(stages)} worlds, in stage {max(stages, default=0)}")
             self._statistics.restore(state.statistics)
 
@@ -203,7 +207,10 @@ class TrainingProcess:
         """Create the worlds of a training, in shards if it has several; all closed with `stack`."""
         run, training, stages = self.run, self.training, self.checkpoints.stages
         if not stages:
-            stages.extend([self._curriculum.index] * training.environments)
+            levels, first = run.program.levels, self._curriculum.index
+            stages.extend(
+                first if levels is None else levels.first(world) for world in range(training.environments)
+            )
         if training.shards > 1:
             agents = stack.enter_context(closing(self.build(run.program.with_critic)))
             pool = self.executor.shards(stack, run, training, self.build, self.reporter.note)
@@ -310,6 +317,7 @@ class TrainingProcess:
             weights_digest=self._weights_digest,
             stage=self._curriculum.name,
             stages=tuple(self._curriculum.completed),
+            levels=self._curriculum.levels,
             stopped_by=callback.stopped_by or by_follower,
             inexact=tuple(self.checkpoints.inexact),
         )
@@ -364,7 +372,7 @@ class TrainingCounter:
 
     def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
         statistics, curriculum = self._statistics, self._curriculum
-        is_present = stage == curriculum.index
+        is_present = curriculum.has_levels or stage == curriculum.index
         statistics.add(episode, world, present=is_present)
         self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
         if not is_present or self._callback.is_taught:

@@ -10,13 +10,15 @@
     ├── endings, truncation   the ends of an episode
     ├── reset, disturbances   the start of an episode, its variations and disturbances
     ├── evaluation
-    └── cases, curriculum     a complete program for each case and each stage of the curriculum
+    ├── cases, curriculum     a complete program for each case and each stage of the curriculum
+    └── levels                the levels of a curriculum in which each world has its own
 
 values.py        Expression, the leaf of all of these
 world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
 task.py          agents, endings, training, evaluation
 symmetry.py      the mirror images of observations and actions
+levels.py        levels of a curriculum, and how a world changes its own
 resets.py        placements, randomized parameters
 identity.py      canonical JSON, digests, interfaces
 draws.py         the draws of a reset, by name
@@ -41,6 +43,7 @@ from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
+from deepbots_cli.program.levels import Levels
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Direction, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
@@ -67,7 +70,8 @@ class Program:
     `stored_signals` names the signals that the supervisor stores after each step, as `last_NAME`; only
     programs of `insight`, which explains episodes, have any. The compiler returns no `tests`: `deepbots test`
     adds those whose conditions the generated code computes. `supplied_by` has the supplier of each reading of
-    the world for a real robot. `ros` has the topics of sensors and commands that the scenario names.
+    the world for a real robot. `ros` has the topics of sensors and commands that the scenario names. `levels`
+    is the curriculum of a level for each world, None without one.
     """
 
     name: str
@@ -93,11 +97,12 @@ class Program:
     supplied_by: tuple[tuple[str, str], ...] = ()
     tests: tuple[ScenarioTest, ...] = ()
     ros: Mapping[str, Topic] = field(default_factory=dict)
+    levels: Levels | None = None
 
     def digest_fields(self) -> dict[str, object]:
-        left_out = {"ros", "stored_signals", "supplied_by", "tests"} | (
-            {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
-        )
+        left_out = {"ros", "stored_signals", "supplied_by", "tests"}
+        left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
+        left_out |= {"levels"} if self.levels is None else set()
         return {
             name: value
             for name, value in vars(self).items()

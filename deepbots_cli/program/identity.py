@@ -49,7 +49,7 @@ def task_digest(program: Program) -> str:
     """Return the digest of the parts that determine an episode: it is the same for scenarios that differ only
     in their names, training, evaluation or scripts."""
     nameless = replace(program.with_agents(scripts=(), training=None, solved=None), name="", summary="")
-    return digest(replace(nameless, curriculum=(), evaluation=Evaluation(), cases=()))
+    return digest(replace(nameless, curriculum=(), levels=None, evaluation=Evaluation(), cases=()))
 
 
 def record_members(part: object) -> dict[str, Any] | None:

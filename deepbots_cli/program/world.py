@@ -109,6 +109,17 @@ class Tiles:
         along_x, along_y = len(self.tiles) * self.side, self.levels * self.side
         return along_x + 2 * self.border, along_y + 2 * self.border
 
+    def largest_height(self, kind: int) -> float:
+        """Return the largest height or depth (m) that a kind of tile can have in any level."""
+        tile, rise = self.tiles[kind], (self.side - self.platform) / 2
+        largest = {name: max(low, high) for name, low, high in tile.measures}
+        if tile.kind == "slope":
+            return math.tan(largest["angle"]) * rise
+        if tile.kind == "stairs":
+            tread = min(min(low, high) for name, low, high in tile.measures if name == "tread")
+            return largest["height"] * math.floor(rise / tread + 1e-9)
+        return largest["height" if "height" in largest else "depth"]
+
 
 TerrainShape = Pit | Picture | Formula | Tiles | Mesh
 

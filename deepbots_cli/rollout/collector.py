@@ -619,8 +619,10 @@ class ShardedCollector:
         return ShardState([episode.history for episode in self.episodes], observation_digest(self.begin()))
 
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
-        for world, (start, actions) in enumerate(state.episodes):
-            self.episodes[world] = RunningEpisode(start, np.array(actions), self.episodes[world].stage)
+        for world, history in enumerate(state.episodes):
+            self.episodes[world] = RunningEpisode(
+                history.start, np.array(history.actions), self.episodes[world].stage
+            )
         self._observations = self._begun()
         if observation_digest(self._observations) == state.observed:
             return True

@@ -23,6 +23,8 @@ from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistor
 from deepbots_cli.runtime.spaces import by_part
 
 Array = NDArray[Any]
+ENDED_BY_ANOTHER_COPY = "another_copy"
+"""How an episode ended that ended for another copy of the robot."""
 Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
 """The result of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
 
@@ -57,7 +59,7 @@ class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [])
+        self.history = EpisodeHistory(random_state(self.env) if seed is None else seed, [], options)
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> Outcome:
@@ -80,6 +82,8 @@ class Worlds:
         on_episode: Called after each episode of a row with the number of its world.
         next_world: Called before a world begins its next episode. It may return a replacement world and its
             seed.
+        options: Returns the values that the next episode of a world takes in place of draws, as `options` of
+            `reset`.
     """
 
     def __init__(
@@ -90,12 +94,14 @@ class Worlds:
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_world: Callable[[int], tuple[gym.Env[Any, Any], int] | None] = lambda world: None,
+        options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
     ) -> None:
         self.worlds = [_recorded(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
         self._on_episode = on_episode
         self._next_world = next_world
+        self._options = options
         self._is_team = has_copies(self.worlds[0])
         first = self._agents_of(self.worlds[0])
         self._width = len(first)
@@ -196,7 +202,8 @@ class Worlds:
     def _begin(self, index: int, seed: int | None) -> list[Any]:
         """Begin an episode. Returns the observation of each row."""
         world = self.worlds[index]
-        observation, info = world.reset(seed=seed)
+        options = self._options(index)
+        observation, info = world.reset(seed=seed, options=None if options is None else dict(options))
         self.drawn[index] = info.get("drawn", {})
         return (
             [agent.get_observations() for agent in self._agents_of(world)] if self._is_team else [observation]
@@ -214,6 +221,10 @@ class Worlds:
     def start_of(self, world: int) -> int | dict[str, Any]:
         """Return the start of the running episode of a world, as in its history."""
         return self.worlds[world].history.start
+
+    def random_state_of(self, world: int) -> dict[str, Any]:
+        """Return the present states of the random generators of a world."""
+        return random_state(self.worlds[world])
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
         """Bring the worlds back to the moment at which `histories` were taken. Returns the observations,
@@ -241,7 +252,7 @@ class Worlds:
 
 def _own(info: dict[str, Any], ended: bool) -> dict[str, Any]:
     """Return the info of the last step of an agent, whose own episode has `ended` or that of another copy."""
-    return info if ended else {**info, "ended_by": "another_copy"}
+    return info if ended else {**info, "ended_by": ENDED_BY_ANOTHER_COPY}
 
 
 def _recorded(world: gym.Env[Any, Any]) -> HistoryRecorder:
@@ -346,6 +357,7 @@ class BatchWorlds(Worlds):
         on_step, on_episode: As for `Worlds`.
         next_seed: Called before a world begins another episode; returns a seed if it begins one of another
             stage.
+        options: As for `Worlds`.
         recorder: Keeps the episodes of worlds that fail.
     """
 
@@ -358,13 +370,14 @@ class BatchWorlds(Worlds):
         on_step: Callable[[], None] = lambda: None,
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_seed: Callable[[int], int | None] = lambda world: None,
+        options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
         recorder: LossRecorder | None = None,
     ) -> None:
         self._build, self._next_seed, self._recorder = build, next_seed, recorder
         self.stages = [0] * len(seeds) if stages is None else stages
         self._batches: dict[int, BatchEpisodes] = {}
         first = self._batch_of(self.stages[0])
-        super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode)
+        super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode, options=options)
 
     def _batch_of(self, stage: int) -> BatchSupervisor:
         """Return the worlds of a stage, built when one of them is first needed."""
@@ -382,10 +395,14 @@ class BatchWorlds(Worlds):
     def reset(self) -> Any:
         for stage in dict.fromkeys(self.stages):
             with self._recording_failures(stage):
-                self._batch_of(stage).reset(self.starts)
+                self._reset(self._batch_of(stage))
         for episodes in self._batches.values():
             episodes.clear()
         return self._begun()
+
+    def _reset(self, batch: BatchSupervisor) -> None:
+        """Begin an episode in all worlds of a batch, from their first seeds."""
+        batch.begin_all(self.starts, [self._options(world) for world in range(len(self.starts))])
 
     def _begun(self) -> Any:
         """Keep the values that each world drew, in its stage. Returns the observations."""
@@ -473,8 +490,12 @@ class BatchWorlds(Worlds):
         is_new, worlds = stage not in self._batches, self._batch_of(stage)
         with self._recording_failures(stage):
             if is_new:
-                worlds.reset(self.starts)
-            worlds.begin([world for world, _ in beginning], [seed for _, seed in beginning])
+                self._reset(worlds)
+            worlds.begin(
+                [world for world, _ in beginning],
+                [seed for _, seed in beginning],
+                [self._options(world) for world, _ in beginning],
+            )
         for world, _ in beginning:
             self.drawn[world] = worlds.singles[world].drawn()
 
@@ -485,13 +506,18 @@ class BatchWorlds(Worlds):
     def start_of(self, world: int) -> int | dict[str, Any]:
         return self._batch_of(self.stages[world]).histories.starts[world]
 
+    def random_state_of(self, world: int) -> dict[str, Any]:
+        return self._batch_of(self.stages[world]).singles[world].random_state()
+
     def repeat(self, histories: Sequence[EpisodeHistory]) -> Any:
         for stage in dict.fromkeys(self.stages):
             inside = self._in(stage)
             self._batch_of(stage)
             self._batches[stage].repeat(
                 [
-                    history if inside[world] else EpisodeHistory(self.starts[world], [])
+                    history._replace(options=self._options(world))
+                    if inside[world]
+                    else EpisodeHistory(self.starts[world], [])
                     for world, history in enumerate(histories)
                 ]
             )

@@ -10,13 +10,16 @@ from __future__ import annotations
 
 import warnings
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.engine_kinds import diagonal_of
 from deepbots_cli.errors import EngineError, EvaluationError
+from deepbots_cli.geometry import Heights, ground_heights
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
@@ -67,14 +70,15 @@ class LostWorld(NamedTuple):
 
 
 class EpisodeHistory(NamedTuple):
-    """The running episode of a world: its seed or the states of its random generators when it began, and the
-    actions since then.
+    """The running episode of a world: its seed or the states of its random generators when it began, the
+    actions since then, and the `options` of its reset.
 
     Physics engines have no exact snapshot. An episode is brought back by the same start and the same actions.
     """
 
     start: int | dict[str, Any]
     actions: list[Any]
+    options: Mapping[str, Any] | None = None
 
 
 class EpisodeHistories:
@@ -82,11 +86,13 @@ class EpisodeHistories:
 
     Attributes:
         starts: The start of each episode: its seed, or the states of its random generators.
+        options: The values that each episode took in place of draws.
         actions: The actions of all worlds, with a row per world; `_first` are the places of the first ones.
     """
 
     def __init__(self, worlds: int) -> None:
         self.starts: list[int | dict[str, Any]] = [0] * worlds
+        self.options: list[Mapping[str, Any] | None] = [None] * worlds
         self.actions: list[Any] = []
         self._first = np.zeros(worlds, int)
 
@@ -101,13 +107,18 @@ class EpisodeHistories:
         """Return the running episode of each world, from which `BatchSupervisor.restore` goes on; its size is
         proportional to the number of actions."""
         return [
-            EpisodeHistory(start, [by_part(itemgetter(world), each) for each in self.actions[first:]])
-            for world, (start, first) in enumerate(zip(self.starts, self._first, strict=True))
+            EpisodeHistory(
+                start, [by_part(itemgetter(world), each) for each in self.actions[first:]], options
+            )
+            for world, (start, first, options) in enumerate(
+                zip(self.starts, self._first, self.options, strict=True)
+            )
         ]
 
     def replace(self, episodes: Sequence[EpisodeHistory]) -> None:
         """Take these episodes, which have ended with the last action, for the running ones."""
         self.starts = [episode.start for episode in episodes]
+        self.options = [episode.options for episode in episodes]
         self._first = np.array([len(self.actions) - len(episode.actions) for episode in episodes])
 
 
@@ -178,9 +189,13 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         """
         if options:
             self.singles[0].require_drawable(options)
+        self.begin_all(seeds, [options] * len(self.singles))
+        return self.observations()
+
+    def begin_all(self, seeds: Sequence[int | None], options: Sequence[Mapping[str, Any] | None]) -> None:
+        """Begin an episode in all worlds, as `begin` does in some."""
         self._forget()
         self.begin(range(len(self.singles)), seeds, options)
-        return self.observations()
 
     def step(self, action: Any) -> BatchStep:
         """Advance all worlds by one step; episodes that end are followed by new ones at once.
@@ -229,14 +244,18 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
 
     def begin(
-        self, worlds: Sequence[int], seeds: Sequence[int | None], options: dict[str, Any] | None = None
+        self,
+        worlds: Sequence[int],
+        seeds: Sequence[int | None],
+        options: Sequence[Mapping[str, Any] | None] | None = None,
     ) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with
-        the same `options`."""
-        for world, seed in zip(worlds, seeds, strict=True):
+        the `options` of its reset."""
+        for world, seed, own in zip(worlds, seeds, options or [None] * len(worlds), strict=True):
             single = self.singles[world]
             self.histories.starts[world] = single.random_state() if seed is None else seed
-            single.reset(seed=seed, options=options)
+            self.histories.options[world] = own
+            single.reset(seed=seed, options=None if own is None else dict(own))
         self.histories.begin(worlds)
         self._take_over_from(worlds)
 
@@ -258,10 +277,15 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self.histories.actions = []
         for step in range(last + 1):
             begun = [world for world, episode in enumerate(episodes) if step == last - len(episode.actions)]
-            for start, single in ((episodes[world].start, self.singles[world]) for world in begun):
+            for start, own, single in (
+                (episodes[world].start, episodes[world].options, self.singles[world]) for world in begun
+            ):
                 if isinstance(start, dict):
                     single.set_random_state(start)
-                single.reset(seed=None if isinstance(start, dict) else start)
+                single.reset(
+                    seed=None if isinstance(start, dict) else start,
+                    options=None if own is None else dict(own),
+                )
             if begun:
                 self._take_over_from(begun)
             if step < last:
@@ -329,6 +353,11 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         }
         masks = {"action_mask": self.options.of_space(self.action_space, row)} if self.forbids_options else {}
         return {**info, **masks, "reward_terms": terms}
+
+    @cached_property
+    def ground_height(self) -> Heights:
+        """The heights (m) of the ground at x, y (m) of the world frame, over columns."""
+        return ground_heights(self.scenario.world.terrain, diagonal_of(self.singles[0].engine.name))
 
     def rewards(self) -> Column:
         """Return the rewards of the last step, a copy."""

@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from deepbots_cli.engine_kinds import diagonal_of
 from deepbots_cli.errors import EndsAtResetError, EvaluationError, UsageError
+from deepbots_cli.geometry import Height, ground_height
 from deepbots_cli.port import Engine, View
 from deepbots_cli.program import Program, generated
 from deepbots_cli.runtime.controllers import SupervisedRobots
@@ -229,6 +232,11 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
     def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
         """Return an action of these options, by number, and these values from -1 to 1."""
         return compose_action(self.action_space, choices, ranges)
+
+    @cached_property
+    def ground_height(self) -> Height:
+        """The height (m) of the ground at x, y (m) of the world frame."""
+        return ground_height(self.scenario.world.terrain, diagonal_of(self.engine.name))
 
     # Methods that the compiler prints
 

@@ -41,6 +41,7 @@ from deepbots_cli.scenario.fields import (
     WholeNumber,
     Word,
 )
+from deepbots_cli.scenario.levels import EndingNames, Levels
 from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
@@ -377,7 +378,6 @@ FixedAction = dict[
 ]
 Requirement = Annotated[str, Expression("test", boolean=True)]
 Requirements = Annotated[Annotated[Many[Requirement], Size(1, "condition")] | Requirement, FORMS]
-EndingName = Annotated[str, Reference("ending")]
 
 
 class Expectation(Section):
@@ -395,7 +395,7 @@ class Expectation(Section):
     """Fraction of episodes that end by a failure: a minimum, or a range."""
     mean_return: Annotated[Scalar, Bounds()] | None = None
     """Mean return of the episodes: a minimum, or a range."""
-    ends_by: Annotated[Annotated[Many[EndingName], Size(1, "ending")] | EndingName, FORMS] | None = None
+    ends_by: EndingNames | None = None
     """The allowed endings and limits: each episode must end by one of them."""
     always: Requirements | None = None
     """Conditions that must be true after every step."""
@@ -670,8 +670,8 @@ class Scenario(Section):
     scripts: dict[LocalName, Script] = {}
     """Hand-written policies, each under a name that you choose: an expression for every part of the
     action."""
-    curriculum: Annotated[Many[Stage], Size(1, "stage")] = ()
-    """Stages of increasing difficulty."""
+    curriculum: Annotated[Annotated[Many[Stage], Size(1, "stage")] | Levels, FORMS] = ()
+    """Stages of increasing difficulty, one after the other, or a level for each world."""
     evaluation: Evaluation = Field(default_factory=Evaluation)
     """Evaluation of a trained policy."""
     solved: Annotated[str, Solved()] | None = None
@@ -691,6 +691,16 @@ class Scenario(Section):
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
 
     _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages of the curriculum; none if it has levels."""
+        return () if isinstance(self.curriculum, Levels) else self.curriculum
+
+    @property
+    def levels(self) -> Levels | None:
+        """The levels of the curriculum; None if it has stages."""
+        return self.curriculum if isinstance(self.curriculum, Levels) else None
 
     @property
     def pruned(self) -> frozenset[NodePath]:

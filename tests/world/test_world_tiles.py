@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.compiler import check
+from deepbots_cli.document.load import load
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.program.world import TILE_MARGIN_M, Tile, Tiles
 from deepbots_cli.tiles import heights, tile_heights
@@ -162,3 +164,28 @@ def test_tiles_that_do_not_fit_are_one_finding(tmp_path: Path, terrain: str, cod
     )
     errors = [finding for finding in api.lint(tmp_path / "climb.yaml") if finding.severity == "error"]
     assert [finding.code for finding in errors] == [code], [finding.headline for finding in errors]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_height_of_a_tile_is_larger_than_the_largest_one(kind: str) -> None:
+    terrain = tiles(kind, **KINDS[kind])
+    highest = max(np.abs(tile_heights(terrain, 0, level)).max() for level in range(LEVELS))
+    assert highest <= terrain.largest_height(0) + 1e-9
+    assert highest >= 0.8 * terrain.largest_height(0)
+
+
+@pytest.mark.parametrize(
+    ("terrain", "place"),
+    [
+        ("{type: pit, height: 100 km}", "100 km"),
+        ("{type: tiles, levels: 2, tiles: {up: {type: stairs, height: 2 .. 16 km}}}", "2 .. 16 km"),
+        ("{type: tiles, levels: 2, tiles: {up: {type: gaps, width: 10 .. 20 cm, depth: 20 km}}}", "20 km"),
+    ],
+)
+def test_ground_beyond_10_km_is_a_finding(terrain: str, place: str) -> None:
+    overrides = [f"world.terrain={terrain}"]
+    errors = check(
+        load(Path(__file__).parents[2] / "scenarios" / "quadruped.yaml", overrides=overrides)
+    ).findings.errors
+    assert [(finding.code, finding.span.text) for finding in errors] == [("DB105", place)]
+    assert "10 km" in (errors[0].help or "")

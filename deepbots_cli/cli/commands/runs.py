@@ -151,6 +151,7 @@ def _row(run: ListedRun, *, with_file: bool = False) -> Row:
         "state": state,
         "steps": run.steps,
         "best_at": run.best_steps,
+        "level": None if run.mean_level is None else round(run.mean_level, 2),
         **records.scores(run, intervals=False),
         "score": f"{run.score} ({run.evaluated_episodes})" if run.evaluated_episodes else run.score,
         "solved": run.solved,
