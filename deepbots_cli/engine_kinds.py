@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli import plugins
 
@@ -27,6 +27,24 @@ class Limitation(NamedTuple):
     help: str
 
 
+Feature = Literal["armature", "center_of_mass", "torque_curve"]
+"""A capability of an engine that a scenario may need."""
+_LIMITATIONS: Mapping[Feature, Limitation] = {
+    "armature": Limitation(
+        "a joint cannot have an armature in {engine}",
+        "remove `armature`, or use the engine `mujoco`",
+    ),
+    "center_of_mass": Limitation(
+        "the center of mass of a link cannot be drawn in {engine}",
+        "write a fixed `com`, or use the engine `mujoco`",
+    ),
+    "torque_curve": Limitation(
+        "the torque of a motor cannot fall with its speed in {engine}",
+        "remove `stall_torque` and `no_load_speed`, or use the engine `pybullet` or `mujoco`",
+    ),
+}
+
+
 class EngineKind(NamedTuple):
     """A physics engine: `factory` is the `module:attribute` of a `port.EngineFactory`, `library` the module
     that it imports, `batch` the `module:attribute` of its batches (many worlds of one model at once).
@@ -34,7 +52,7 @@ class EngineKind(NamedTuple):
     `last_python` is the last Python that the library is built for; `on_windows` is true if it is built for
     Windows. `mesh_terrain` is the reason why a mesh cannot be the ground, None if it can.
     `implausible_inertia` is the reason why a link cannot have an inertia that no rigid body has, None if it
-    can.
+    can. `lacks` are the capabilities that our own engine lacks.
     """
 
     summary: str
@@ -46,17 +64,21 @@ class EngineKind(NamedTuple):
     on_windows: bool = True
     mesh_terrain: Limitation | None = None
     implausible_inertia: Limitation | None = None
+    lacks: tuple[Feature, ...] = ()
 
-    @property
-    def moves_followers(self) -> bool:
-        """Whether it simulates `<mimic>`. For an engine of another package this imports it, and reads its
+    def supports(self, capability: str) -> bool:
+        """Return whether it has a capability. For an engine of another package this imports it, and reads its
         `capabilities`."""
         if self.library is not None:
-            return True
+            return capability not in self.lacks
         try:
-            return "mimic" in plugins.import_attribute(self.factory).capabilities
+            return capability in plugins.import_attribute(self.factory).capabilities
         except Exception:  # noqa: BLE001 - of a plug-in; building the world raises it again
             return True
+
+    def limitation(self, feature: Feature) -> Limitation | None:
+        """Return why it does not support a feature; None if it does."""
+        return None if self.supports(feature) else limitation(feature, self.title)
 
     @property
     def is_installed(self) -> bool:
@@ -87,6 +109,12 @@ class EngineKind(NamedTuple):
         if self.last_python is not None and sys.version_info[:2] > self.last_python:
             return f"use Python {self.last_python[0]}.{self.last_python[1]}{instead}"
         return f"install it with: pip install {self.library}{instead}"
+
+
+def limitation(feature: Feature, engine: str) -> Limitation:
+    """Return why an engine of this title does not support a feature."""
+    reason, help = _LIMITATIONS[feature]
+    return Limitation(reason.format(engine=engine), help)
 
 
 class Engines(Mapping[str, EngineKind]):
@@ -128,6 +156,7 @@ ENGINES = Engines(
             library="pybullet",
             last_python=(3, 11),
             on_windows=False,
+            lacks=("armature", "center_of_mass"),
         ),
         "mujoco": EngineKind(
             "MuJoCo, several times as fast.",

@@ -189,7 +189,12 @@ def _numbers(values: Iterable[float]) -> str:
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
     """Return a joint and its limits; as a `whole` with its origin, damping and friction."""
     limit, unit = joint.limit, "m" if joint.type == "prismatic" else "rad"
-    more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
+    more: Row = {
+        "damping": joint.damping or None,
+        "friction": joint.friction or None,
+        "armature": joint.armature or None,
+        "follows": _law(joint),
+    }
     return {
         "joint": joint.name,
         "type": joint.type,

@@ -129,6 +129,24 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
     compare(name, worlds=3, steps=40)
 
 
+BODIES = (
+    "truncation.max_time=0.4 s",
+    "robots.dog.links={trunk: {com: uniform(-3 -3 -1 .. 3 3 1 cm), inertia: uniform(0.7 .. 1.3), mass: urdf *"
+    " uniform(0.8 .. 1.2)}, '*_upper': {com: uniform(-1 -1 -1 .. 1 1 1 cm)}}",
+    "robots.dog.joints={legs: {armature: uniform(0 .. 0.02 kg*m^2), friction: uniform(0 .. 0.2 N*m), damping:"
+    " uniform(0 .. 0.1 N*m*s/rad)}}",
+)
+SPUN = (
+    "robots.dog.actuators={legs: {type: velocity_motor, joints: legs, max_torque: 20 N*m}}",
+    "robots.dog.apply={legs: 10 rad/s * stride}",
+)
+
+
+@pytest.mark.parametrize("motors", [(), SPUN], ids=["springs", "velocity motors"])
+def test_drawn_bodies_and_joints_move_in_a_batch_as_in_single_worlds(motors: tuple[str, ...]) -> None:
+    assert compare(PUSHED, worlds=3, steps=30, overrides=(*BODIES, *motors)) > 0
+
+
 @pytest.mark.parametrize("start", ["level", "0.1"])
 def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> None:
     """Those with a received start begin with the first message, and all advance in the worlds that receive

@@ -50,7 +50,7 @@ MOTOR_FIELDS = (
 )
 """The arrays of a model that motors write."""
 VARIED_FIELDS = ("opt.gravity", *VARIED_ARRAYS)
-OBSERVED_FIELDS = ("geom_group", "body_mass", "body_subtreemass")
+OBSERVED_FIELDS = ("geom_group", "body_mass", "body_ipos", "body_subtreemass")
 """The arrays of a model that positions, velocities and rays depend on."""
 FORCE_SLOTS = 32
 """Contacts of a link whose forces a batch adds up."""
@@ -168,7 +168,9 @@ class MuJoCoBatch:
     use."""
 
     name = "mujoco"
-    capabilities: frozenset[Any] = frozenset({"contacts", "mimic"})
+    capabilities: frozenset[Any] = frozenset(
+        {"contacts", "mimic", "armature", "center_of_mass", "torque_curve"}
+    )
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
@@ -192,6 +194,9 @@ class MuJoCoBatch:
         self._weighed: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
+        self._armature: Column | None = None
+        """The armature of each world without the part that velocity motors add, from the first episode on
+        that sets one."""
         self.acts_in_substeps = False
         """Whether members act in each substep."""
         self._pushes: list[Pushes] = []
@@ -305,7 +310,12 @@ class MuJoCoBatch:
             if len(worlds):
                 links = pushes.links[worlds]
                 turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
-                applied[worlds, links] += pushes.take(worlds, turned, self.nominal.body_ipos[links].T)
+                centers = (
+                    self.rows["body_ipos"][worlds, links]
+                    if "body_ipos" in self.rows
+                    else self.nominal.body_ipos[links]
+                )
+                applied[worlds, links] += pushes.take(worlds, turned, centers.T)
         return applied
 
     def take_commands(self) -> None:
@@ -337,6 +347,8 @@ class MuJoCoBatch:
         self.attached, self._has_changes = index, True
         for name, rows in self.rows.items():
             rows[index] = _field(self.nominal, name)
+        if self._armature is not None:
+            self._armature[index] = self.nominal.dof_armature
         if self._weighed.pop(index, None) is not None:
             self._batch.set_const([index])
         self._stale.discard(index)
@@ -385,6 +397,7 @@ class MuJoCoBatch:
         if world.is_stale:
             if world.settle_values():
                 self._stale.add(index)
+            self._take_armature(index)
             for name in VARIED_FIELDS:
                 if name not in self.rows and not np.array_equal(
                     _field(world.model, name), _field(self.nominal, name)
@@ -395,6 +408,22 @@ class MuJoCoBatch:
             self.rows[name][index] = _field(world.model, name)
         self._memories[index] = self._remembered = world.memory()
         self._forget()
+
+    def _take_armature(self, index: int) -> None:
+        """Copy the armature that an episode has set to its world."""
+        usual, nominal = self._world.armature, self.nominal.dof_armature
+        if self._armature is None and not np.array_equal(usual, nominal):
+            self._armature = np.tile(nominal, (self.count, 1))
+        if self._armature is not None:
+            self._armature[index] = self.rows["dof_armature"][index] = usual
+
+    def usual_armature(self, worlds: Any, dofs: Any) -> Column:
+        """Return the armature of these degrees of freedom without the part that velocity motors add: a row
+        per world of these, or one for all."""
+        if self._armature is None:
+            usual: Column = self.nominal.dof_armature[dofs][None]
+            return usual
+        return self._armature[_cells(worlds, dofs)]
 
     def _weigh(self, index: int, armature: Column) -> None:
         """Compute the values that depend on the masses of a world."""
@@ -449,13 +478,13 @@ class MuJoCoBatch:
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
         dofs = self.nominal.jnt_dofadr[list(self.single._joints(robot, joints))]
-        usual = self.nominal.dof_armature[dofs][:, None]
         for name in ("qfrc_actuator", "qacc"):
             self._output(name)
 
         def read() -> Any:
-            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])
-            return self._state("qfrc_actuator")[dofs] - (armature[dofs] - usual) * self._state("qacc")[dofs]
+            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
+            added = armature - self.usual_armature(slice(None), dofs).T
+            return self._state("qfrc_actuator")[dofs] - added * self._state("qacc")[dofs]
 
         return read
 
@@ -840,7 +869,7 @@ class BatchMotor:
         bias[acts] = 0.0
         if self._is_spring:
             bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
-        rows["dof_armature"][dofs] = self._model.dof_armature[self._dofs]
+        rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
         rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
         rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = (
             not self.is_soft,
@@ -872,7 +901,7 @@ class TrackingMotor(BatchMotor):
         model, self._rate, self._step = self._model, rate, self._model.opt.timestep
         self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
-        self._usual, self._moved = model.dof_armature[self._dofs], 1.0 / model.dof_invweight0[self._dofs]
+        self._moved = 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = motors.MAX_GAIN * inertias / self._step
         self._least = 4.0 * inertias * rate if rate else inertias / self._step
         self._gains = np.full(self._targets.shape, np.nan)
@@ -909,7 +938,8 @@ class TrackingMotor(BatchMotor):
         bias[..., 2][_cells(worlds, self._acts)] = -gains
         if self._rate:
             bias[..., 1][_cells(worlds, self._acts)] = -gains * self._rate
-        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = self._usual + added
+        usual = batch.usual_armature(worlds, self._dofs)
+        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = usual + added
         batch.rows["dof_invweight0"][_cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
         return aimed
 
@@ -943,7 +973,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
         model.opt.jacobian,
         model.stat.meaninertia,
     )
-    for name in ("dof_simplenum", *VARIED_ARRAYS):
+    for name in ("dof_simplenum", "body_sameframe", "geom_sameframe", *VARIED_ARRAYS):
         getattr(compiled, name)[:] = getattr(model, name)
     return compiled
 

@@ -57,7 +57,10 @@ class MuJoCoEngine:
         self._substep_callbacks: list[Callable[[], object]] = []
         self._renderer = cameras.WorldRenderer(world, self._world)
         drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
-        self.capabilities: frozenset[Capability] = drawing | {"contacts", "mimic", "snapshot"}
+        self.capabilities: frozenset[Capability] = drawing | {
+            *("contacts", "mimic", "snapshot"),
+            *("armature", "center_of_mass", "torque_curve"),
+        }
         self.reset()
 
     # Time

@@ -35,10 +35,7 @@ class Motors:
         self.gain_updates: dict[Motor, Callable[[], None]] = {}
         """The functions to call before each engine step, for motors whose limits keep them from their
         targets."""
-        self.nominal_armature, self.nominal_inverse_inertia = (
-            world.model.dof_armature.copy(),
-            world.model.dof_invweight0.copy(),
-        )
+        self.nominal_inverse_inertia = world.model.dof_invweight0.copy()
         self.actuators = {
             joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())
         }
@@ -78,8 +75,8 @@ class Motors:
         exerted = world.data.qfrc_actuator
         armature = model.dof_armature
         accelerations = world.data.qacc
-        usual = self.nominal_armature[dofs]
-        return lambda: (exerted[dofs] - (armature[dofs] - usual) * accelerations[dofs]).tolist()
+        usual = world.armature
+        return lambda: (exerted[dofs] - (armature[dofs] - usual[dofs]) * accelerations[dofs]).tolist()
 
 
 class Motor:
@@ -108,7 +105,7 @@ class Motor:
         model = self._world.model
         ranges = [(-limit, limit) for limit in self._limits]
         model.actuator_biasprm[self._actuators] = 0.0
-        model.dof_armature[self._dof_index] = self._motors.nominal_armature[self._dof_index]
+        model.dof_armature[self._dof_index] = self._world.armature[self._dof_index]
         model.dof_invweight0[self._dof_index] = self._motors.nominal_inverse_inertia[self._dof_index]
         model.actuator_forcelimited[self._actuators] = not soft
         model.actuator_forcerange[self._actuators] = ranges
@@ -158,7 +155,7 @@ class Motor:
         step, renewed = model.opt.timestep, self._motors.gain_updates
         velocity = array_reader(data.qvel, self._dof_index)
         position = array_reader(data.qpos, self._position_index)
-        usual = self._motors.nominal_armature[self._dof_index].tolist()
+        usual: list[float] = []
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
@@ -177,7 +174,7 @@ class Motor:
         width = model.actuator_biasprm.shape[1]
         acts = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
-        by_joint = list(zip(acts, [width * act for act in acts], dofs, usual, moved, strict=True))
+        by_joint = list(zip(acts, [width * act for act in acts], dofs, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
             wanted = (
@@ -190,8 +187,10 @@ class Motor:
             if gains == self.gains and targets == self.targets:
                 return
             if gains != self.gains:
+                if not self.gains:  # the motor begins, perhaps in an episode with another armature
+                    usual[:] = self._world.armature[self._dof_index].tolist()
                 self.gains = gains
-                for gain, (_, place, dof, own, inertia) in zip(gains, by_joint, strict=True):
+                for gain, own, (_, place, dof, inertia) in zip(gains, usual, by_joint, strict=True):
                     added = gain * step
                     bias[place + 2] = -gain
                     armature[dof] = own + added
@@ -259,10 +258,14 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
     world."""
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]
-    center = tuple(model.body_ipos[link].tolist())
-    centered = center == ZERO_VECTOR
+    varies, place = link in world.varying_centers, model.body_ipos[link]
+    center = tuple(place.tolist())
+    centered = center == ZERO_VECTOR and not varies
 
     def push(force: Triple, torque: Triple) -> None:
+        nonlocal center
+        if varies:
+            center = tuple(place.tolist())
         if frame == "link" or not centered:
             world.update_positions()
             w, x, y, z = turned.tolist()

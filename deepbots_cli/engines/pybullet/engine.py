@@ -104,7 +104,7 @@ class PyBulletEngine:
     """One world: about 29 MB until it is closed or dropped, and its readers and writers with it."""
 
     name = "pybullet"
-    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering", "torque_curve"})
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
