@@ -154,9 +154,9 @@ ENGINES = Engines(
             "PyBullet",
             "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
             library="pybullet",
+            lacks=("armature", "center_of_mass"),
             last_python=(3, 11),
             on_windows=False,
-            lacks=("armature", "center_of_mass"),
         ),
         "mujoco": EngineKind(
             "MuJoCo, several times as fast.",
