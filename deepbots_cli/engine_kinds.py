@@ -76,9 +76,11 @@ class EngineKind(NamedTuple):
         except Exception:  # noqa: BLE001 - of a plug-in; building the world raises it again
             return True
 
-    def limitation(self, feature: Feature) -> Limitation | None:
-        """Return why it does not support a feature; None if it does."""
-        return None if self.supports(feature) else limitation(feature, self.title)
+    def limitation(self, feature: Feature) -> Limitation:
+        """Return the limitation of an engine that does not support a feature."""
+        reason, help = _LIMITATIONS[feature]
+        engine = self.title if self.library is not None else f"the engine `{self.title}`"
+        return Limitation(reason.format(engine=engine), help)
 
     @property
     def is_installed(self) -> bool:
@@ -109,12 +111,6 @@ class EngineKind(NamedTuple):
         if self.last_python is not None and sys.version_info[:2] > self.last_python:
             return f"use Python {self.last_python[0]}.{self.last_python[1]}{instead}"
         return f"install it with: pip install {self.library}{instead}"
-
-
-def limitation(feature: Feature, engine: str) -> Limitation:
-    """Return why an engine of this title does not support a feature."""
-    reason, help = _LIMITATIONS[feature]
-    return Limitation(reason.format(engine=engine), help)
 
 
 class Engines(Mapping[str, EngineKind]):

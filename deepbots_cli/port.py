@@ -168,7 +168,15 @@ class Bindable(Protocol):
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
         """Drive joints towards target positions (rad or m).
 
@@ -176,10 +184,26 @@ class Bindable(Protocol):
         `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
         None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
         `SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
+
+        With `stall_torque` (N m or N) and `no_load_speed` (rad/s or m/s), one per joint, and stiffness, the
+        torque at the velocity v lies, in every engine step, between `stall_torque * (-1 - v / no_load_speed)`
+        and `stall_torque * (1 - v / no_load_speed)` as well, or 0 where these have the other sign. Callers
+        pass them to engines with the capability `torque_curve` alone.
         """
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        """Exert target torques (N m or N), limited, in every engine step until the next call."""
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        """Exert target torques (N m or N), limited, in every engine step until the next call.
+
+        `stall_torque` and `no_load_speed` are those of `position_motor`.
+        """
 
     def close(self) -> None:
         """Release the world; may be called twice."""

@@ -3,6 +3,7 @@
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 kinematics.py  inverse kinematics of chains of joints
+curves.py      the torque of a DC motor at a speed
 objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several
                forms
 
@@ -19,7 +20,7 @@ from typing import TYPE_CHECKING, cast
 from deepbots_cli import plugins
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.engine_kinds import ENGINES as ALL
-from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP, OTHER_ENGINES, limitation
+from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP, OTHER_ENGINES
 from deepbots_cli.errors import BatchError, EngineError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
@@ -75,8 +76,8 @@ def create(name: str, world: WorldModel) -> Engine:
     for feature, needing in _features(world):
         if feature not in engine.capabilities:
             engine.close()
-            lack = limitation(feature, ALL[name].title)
-            raise EngineError(f"{lack.reason}, such as {needing}; {lack.help}")
+            reason, help = ALL[name].limitation(feature)
+            raise EngineError(f"{reason}, such as {needing}; {help}")
     return engine
 
 

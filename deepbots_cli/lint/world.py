@@ -25,7 +25,7 @@ from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.report import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
-from deepbots_cli.program.robots import CustomActuator, Sensor, Thrust
+from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
@@ -107,9 +107,8 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
         )
         yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)
     for feature, span in _needed_features(context):
-        lack = kind.limitation(feature)
-        if lack is not None:
-            yield Finding("DB316", span, lack.reason, lack.help)
+        if not kind.supports(feature):
+            yield Finding("DB316", span, *kind.limitation(feature))
     if kind.implausible_inertia is not None:
         reason, help = kind.implausible_inertia
         for robot in world.robots:
@@ -128,6 +127,11 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
     for variation in context.program.reset.variations:
         if variation.what == "center_of_mass":
             yield "center_of_mass", variation.value.span
+    for robot in context.program.robots:
+        for actuator in robot.actuators:
+            if isinstance(actuator, Motor) and actuator.no_load_speed is not None:
+                place = ("robots", robot.name, "actuators", actuator.name, "no_load_speed")
+                yield "torque_curve", context.values.span(place)
     geared = {
         robot.name
         for robot in context.program.world.robots

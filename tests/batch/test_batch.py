@@ -142,7 +142,24 @@ SPUN = (
 )
 
 
-@pytest.mark.parametrize("motors", [(), SPUN], ids=["springs", "velocity motors"])
+CURVE = "stall_torque: 40 N*m, no_load_speed: 10 rad/s"
+SPRING = f"type: position_motor, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, {CURVE}"
+CURVED = (
+    f"robots.dog.actuators={{legs: {{{SPRING}, strength: 0.8}}}}",
+    f"robots.dog.actuators={{legs: {{{SPRING}, strength: uniform(0.5 .. 1)}}}}",
+)
+TORQUES = (
+    f"robots.dog.actuators={{legs: {{type: torque_motor, joints: legs, {CURVE}, strength: 1}}}}",
+    "robots.dog.apply={legs: 33 N*m * stride}",
+    "reset.settle=0 s",
+)
+
+
+@pytest.mark.parametrize(
+    "motors",
+    [(), SPUN, CURVED[:1], CURVED[1:], TORQUES],
+    ids=["springs", "velocity motors", "weak curves", "drawn curves", "torques"],
+)
 def test_drawn_bodies_and_joints_move_in_a_batch_as_in_single_worlds(motors: tuple[str, ...]) -> None:
     assert compare(PUSHED, worlds=3, steps=30, overrides=(*BODIES, *motors)) > 0
 

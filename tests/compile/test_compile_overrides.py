@@ -231,3 +231,31 @@ def test_a_link_without_mass_has_no_center_and_no_inertia_to_change(key: str) ->
     refused = f"robots.panda.links={{{bare}: {{{key}}}}}"
     assert [finding.code for finding in api.lint("panda_reach", overrides=[refused])] == ["DB105"]
     assert api.lint("panda_reach", overrides=[f"robots.panda.links={{'*': {{{key}}}}}"]) == []
+
+
+MOTOR = (
+    "robots.dog.actuators={legs: {type: %s, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, %s}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("stall_torque: 40 N*m", "`stall_torque` needs `no_load_speed`"),
+        ("no_load_speed: 20 rad/s", "`no_load_speed` needs `stall_torque`"),
+    ],
+)
+def test_a_torque_curve_needs_both_ends(keys: str, message: str) -> None:
+    findings = api.lint("quadruped", overrides=[MOTOR % ("position_motor", keys)])
+    assert [(finding.code, finding.headline) for finding in findings] == [("DB102", message)]
+
+
+def test_a_servo_without_stiffness_has_no_torque_curve(workshop, cartpole) -> None:
+    motor = "{type: position_motor, joint: pole_hinge, stall_torque: 1 N*m, no_load_speed: 5 rad/s}"
+    findings = api.lint(
+        workshop.write(cartpole()),
+        overrides=[f"robots.cart.actuators.arm={motor}", "robots.cart.apply.arm=0 rad"],
+    )
+    assert [(finding.code, finding.headline) for finding in findings] == [
+        ("DB102", "`stall_torque` needs `stiffness`")
+    ]

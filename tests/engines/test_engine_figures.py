@@ -89,6 +89,71 @@ def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build
         assert torque()[0] == pytest.approx(expected, rel=0.01)
 
 
+STALL, NO_LOAD, LIMIT = 8.0, 10.0, 5.0
+"""Stall torque (N m), no-load speed (rad/s) and limit (N m) of a motor on the hinge of `Worlds.rotor`."""
+
+
+@pytest.mark.parametrize("kind", ["torque_motor", "position_motor"])
+@pytest.mark.parametrize(
+    ("velocity", "wanted", "expected"),
+    [
+        (0.0, 99.0, LIMIT),
+        (2.0, 99.0, LIMIT),
+        (6.0, 99.0, STALL * 0.4),
+        (6.0, 1.5, 1.5),
+        (12.0, 99.0, 0.0),
+        (6.0, -99.0, -LIMIT),
+        (-4.0, 99.0, LIMIT),
+        (-6.0, -99.0, -STALL * 0.4),
+    ],
+)
+def test_the_torque_of_a_motor_falls_with_its_speed(
+    engine_name, worlds, build, kind, velocity, wanted, expected
+):
+    engine = build(engine_name, worlds.rotor(timestep=0.0001, substeps=1))
+    gains, curve = ([10.0], [0.5]), {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
+    drive = getattr(engine, kind)(
+        "robot", ["hinge"], [LIMIT], *(gains if kind == "position_motor" else ()), **curve
+    )
+    engine.set_joint("robot", "hinge", 0.3, velocity)
+    drive([wanted if kind == "torque_motor" else 0.3 + (wanted + 0.5 * velocity) / 10.0])
+    engine.step(1)
+    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(expected, abs=1e-9)
+    inertia = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2)
+    gained = engine.joint_states("robot", ["hinge"])()[0][1] - velocity
+    assert gained == pytest.approx(expected / inertia * 0.0001, abs=2e-6)
+
+
+def test_a_motor_approaches_its_no_load_speed_by_an_exponential(engine_name, worlds, build):
+    """Its torque is renewed in each engine step of one timestep, and with the next episode begins anew."""
+    engine = build(engine_name, worlds.rotor(timestep=0.2, substeps=2000))
+    curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
+    drive = engine.torque_motor("robot", ["hinge"], [100.0], **curve)
+    rate = STALL / NO_LOAD / (ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2))
+    for _ in range(2):
+        engine.reset()
+        drive([100.0])
+        engine.step(2000)
+        speed = engine.joint_states("robot", ["hinge"])()[0][1]
+        assert speed == pytest.approx(NO_LOAD * (1.0 - exp(-rate * 0.2)), rel=1e-3)
+    drive([1.0])
+    engine.step(1)
+    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(1.0)
+
+
+def test_a_motor_without_a_curve_takes_over_from_one_with_a_curve(worlds, build):
+    engine = build("mujoco", worlds.rotor(timestep=0.001, substeps=1))
+    curved = engine.torque_motor("robot", ["hinge"], [5.0], stall_torque=[1.0], no_load_speed=[1.0])
+    plain = engine.torque_motor("robot", ["hinge"], [4.0])
+    torque = engine.joint_torques("robot", ["hinge"])
+    for drive, expected in ((curved, 1.0), (plain, 4.0)):
+        engine.reset()
+        for each in (plain, curved, drive):
+            each([100.0])
+        engine.step(1)
+        assert torque()[0] == pytest.approx(expected)
+
+
 def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
     push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])

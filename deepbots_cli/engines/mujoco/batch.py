@@ -25,6 +25,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli import frames
+from deepbots_cli.engines.curves import TorqueCurve, torque_curve
 from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
@@ -155,8 +156,8 @@ class BatchMember(EngineProxy):
     contact_force = partialmethod(_of_columns, "contact_force")
     joint_torques = partialmethod(_of_columns, "joint_torques")
 
-    def _motor(self, kind: str, *given: Any) -> MotorWriter:
-        return self._batch.motor(kind, *given, world=self._index).writer(self._index)
+    def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
+        return self._batch.motor(kind, *given, **curve, world=self._index).writer(self._index)
 
     velocity_motor = partialmethod(_motor, "velocity")
     position_motor = partialmethod(_motor, "position")
@@ -663,13 +664,31 @@ class MuJoCoBatch:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.motor("velocity", robot, joints, max_torque)
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self.motor("torque", robot, joints, max_torque)
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        curve = {"stall_torque": stall_torque, "no_load_speed": no_load_speed}
+        return self.motor("torque", robot, joints, max_torque, **curve)
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
-        return self.motor("position", robot, joints, max_torque, stiffness, damping)
+        curve = {"stall_torque": stall_torque, "no_load_speed": no_load_speed}
+        return self.motor("position", robot, joints, max_torque, stiffness, damping, **curve)
 
     def motor(
         self,
@@ -678,30 +697,37 @@ class MuJoCoBatch:
         joints: Sequence[str],
         limits: Sequence[float],
         *gains: Gain,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
         world: int | None = None,
     ) -> BatchMotor:
-        """Return the motor of this kind on the same joints of all worlds, with these limits and gains in one
-        of them or in all."""
+        """Return the motor of this kind on the same joints of all worlds, with these limits, gains and curve
+        of torques in one of them or in all."""
         stiffness, damping = gains or (None, None)
+        curve = torque_curve(stall_torque, no_load_speed)
+        worlds = slice(None) if world is None else slice(world, world + 1)
         numbers = self.single._joints(robot, joints)
-        key = kind, numbers, stiffness is None
+        key = kind, numbers, stiffness is None, curve is None
         if key not in self.motors:
             is_servo = kind == "position" and stiffness is None
             rate = motors.servo_rate(self.nominal) if is_servo else 0.0
-            motor = (
-                TrackingMotor(self, numbers, rate)
-                if kind == "velocity" or is_servo
-                else BatchMotor(self, numbers)
-            )
+            motor: BatchMotor
+            if kind == "velocity" or is_servo:
+                motor = TrackingMotor(self, numbers, rate)
+            elif curve is not None:
+                motor = CurvedMotor(self, numbers)
+            else:
+                motor = BatchMotor(self, numbers)
             for other in self.motors.values():
                 if not set(other.joints).isdisjoint(numbers):
                     motor.rivals.append(other)
                     other.rivals.append(motor)
             self.motors[key] = motor
-        self.motors[key].bind(
-            slice(None) if world is None else slice(world, world + 1), limits, stiffness, damping
-        )
-        return self.motors[key]
+        bound = self.motors[key]
+        bound.bind(worlds, limits, stiffness, damping)
+        if isinstance(bound, CurvedMotor) and curve is not None:
+            bound.bind_curve(worlds, curve)
+        return bound
 
 
 class Observer:
@@ -888,6 +914,34 @@ class BatchMotor:
     def begin(self, world: int) -> None:
         """Begin an episode in a world."""
         self._is_active[world] = self._is_given[world] = self.waits[world] = False
+
+
+class CurvedMotor(BatchMotor):
+    """A motor whose largest torque falls with its speed; see `TorqueCurve.bounds`, which computes the same
+    for one world."""
+
+    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
+        super().__init__(batch, joints)
+        self._stall, self._fastest = np.zeros(self._targets.shape), np.ones(self._targets.shape)
+
+    def bind_curve(self, worlds: slice, curve: TorqueCurve) -> None:
+        """Set the curve of some worlds."""
+        self._stall[worlds], self._fastest[worlds] = curve
+
+    def _activate(self, worlds: Column) -> None:
+        super()._activate(worlds)
+        self.waits[worlds] = True
+
+    def renew(self, goes: Column) -> None:
+        worlds = np.flatnonzero(self.waits & goes)
+        if not len(worlds):
+            return
+        stall, limits = self._stall[worlds], self._limits[worlds]
+        share = self._batch.qvel[_cells(worlds, self._dofs)] / self._fastest[worlds]
+        low, high = (
+            np.minimum(np.maximum(end, 0.0), limits) for end in (stall * (1.0 + share), stall * (1.0 - share))
+        )
+        self._batch.rows["actuator_forcerange"][_cells(worlds, self._acts)] = np.stack([-low, high], axis=-1)
 
 
 class TrackingMotor(BatchMotor):

@@ -13,6 +13,7 @@ from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
+    from deepbots_cli.engines.curves import TorqueCurve
     from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
@@ -113,19 +114,37 @@ class Motor:
         model.jnt_actfrcrange[self._joint_index] = ranges
         self._motors.activate(self)
 
-    def torque_writer(self) -> MotorWriter:
+    def _activate_curve(self, curve: TorqueCurve | None) -> None:
+        """Bound the torques by the speed before each engine step, if there is a curve."""
+        if curve is None:
+            return
+        ranges, acts, limits = self._world.model.actuator_forcerange, self._actuators, self._limits
+        velocity = array_reader(self._world.data.qvel, self._dof_index)
+
+        def renew() -> None:
+            ranges[acts] = curve.bounds(velocity(), limits)
+
+        self._motors.gain_updates[self] = renew
+
+    def torque_writer(self, curve: TorqueCurve | None = None) -> MotorWriter:
         ctrl, acts, limits = self._world.data.ctrl, self._actuators, self._limits
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
+                self._activate_curve(curve)
             ctrl[acts] = [
                 min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)
             ]
 
         return write
 
-    def spring_writer(self, stiffness: Sequence[float], damping: Sequence[float] | None) -> MotorWriter:
+    def spring_writer(
+        self,
+        stiffness: Sequence[float],
+        damping: Sequence[float] | None,
+        curve: TorqueCurve | None = None,
+    ) -> MotorWriter:
         """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
         * velocity`."""
         ctrl, acts, bias = self._world.data.ctrl, self._actuators, self._world.model.actuator_biasprm
@@ -134,6 +153,7 @@ class Motor:
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
+                self._activate_curve(curve)
                 bias[acts, 1], bias[acts, 2] = [-k for k in stiffness], [-d for d in damping]
             ctrl[acts] = [k * target for k, target in zip(stiffness, targets, strict=True)]
 
