@@ -421,10 +421,12 @@ class MuJoCoBatch:
     def usual_armature(self, worlds: Any, dofs: Any) -> Column:
         """Return the armature of these degrees of freedom without the part that velocity motors add: a row
         per world of these, or one for all."""
+        usual: Column
         if self._armature is None:
-            usual: Column = self.nominal.dof_armature[dofs][None]
+            usual = self.nominal.dof_armature[dofs][None]
             return usual
-        return self._armature[_cells(worlds, dofs)]
+        usual = self._armature[_cells(worlds, dofs)]
+        return usual
 
     def _weigh(self, index: int, armature: Column) -> None:
         """Compute the values that depend on the masses of a world."""
@@ -673,8 +675,14 @@ class MuJoCoBatch:
         stall_torque: Gain = None,
         no_load_speed: Gain = None,
     ) -> MotorWriter:
-        curve = {"stall_torque": stall_torque, "no_load_speed": no_load_speed}
-        return self.motor("torque", robot, joints, max_torque, **curve)
+        return self.motor(
+            "torque",
+            robot,
+            joints,
+            max_torque,
+            stall_torque=stall_torque,
+            no_load_speed=no_load_speed,
+        )
 
     def position_motor(
         self,
@@ -687,8 +695,16 @@ class MuJoCoBatch:
         stall_torque: Gain = None,
         no_load_speed: Gain = None,
     ) -> MotorWriter:
-        curve = {"stall_torque": stall_torque, "no_load_speed": no_load_speed}
-        return self.motor("position", robot, joints, max_torque, stiffness, damping, **curve)
+        return self.motor(
+            "position",
+            robot,
+            joints,
+            max_torque,
+            stiffness,
+            damping,
+            stall_torque=stall_torque,
+            no_load_speed=no_load_speed,
+        )
 
     def motor(
         self,

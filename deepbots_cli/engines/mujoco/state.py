@@ -292,7 +292,7 @@ class MujocoWorld:
             case "light":
                 (self.light,) = values
             case "joint_damping" | "joint_friction" | "joint_armature":
-                self._set_joint(parameter, *owner, values[0])
+                self._set_joint(parameter, owner[0], owner[1], values[0])
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
