@@ -35,6 +35,7 @@ from deepbots_cli.program.robots import (
     Cartesian,
     MessageField,
     MessageLayout,
+    Motor,
     Thrust,
 )
 from deepbots_cli.program.task import ActionNoise, ActionRange, Choices, Hindsight, ImageObservation, Schedule
@@ -455,7 +456,10 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
         parts = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
+    motor = actuator if isinstance(actuator, Motor) else None
     answers: Row = {
+        "stall_torque": motor.stall_torque if motor else None,
+        "no_load_speed": motor.no_load_speed if motor else None,
         "strength": strength,
         "delay_s": response.delay or None,
         "time_constant_s": response.time_constant or None,
