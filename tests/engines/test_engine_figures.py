@@ -154,6 +154,37 @@ def test_a_motor_without_a_curve_takes_over_from_one_with_a_curve(worlds, build)
         assert torque()[0] == pytest.approx(expected)
 
 
+def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, build):
+    world = with_varying_center(worlds.rotor(timestep=0.01, substeps=5), "arm")
+    engine = build("mujoco", world)
+    drive, read = engine.velocity_motor("robot", ["hinge"], [2.0]), engine.joint_states("robot", ["hinge"])
+    curved = engine.torque_motor("robot", ["hinge"], [9.0], stall_torque=[3.0], no_load_speed=[9.0])
+
+    def begin(armature: float, offset: float, factor: float) -> None:
+        engine.reset()
+        engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
+        engine.set_parameter("center_of_mass", ("robot", "arm"), offset, 0.0, 0.0)
+        engine.set_parameter("inertia", ("robot", "arm"), factor)
+
+    def follow() -> list[tuple[float, float]]:
+        course = []
+        for target in (20.0, 20.0, -5.0, 3.0):
+            engine.step(5)
+            course += read()
+            drive([target])
+        return course
+
+    for write in (drive, curved):
+        begin(0.5, 0.1, 2.0)
+        write([30.0])
+        engine.step(5)
+        kept, expected = engine.snapshot(), follow()
+        begin(0.1, -0.2, 0.5)
+        follow()
+        engine.restore(kept)
+        assert follow() == expected
+
+
 def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
     push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])
