@@ -27,6 +27,22 @@ class Limitation(NamedTuple):
     help: str
 
 
+Feature = Literal["armature", "center_of_mass", "torque_curve"]
+"""A capability of an engine that a scenario may need."""
+_LIMITATIONS: Mapping[Feature, Limitation] = {
+    "armature": Limitation(
+        "a joint cannot have an armature in {engine}",
+        "remove `armature`, or use the engine `mujoco`",
+    ),
+    "center_of_mass": Limitation(
+        "the center of mass of a link cannot be drawn in {engine}",
+        "write a fixed `com`, or use the engine `mujoco`",
+    ),
+    "torque_curve": Limitation(
+        "the torque of a motor cannot fall with its speed in {engine}",
+        "remove `stall_torque` and `no_load_speed`, or use the engine `pybullet` or `mujoco`",
+    ),
+}
 Diagonal = Literal["falling", "rising"]
 """The diagonal of a cell of the ground, seen from above, x to the right and y up."""
 
@@ -38,7 +54,8 @@ class EngineKind(NamedTuple):
     `last_python` is the last Python that the library is built for; `on_windows` is true if it is built for
     Windows. `mesh_terrain` is the reason why a mesh cannot be the ground, None if it can.
     `implausible_inertia` is the reason why a link cannot have an inertia that no rigid body has, None if it
-    can. `diagonal` divides each cell of a ground with heights into two triangles.
+    can. `diagonal` divides each cell of a ground with heights into two triangles, and `lacks` are the
+    capabilities that our own engine lacks.
     """
 
     summary: str
@@ -51,17 +68,23 @@ class EngineKind(NamedTuple):
     mesh_terrain: Limitation | None = None
     implausible_inertia: Limitation | None = None
     diagonal: Diagonal = "falling"
+    lacks: tuple[Feature, ...] = ()
 
-    @property
-    def moves_followers(self) -> bool:
-        """Whether it simulates `<mimic>`. For an engine of another package this imports it, and reads its
+    def supports(self, capability: str) -> bool:
+        """Return whether it has a capability. For an engine of another package this imports it, and reads its
         `capabilities`."""
         if self.library is not None:
-            return True
+            return capability not in self.lacks
         try:
-            return "mimic" in plugins.import_attribute(self.factory).capabilities
+            return capability in plugins.import_attribute(self.factory).capabilities
         except Exception:  # noqa: BLE001 - of a plug-in; building the world raises it again
             return True
+
+    def limitation(self, feature: Feature) -> Limitation:
+        """Return the limitation of an engine that does not support a feature."""
+        reason, help = _LIMITATIONS[feature]
+        engine = self.title if self.library is not None else f"the engine `{self.title}`"
+        return Limitation(reason.format(engine=engine), help)
 
     @property
     def is_installed(self) -> bool:
@@ -131,6 +154,7 @@ ENGINES = Engines(
             "PyBullet",
             "deepbots_cli.engines.pybullet.engine:PyBulletEngine",
             library="pybullet",
+            lacks=("armature", "center_of_mass"),
             last_python=(3, 11),
             on_windows=False,
         ),

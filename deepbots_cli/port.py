@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from functools import partialmethod
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, ParamSpec, Protocol, TypeVar
 
+from deepbots_cli.engine_kinds import Feature
 from deepbots_cli.frames import Frame, Quaternion, Triple
 
 if TYPE_CHECKING:
@@ -34,8 +35,10 @@ R = TypeVar("R")
 
 SERVO_TIME = 0.02
 """Time (s) in which the servo of an engine, without stiffness, reduces its error to 1/e."""
-Capability = Literal["contacts", "mimic", "rendering", "snapshot"]
-"""A feature that an engine may lack: contacts between bodies, pictures, an exact `snapshot` of the world."""
+Capability = Literal["contacts", "mimic", "rendering", "snapshot", Feature]
+"""A feature that an engine may lack: contacts between bodies, joints that follow others, pictures, an exact
+`snapshot` of the world; the armature of joints, a center of mass that an episode moves, motors whose torque
+falls with their speed."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
@@ -165,7 +168,15 @@ class Bindable(Protocol):
         """Drive joints towards target velocities (rad/s or m/s) with at most `max_torque` (N m or N)."""
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
         """Drive joints towards target positions (rad or m).
 
@@ -173,10 +184,26 @@ class Bindable(Protocol):
         `stiffness * (target - position) - damping * velocity`, limited, renewed in every engine step, and
         None for `damping` is 0; without stiffness the engine's own servo closes all but 1/e of its error in
         `SERVO_TIME`, as far as the limit allows, and `damping` means nothing.
+
+        With `stall_torque` (N m or N) and `no_load_speed` (rad/s or m/s), one per joint, and stiffness, the
+        torque at the velocity v lies, in every engine step, between `stall_torque * (-1 - v / no_load_speed)`
+        and `stall_torque * (1 - v / no_load_speed)` as well, or 0 where these have the other sign. Callers
+        pass them to engines with the capability `torque_curve` alone.
         """
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        """Exert target torques (N m or N), limited, in every engine step until the next call."""
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        """Exert target torques (N m or N), limited, in every engine step until the next call.
+
+        `stall_torque` and `no_load_speed` are those of `position_motor`.
+        """
 
     def close(self) -> None:
         """Release the world; may be called twice."""
@@ -227,9 +254,10 @@ class Engine(Bindable, Protocol):
 
         Of the world, `()`: `gravity` (x, y, z in m/s^2, world frame), `light` (brightness of images; 1 is
         normal). Of a body and its link, or "" for its root link: `mass` (kg; the inertia scales along),
-        `color` (red, green, blue and opacity, 0 to 1), `lateral_friction`, `spinning_friction`,
-        `rolling_friction`, `restitution`. Of a robot and its joint: `joint_damping` (N m s/rad or N s/m),
-        `joint_friction` (N m or N).
+        `inertia` (a further factor on the inertia), `center_of_mass` (x, y, z of its offset from the model in
+        m, axes of a link with `center_varies`), `color` (red, green, blue and opacity, 0 to 1),
+        `lateral_friction`, `spinning_friction`, `rolling_friction`, `restitution`. Of a robot and its joint:
+        `joint_damping` (N m s/rad or N s/m), `joint_friction` (N m or N), `joint_armature` (kg m^2 or kg).
 
         Raises:
             EngineError: The engine cannot set it, or the world has no such body, link or joint.

@@ -313,8 +313,13 @@ class ActuatorBindings:
                     self._constants.strings(actuator.joints),
                     _limits(actuator),
                 ]
-                gains = (("stiffness", actuator.stiffness), ("damping", actuator.damping))
-                arguments += [f"{name}={gain!r}" for name, gain in gains if gain is not None]
+                numbers = (
+                    ("stiffness", actuator.stiffness),
+                    ("damping", actuator.damping),
+                    ("stall_torque", actuator.stall_torque),
+                    ("no_load_speed", actuator.no_load_speed),
+                )
+                arguments += [f"{name}={number!r}" for name, number in numbers if number is not None]
                 return f"Motor({', '.join([*arguments, *self._response_arguments(actuator)])})"
             case Motor():
                 strength = actuator.response.strength
@@ -326,6 +331,15 @@ class ActuatorBindings:
                         if gain is None
                         else constants_tuple_code([repr(strength * gain)] * len(actuator.joints))
                         for gain in gains_
+                    ]
+                if actuator.stall_torque is not None and actuator.no_load_speed is not None:
+                    curve = (
+                        ("stall_torque", strength * actuator.stall_torque),
+                        ("no_load_speed", actuator.no_load_speed),
+                    )
+                    arguments += [
+                        f"{name}={constants_tuple_code([repr(value)] * len(actuator.joints))}"
+                        for name, value in curve
                     ]
                 return f"engine.{actuator.kind}({', '.join(arguments)})"
 

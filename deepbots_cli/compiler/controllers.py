@@ -7,7 +7,7 @@ import math
 from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple, Unpack
+from typing import NamedTuple, TypedDict, Unpack
 
 from deepbots_cli.compiler.fields import Default, FieldContext
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin, RobotScope, SupervisorScope
@@ -61,6 +61,11 @@ Limits = tuple[float | None, ...]
 
 _BEGIN_AT_ZERO = frozenset({"integral", "duration"})
 """The functions that begin at 0, whatever the first message contains."""
+
+
+class _TorqueCurve(TypedDict, total=False):
+    stall_torque: float
+    no_load_speed: float
 
 
 class ResolvedActuator(NamedTuple):
@@ -140,10 +145,17 @@ class Actuators(NamespaceReader):
                     max_velocity,
                     *self._gains(spec, names, effort_dimension(joints[0]) / dimension),
                     response=self._response(spec, names),
+                    **self._torque_curve(spec, joints[0]),
                 )
             case specs.TorqueMotor():
                 motor = Motor(
-                    name, spec.type, names, max_torque, max_velocity, response=self._response(spec, names)
+                    name,
+                    spec.type,
+                    names,
+                    max_torque,
+                    max_velocity,
+                    response=self._response(spec, names),
+                    **self._torque_curve(spec, joints[0]),
                 )
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
@@ -175,6 +187,26 @@ class Actuators(NamespaceReader):
             help = "add `stiffness`, or remove `damping` to use the built-in position control of the engine"
             self._values.add_at_key("DB102", (*spec.path, "damping"), "`damping` needs `stiffness`", help)
         return stiffness, damping
+
+    def _torque_curve(self, spec: specs.SpeedLimitedMotor, joint: Joint) -> _TorqueCurve:
+        """Return stall torque and no-load speed of a motor; empty where it has none, and after a finding."""
+        stall = self._fields.fixed(spec, "stall_torque", dimension=effort_dimension(joint))
+        speed = self._fields.fixed(spec, "no_load_speed", dimension=joint_dimension(joint) / TIME)
+        for key, other in (("stall_torque", "no_load_speed"), ("no_load_speed", "stall_torque")):
+            if getattr(spec, key) is not None and getattr(spec, other) is None:
+                help = f"add `{other}`, or remove `{key}`"
+                self._values.add_at_key("DB102", (*spec.path, key), f"`{key}` needs `{other}`", help)
+        if stall is None or speed is None:
+            return {}
+        if isinstance(spec, specs.PositionMotor) and spec.stiffness is None:
+            help = (
+                "add `stiffness`, or remove `stall_torque` and `no_load_speed` to use the built-in position"
+                " control of the engine"
+            )
+            self._values.add_at_key(
+                "DB102", (*spec.path, "stall_torque"), "`stall_torque` needs `stiffness`", help
+            )
+        return {"stall_torque": stall, "no_load_speed": speed}
 
     def _cartesian(self, name: str, spec: specs.Cartesian) -> ResolvedActuator | None:
         joints = self._robot.joints_of(spec, self._values)

@@ -30,21 +30,26 @@ from deepbots_cli.expressions.dimensions import (
     Unit,
 )
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval, single
-from deepbots_cli.expressions.types import Context, Kind, Known, Scope, Subject, Symbol, Type
+from deepbots_cli.expressions.types import SPACE, Context, Kind, Known, Scope, Subject, Symbol, Type
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, compose
 from deepbots_cli.frames import frame as pose_frame
 from deepbots_cli.program.resets import OfJoint, OfLink
 from deepbots_cli.program.world import JointParameter, LinkParameter
 from deepbots_cli.robots import meshes
 from deepbots_cli.robots.model import (
+    ZERO,
     Joint,
     Limit,
     Link,
     RobotModel,
+    Vector,
+    with_center,
     with_color,
     with_density,
     with_friction,
+    with_inertia,
     with_joint,
+    with_link,
     with_mass,
     with_scale,
 )
@@ -68,6 +73,11 @@ def joint_dimension(joint: Joint) -> Dimension:
 def effort_dimension(joint: Joint) -> Dimension:
     """Return the dimension of a joint's effort: a force for a sliding joint, else a torque."""
     return FORCE if joint.type == "prismatic" else TORQUE
+
+
+def _armature_dimension(joint: Joint) -> Dimension:
+    """Return the dimension of a joint's armature: a mass for a sliding joint, else a moment of inertia."""
+    return MASS if joint.type == "prismatic" else MASS * LENGTH**2
 
 
 def joint_interval(joint: Joint) -> Interval:
@@ -291,9 +301,18 @@ class Overrides:
         """Return the model with all changes that can be made; the others have findings."""
         links, joints = [link.name for link in model.links], [joint.name for joint in model.joints]
         moving = [joint.name for joint in model.moving_joints]
+        centers: dict[str, LinkOverride] = {}
+        inertias: dict[str, LinkOverride] = {}
         for pattern, change in spec.links.items():
             for name in self._members(links, pattern, change, "link"):
                 model = self._change_link(model, model.link(name), change)
+                centers |= {name: change} if change.com is not None else {}
+                inertias |= {name: change} if change.inertia is not None else {}
+        # Of two patterns that match a link, the later one counts, as for values that are not relative.
+        for name, change in centers.items():
+            model = self._move_center(model, model.link(name), change)
+        for name, change in inertias.items():
+            model = self._scale_inertia(model, model.link(name), change)
         for pattern, joint_change in spec.joints.items():
             for name in self._members(joints, pattern, joint_change, "joint"):
                 joint = model.joint(name)
@@ -351,8 +370,8 @@ class Overrides:
         )
 
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
-        if link.inertial is None and link.name != change.path[-1]:
-            return model  # a pattern means the links that have a mass
+        if _lacks_mass(link, change):
+            return model
         of = OfLink(self.robot, link.name)
         scope = self._scope(MASS, link.inertial.mass if link.inertial else None)
         mass = self.namespace.fields.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
@@ -361,6 +380,28 @@ class Overrides:
                 "DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg"
             )
         return self._accepted(model, with_mass(model, link.name, mass), change, "mass") if mass else model
+
+    def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
+        if _lacks_mass(link, change):
+            return model
+        of, read = OfLink(self.robot, link.name), self.namespace.fields
+        offset = read.vector_or_randomized(change, "com", "center_of_mass", of, per_component=SPACE)
+        if offset is None:
+            return model
+        varies = read.is_randomized("center_of_mass", of)
+        fixed: Vector = ZERO if varies else (offset[0], offset[1], offset[2])
+        model = self._accepted(model, with_center(model, link.name, fixed), change, "com")
+        return with_link(model, replace(model.link(link.name), center_varies=varies))
+
+    def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
+        if _lacks_mass(link, change):
+            return model
+        of, read = OfLink(self.robot, link.name), self.namespace.fields
+        factor = read.scalar_or_randomized(change, "inertia", "inertia", of, None)
+        if factor is None:
+            return model
+        fixed = 1.0 if read.is_randomized("inertia", of) else factor
+        return self._accepted(model, with_inertia(model, link.name, fixed), change, "inertia")
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
         """Return the changed model, or the old one with a finding that gives the reason."""
@@ -387,12 +428,15 @@ class Overrides:
 
         damping = drawn("damping", "joint_damping", joint.damping, effort * TIME / position)
         friction = drawn("friction", "joint_friction", joint.friction, effort)
+        armature = drawn("armature", "joint_armature", joint.armature, _armature_dimension(joint))
         torque = fixed("max_torque", limit.effort, effort)
         velocity = fixed("max_velocity", limit.velocity, position / TIME)
         limit = replace(limit, effort=torque, velocity=velocity)
         if change.range is not None:
             limit = self._range(joint, limit, change)
-        return with_joint(model, joint.name, damping=damping, friction=friction, limit=limit)
+        return with_joint(
+            model, joint.name, damping=damping, friction=friction, armature=armature, limit=limit
+        )
 
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """Return `limit` with both ends as the scenario gives them."""
@@ -410,6 +454,11 @@ class Overrides:
             change, "range", what="the range of a joint", dimension=dimension, scope=scope
         )
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
+
+
+def _lacks_mass(link: Link, change: LinkOverride) -> bool:
+    """Return whether a change of masses leaves a link out: a pattern means the links that have a mass."""
+    return link.inertial is None and link.name != change.path[-1]
 
 
 @dataclass(frozen=True, eq=False)

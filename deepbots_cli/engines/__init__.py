@@ -3,6 +3,7 @@
 pybullet/      the only package that imports PyBullet: contacts, sight, any tree of joints
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 kinematics.py  inverse kinematics of chains of joints
+curves.py      the torque of a DC motor at a speed
 objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several
                forms
 
@@ -23,8 +24,10 @@ from deepbots_cli.engine_kinds import ENTRY_POINT_GROUP, OTHER_ENGINES
 from deepbots_cli.errors import BatchError, EngineError, MissingExtraError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from importlib.metadata import EntryPoint
 
+    from deepbots_cli.engine_kinds import Feature
     from deepbots_cli.port import BatchEngine, Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
@@ -70,7 +73,23 @@ def create(name: str, world: WorldModel) -> Engine:
             f"the engine '{name}' does not move joints that follow others (<mimic>), such as {follower};"
             f" {OTHER_ENGINES}"
         )
+    for feature, needing in _features(world):
+        if feature not in engine.capabilities:
+            engine.close()
+            reason, help = ALL[name].limitation(feature)
+            raise EngineError(f"{reason}, such as {needing}; {help}")
     return engine
+
+
+def _features(world: WorldModel) -> Iterator[tuple[Feature, str]]:
+    """Yield each feature of an engine that the world needs, with the part that needs it."""
+    for robot in world.robots:
+        for joint in robot.model.joints:
+            if joint.armature > 0.0:
+                yield "armature", f"'{joint.name}' of '{robot.name}'"
+        for link in robot.model.links:
+            if link.center_varies:
+                yield "center_of_mass", f"'{link.name}' of '{robot.name}'"
 
 
 def create_batch(name: str, world: WorldModel, count: int) -> BatchEngine:

@@ -35,6 +35,7 @@ from deepbots_cli.program.robots import (
     Cartesian,
     MessageField,
     MessageLayout,
+    Motor,
     Thrust,
 )
 from deepbots_cli.program.task import (
@@ -198,7 +199,12 @@ def _numbers(values: Iterable[float]) -> str:
 def _joint(joint: Joint, *, whole: bool = False) -> Row:
     """Return a joint and its limits; as a `whole` with its origin, damping and friction."""
     limit, unit = joint.limit, "m" if joint.type == "prismatic" else "rad"
-    more: Row = {"damping": joint.damping or None, "friction": joint.friction or None, "follows": _law(joint)}
+    more: Row = {
+        "damping": joint.damping or None,
+        "friction": joint.friction or None,
+        "armature": joint.armature or None,
+        "follows": _law(joint),
+    }
     return {
         "joint": joint.name,
         "type": joint.type,
@@ -464,7 +470,10 @@ def _driven_parts(robot: str, actuator: Actuator) -> list[Row]:
         parts = zip(actuator.joints, actuator.max_torque, actuator.max_velocity, strict=True)
     response = actuator.response
     strength = response.strength if response.strength != 1.0 else None
+    motor = actuator if isinstance(actuator, Motor) else None
     answers: Row = {
+        "stall_torque": motor.stall_torque if motor else None,
+        "no_load_speed": motor.no_load_speed if motor else None,
         "strength": strength,
         "delay_s": response.delay or None,
         "time_constant_s": response.time_constant or None,

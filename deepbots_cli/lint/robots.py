@@ -280,7 +280,7 @@ def _moved(
     it."""
     pivot, turned = where[joint.child]
     axis = frames.rotate(turned, joint.axis)
-    load = inertia = 0.0
+    load, inertia = 0.0, joint.armature
     for link in model.links:
         if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue

@@ -12,9 +12,9 @@ from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.ranges import StartRanges, is_level, with_unit
 from deepbots_cli.compiler.robots import joint_dimension
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.diagnostics import Finding, Label, Span
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES
+from deepbots_cli.engine_kinds import ENGINES, OTHER_ENGINES, Feature
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, MASS
 from deepbots_cli.expressions.functions import contains_draw
 from deepbots_cli.expressions.intervals import ALWAYS, single
@@ -25,7 +25,7 @@ from deepbots_cli.lint.observations import may_be_noisy
 from deepbots_cli.lint.report import MeasuredOverlap, Stop
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
-from deepbots_cli.program.robots import CustomActuator, Sensor, Thrust
+from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
@@ -100,12 +100,15 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
             kind.mesh_terrain.help,
         )
     followers = [(robot.name, joint) for robot in world.robots for joint in robot.model.followers]
-    if followers and not kind.moves_followers:
+    if followers and not kind.supports("mimic"):
         headline = (
             f"the engine `{context.program.engine}` does not simulate <mimic>, but the joint"
             f" `{followers[0][1]}` follows another joint"
         )
         yield Finding("DB316", context.values.span(("world", "engine")), headline, OTHER_ENGINES)
+    for feature, span in _needed_features(context):
+        if not kind.supports(feature):
+            yield Finding("DB316", span, *kind.limitation(feature))
     if kind.implausible_inertia is not None:
         reason, help = kind.implausible_inertia
         for robot in world.robots:
@@ -117,6 +120,28 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
                         f"link `{link.name}` {reason}",
                         help,
                     )
+
+
+def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
+    """Yield each feature of an engine that the scenario needs, with the place of the value."""
+    for variation in context.program.reset.variations:
+        if variation.what == "center_of_mass":
+            yield "center_of_mass", variation.value.span
+    for robot in context.program.robots:
+        for actuator in robot.actuators:
+            if isinstance(actuator, Motor) and actuator.no_load_speed is not None:
+                place = ("robots", robot.name, "actuators", actuator.name, "no_load_speed")
+                yield "torque_curve", context.values.span(place)
+    geared = {
+        robot.name
+        for robot in context.program.world.robots
+        if any(joint.armature > 0.0 for joint in robot.model.joints)
+    }
+    robots = context.checked.spec.robots if context.checked.spec is not None else {}
+    for name, robot_spec in robots.items():
+        for change in robot_spec.joints.values():
+            if name in geared and change.armature is not None:
+                yield "armature", context.values.span((*change.path, "armature"))
 
 
 @rule("DB507")

@@ -179,7 +179,8 @@ class Motor:
 
     Limits are in N m or N, rad/s or m/s, one per joint; None is unlimited. `max_velocity` bounds the targets
     of a velocity motor, and the speed of those of a position motor; `max_acceleration` (rad/s^2 or m/s^2)
-    bounds the change of those of a velocity motor.
+    bounds the change of those of a velocity motor. With `stall_torque` (N m or N) and `no_load_speed` (rad/s
+    or m/s), the largest torque falls with the speed.
     """
 
     name: str
@@ -191,6 +192,16 @@ class Motor:
     damping: float | None = None
     max_acceleration: float | None = None
     response: Response = Response()
+    stall_torque: float | None = None
+    no_load_speed: float | None = None
+
+    def digest_fields(self) -> dict[str, object]:
+        """Return the fields; without a curve of torques those of it are left out, as in digests from before
+        they were fields."""
+        members = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        if self.no_load_speed is None:
+            del members["stall_torque"], members["no_load_speed"]
+        return members
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -24,9 +24,16 @@ Color = tuple[float, float, float, float]
 
 WorldParameter = Literal["gravity", "light"]
 LinkParameter = Literal[
-    "mass", "lateral_friction", "spinning_friction", "rolling_friction", "restitution", "color"
+    "mass",
+    "center_of_mass",
+    "inertia",
+    "lateral_friction",
+    "spinning_friction",
+    "rolling_friction",
+    "restitution",
+    "color",
 ]
-JointParameter = Literal["joint_damping", "joint_friction"]
+JointParameter = Literal["joint_damping", "joint_friction", "joint_armature"]
 EngineParameter = WorldParameter | LinkParameter | JointParameter
 """A value that an engine sets anew for an episode; `port.Engine.set_parameter` gives the units."""
 

@@ -10,7 +10,7 @@ hashed; `reader.RobotFile` has the places.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -147,6 +147,13 @@ class Link:
     density: float | None = None
     """The density in kg/m^3 of a link whose mesh gives its inertial when it is simulated
     (`deepbots_cli.geometry`)."""
+    center_varies: bool = False
+    """Whether episodes move its center of mass."""
+
+    def digest_fields(self) -> dict[str, object]:
+        """Return the fields; `center_varies` is left out where it is false, as in digests from before it was
+        a field."""
+        return _without_default(self, "center_varies")
 
 
 @dataclass(frozen=True)
@@ -174,7 +181,8 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Joint:
-    """`axis` is a unit vector in the joint frame; damping in N m s/rad or N s/m, friction in N m or N."""
+    """`axis` is a unit vector in the joint frame; damping in N m s/rad or N s/m, friction in N m or N,
+    armature (inertia of the rotor) in kg m^2 or kg, for which URDF has no element."""
 
     name: str
     type: JointType
@@ -186,11 +194,22 @@ class Joint:
     damping: float = 0.0
     friction: float = 0.0
     mimic: Mimic | None = None
+    armature: float = 0.0
+
+    def digest_fields(self) -> dict[str, object]:
+        """Return the fields; an armature of 0 is left out, as in digests from before it was a field."""
+        return _without_default(self, "armature")
 
     @property
     def moves(self) -> bool:
         """Whether the joint has exactly one degree of freedom, which an actuator may drive."""
         return self.type in ("revolute", "continuous", "prismatic")
+
+
+def _without_default(part: Link | Joint, name: str) -> dict[str, object]:
+    """Return the fields of a part by name; without the one called `name` where it has its default."""
+    members = {entry.name: getattr(part, entry.name) for entry in fields(part)}
+    return members if members[name] else {key: value for key, value in members.items() if key != name}
 
 
 @dataclass(frozen=True)
@@ -484,6 +503,25 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
     return with_link(model, replace(old, inertial=_with_matrix(replace(old.inertial, mass=mass), tensor)))
 
 
+def with_center(model: RobotModel, link: str, offset: Vector) -> RobotModel | str:
+    """Return the link with its center of mass moved by `offset` (m, axes of the link); the inertia about it
+    stays."""
+    old = model.link(link)
+    if old.inertial is None or old.inertial.mass <= 0:
+        return f"the center of mass of link {link!r} cannot be moved, because the robot file states no mass"
+    origin = replace(old.inertial.origin, xyz=frames.add(old.inertial.origin.xyz, offset))
+    return with_link(model, replace(old, inertial=replace(old.inertial, origin=origin)))
+
+
+def with_inertia(model: RobotModel, link: str, factor: float) -> RobotModel | str:
+    """Return the link with its inertia about the center of mass multiplied by `factor`; the mass stays."""
+    old = model.link(link)
+    if old.inertial is None or not old.inertial.is_stated:
+        return f"the inertia of link {link!r} cannot be scaled, because the robot file states none"
+    tensor = scaled_matrix(old.inertial.matrix, factor)
+    return with_link(model, replace(old, inertial=_with_matrix(old.inertial, tensor)))
+
+
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:
     """Return the link as a homogeneous body of `density` kg/m^3; the mass of a mesh is computed when it is
     simulated."""
@@ -528,15 +566,17 @@ def with_joint(
     *,
     damping: float | None = None,
     friction: float | None = None,
+    armature: float | None = None,
     limit: Limit | None = None,
 ) -> RobotModel:
-    """Return the joint with `damping` (N m s/rad or N s/m), `friction` (N m or N) and `limit`; None keeps the
-    value of the file."""
+    """Return the joint with `damping` (N m s/rad or N s/m), `friction` (N m or N), `armature` (kg m^2 or kg)
+    and `limit`; None keeps the value of the file."""
     old = model.joint(joint)
     new = replace(
         old,
         damping=old.damping if damping is None else damping,
         friction=old.friction if friction is None else friction,
+        armature=old.armature if armature is None else armature,
         limit=old.limit if limit is None else limit,
     )
     return _with_joints(model, {joint: new})

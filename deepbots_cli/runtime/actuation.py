@@ -102,8 +102,8 @@ class Motor:
     """Joints that are driven together; called with one target per joint.
 
     `strength` multiplies the torque or force that the motor would exert without it: its limit, the gains of
-    its spring, the target of a torque motor. Strength, limits and gains may be set between two episodes and
-    are in force from the next `reset`.
+    its spring, the target of a torque motor, its stall torque. Strength, limits and gains may be set between
+    two episodes and are in force from the next `reset`.
     """
 
     def __init__(
@@ -116,13 +116,16 @@ class Motor:
         *,
         stiffness: PerJoint | None = None,
         damping: PerJoint | None = None,
+        stall_torque: float | None = None,
+        no_load_speed: float | None = None,
         strength: PerJoint = 1.0,
         substep: float | None = None,
         delay: float = 0.0,
         time_constant: float = 0.0,
         rates: Sequence[float] = (),
     ) -> None:
-        """Create a motor; `rates` bounds how fast targets change, in their unit per s.
+        """Create a motor; `rates` bounds how fast targets change, in their unit per s. With `stall_torque`
+        (N m or N) and `no_load_speed` (rad/s or m/s), its torque falls with its speed.
 
         With `substep`, the length of one in s, the motor follows its commands in every substep; without, at
         once.
@@ -131,6 +134,7 @@ class Motor:
         self.stiffness = stiffness
         self.damping = damping
         self.strength = strength
+        self._stall_torque, self._no_load_speed = stall_torque, no_load_speed
         self._engine, self._kind, self._robot, self._joints = engine, kind, robot, joints
         self._states = engine.joint_states(robot, joints)
         self._bound: object = None
@@ -192,8 +196,18 @@ class Motor:
             else ()
         )
         self._write: MotorWriter = getattr(self._engine, self._kind)(
-            self._robot, self._joints, limits, *gains
+            self._robot, self._joints, limits, *gains, **self._torque_curve()
         )
+
+    def _torque_curve(self) -> dict[str, list[float]]:
+        """Return stall torque and no-load speed of each joint as arguments of the engine, if there are
+        any."""
+        if self._stall_torque is None or self._no_load_speed is None:
+            return {}
+        return {
+            "stall_torque": [share * self._stall_torque for share in self._shares],
+            "no_load_speed": [self._no_load_speed] * len(self._shares),
+        }
 
     def _scaled(self, gain: PerJoint | None) -> list[float] | None:
         """Return a gain of the spring in each joint, as strong as that motor is."""

@@ -166,8 +166,8 @@ class BatchOfCopies:
     velocity = partialmethod(_reader, "velocity")
     motion = partialmethod(_reader, "motion")
 
-    def _motor(self, kind: str, *of: Any) -> MotorWriter:
-        writers = [getattr(view, kind)(*of) for view in self._views]
+    def _motor(self, kind: str, *of: Any, **curve: Any) -> MotorWriter:
+        writers = [getattr(view, kind)(*of, **curve) for view in self._views]
 
         def write(targets: Sequence[Any]) -> None:
             for place, write_copy in enumerate(writers):

@@ -54,6 +54,8 @@ MaxTorque = Annotated[Scalar, Quantity("torque or force", known="episode", minim
 Stiffness = Annotated[Scalar, Quantity("stiffness", known="episode", minimum=0)]
 Damping = Annotated[Scalar, Quantity("damping", known="episode", minimum=0)]
 JointSpeed = Annotated[Scalar, Quantity("angular speed or speed", minimum=0)]
+StallTorque = Annotated[Scalar, Quantity("torque or force", minimum=0, exclusive=True)]
+NoLoadSpeed = Annotated[Scalar, Quantity("angular speed or speed", minimum=0, exclusive=True)]
 JointAcceleration = Annotated[
     Scalar, Quantity("angular acceleration or acceleration", minimum=0, exclusive=True)
 ]
@@ -117,7 +119,17 @@ class VelocityMotor(JointActuator):
     """Largest rate of change of the velocity setpoint; by default unlimited."""
 
 
-class PositionMotor(JointActuator):
+class SpeedLimitedMotor(JointActuator):
+    """A motor whose torque may fall with its speed, as that of a DC motor."""
+
+    stall_torque: StallTorque | None = None
+    """Largest torque (N*m) or force (N) at rest. It falls linearly to 0 at `no_load_speed`, and grows beyond
+    the stall torque while the motor brakes; `max_torque` limits it."""
+    no_load_speed: NoLoadSpeed | None = None
+    """Speed at which the motor exerts no more torque in its direction."""
+
+
+class PositionMotor(SpeedLimitedMotor):
     """Drives a joint to a commanded position, as a spring with a damper."""
 
     dimension = ANGLE
@@ -133,7 +145,7 @@ class PositionMotor(JointActuator):
     with `stiffness` it is unlimited."""
 
 
-class TorqueMotor(JointActuator):
+class TorqueMotor(SpeedLimitedMotor):
     """Applies a commanded torque or force to a joint."""
 
     dimension = TORQUE

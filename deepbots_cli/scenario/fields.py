@@ -472,6 +472,7 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
     "torque or force": ("a torque or a force", "10 N*m", "N*m or N"),
     "stiffness": ("a stiffness", "40 N*m/rad", "N*m/rad or N/m"),
     "damping": ("a damping", "0.1 N*m*s/rad", "N*m*s/rad or N*s/m"),
+    "moment of inertia or mass": ("a moment of inertia or a mass", "0.01 kg*m^2", "kg*m^2 or kg"),
     "angle or length": ("an angle or a length", "15 deg", "rad or m"),
     "angular speed or speed": ("an angular speed or a speed", "5 rad/s", "rad/s or m/s"),
     "reading": ("a number in the unit of the sensor", "0.01 rad", "of the sensor"),

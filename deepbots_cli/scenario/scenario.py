@@ -61,6 +61,12 @@ class LinkOverride(Section):
     scale: Annotated[Scalar, Quantity("number", components=3, minimum=0, exclusive=True)] | None = None
     """Scale factors along x, y and z for shapes, center of mass and child joints. The mass scales with the
     volume."""
+    com: Annotated[Scalar, Quantity("length", known="episode", components=3)] | None = None
+    """Offset of the center of mass along x, y and z of the link, such as `uniform(-2 -2 0 .. 2 2 0 cm)`; it
+    is added to the center of mass in the robot file."""
+    inertia: Annotated[Scalar, Quantity("number", known="episode", minimum=0, exclusive=True)] | None = None
+    """Scale factor of the inertia about the center of mass, such as `uniform(0.8 .. 1.2)`. The mass keeps its
+    value."""
     friction: Annotated[Scalar, Quantity("number", known="episode", minimum=0)] | None = None
     """Coulomb's coefficient of friction."""
     spinning_friction: RandomizableFactor | None = None
@@ -82,6 +88,11 @@ class JointOverride(Section):
         None
     )
     """Dry friction, N*m or N."""
+    armature: (
+        Annotated[Scalar, Quantity("moment of inertia or mass", known="episode", minimum=0, urdf=True)] | None
+    ) = None
+    """Inertia of the rotor at the joint, kg*m^2 or kg: that of the motor times the square of its gear ratio.
+    It needs the engine `mujoco`."""
     range: Annotated[str, Range("angle or length")] | None = None
     """Lower and upper limit, such as `-90 .. 90 deg`."""
     max_torque: Annotated[Scalar, Quantity("torque or force", minimum=0, urdf=True)] | None = None

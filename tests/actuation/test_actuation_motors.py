@@ -4,11 +4,13 @@ them."""
 from __future__ import annotations
 
 from math import ceil, exp, inf
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.engines import ENGINES
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Response
@@ -385,3 +387,99 @@ def test_figures_below_zero_count_as_zero():
     response = Response(SUBSTEP, zero, delay=-1.0, time_constant=-1.0)
     response.send([1.0])
     assert response.advance() == [1.0]
+
+
+BEAM = """<robot name="beam">
+  <link name="stand"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="beam">
+    <inertial><mass value="2"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="hinge" type="continuous">
+    <parent link="stand"/><child link="beam"/><axis xyz="0 1 0"/><limit effort="1000" velocity="100"/>
+  </joint>
+</robot>
+"""
+HELD = """deepbots: 1
+name: Held
+world: {timestep: 10 ms, substeps: 5, engine: %s}
+robots:
+  arm:
+    urdf: beam.urdf
+    base: fixed
+    links: {beam: %s}
+    joints: {hinge: %s}
+    actuators: {hinge: {type: position_motor, joint: hinge, stiffness: 2000 N*m/rad, damping: 5 N*m*s/rad}}
+    apply: {hinge: 0 rad * push}
+action: {push: -1 .. 1}
+augment: [torque]
+signals: {torque: joint_torque(arm.hinge)}
+observation: {torque: {range: -50 .. 50 N*m, clip: false}}
+reward: {one: 1}
+truncation: {max_steps: 1000}
+"""
+
+
+def held(make: Make, tmp_path: Path, engine: str, link: str, joint: str = "{}") -> Supervisor:
+    """A beam of 2 kg that a stiff motor holds level."""
+    (tmp_path / "beam.urdf").write_text(BEAM, encoding="utf-8")
+    scenario = tmp_path / "held.yaml"
+    scenario.write_text(HELD % (engine, link, joint), encoding="utf-8")
+    return make(scenario)
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+@pytest.mark.parametrize("offset", [0.2, -0.1])
+def test_a_motor_holds_the_weight_of_a_link_at_its_center_of_mass(
+    make: Make, tmp_path: Path, engine: str, offset: float
+) -> None:
+    beam = held(make, tmp_path, engine, f"{{com: {offset} 0 0 m}}")
+    beam.reset(seed=0)
+    for _ in range(100):
+        (share,), *_ = beam.step(np.zeros(1, np.float32))
+    assert -50 * share == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
+
+
+def test_bodies_and_joints_are_drawn_once_per_episode_and_come_again_with_the_seed(
+    make: Make, tmp_path: Path
+) -> None:
+    pytest.importorskip("mujoco")
+    link = "{com: uniform(-10 0 0 .. 10 0 0 cm), inertia: uniform(0.5 .. 2)}"
+    beam = held(make, tmp_path, "mujoco", link, "{armature: uniform(0 .. 0.1 kg*m^2)}")
+    draws, torques = [], []
+    for seed in (1, 2, 1):
+        draws.append(beam.reset(seed=seed)[1]["drawn"])
+        for _ in range(100):
+            (share,), *_ = beam.step(np.zeros(1, np.float32))
+        torques.append(-50 * share)
+        offset = draws[-1]["robots.arm.links.beam.com.x"]
+        assert torques[-1] == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
+    assert set(draws[0]) == {
+        "robots.arm.links.beam.com.x",
+        "robots.arm.links.beam.com.y",
+        "robots.arm.links.beam.com.z",
+        "robots.arm.links.beam.inertia",
+        "robots.arm.joints.hinge.armature",
+    }
+    assert draws[0] == draws[2] != draws[1]
+    assert torques[0] == torques[2] != torques[1]
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_strength_multiplies_the_stall_torque(make: Make, tmp_path: Path, engine: str) -> None:
+    """A motor at half strength approaches its no-load speed half as fast."""
+    motor = "{type: torque_motor, joint: hinge, stall_torque: 4 N*m, no_load_speed: 10 rad/s%s}"
+    speeds = []
+    for strength in ("", ", strength: 0.5"):
+        (tmp_path / "beam.urdf").write_text(BEAM, encoding="utf-8")
+        scenario = tmp_path / "spun.yaml"
+        text = HELD % (engine, "{}", "{}")
+        head, tail = text.index("    actuators"), text.index("    apply")
+        text = f"{text[:head]}    actuators: {{hinge: {motor % strength}}}\n{text[tail:]}"
+        scenario.write_text(text.replace("0 rad * push", "1000 N*m * push"), encoding="utf-8")
+        beam = make(scenario)
+        beam.reset(seed=0)
+        for _ in range(5):
+            beam.step(np.ones(1, np.float32))
+        speeds.append(beam.engine.joint_states("arm", ("hinge",))()[0][1])
+    rate = 4.0 / 10.0 / 0.02
+    assert speeds == pytest.approx([10 * (1 - exp(-rate * 0.05)), 10 * (1 - exp(-rate * 0.025))], rel=0.03)

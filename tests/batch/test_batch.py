@@ -129,6 +129,41 @@ def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> N
     compare(name, worlds=3, steps=40)
 
 
+BODIES = (
+    "truncation.max_time=0.4 s",
+    "robots.dog.links={trunk: {com: uniform(-3 -3 -1 .. 3 3 1 cm), inertia: uniform(0.7 .. 1.3), mass: urdf *"
+    " uniform(0.8 .. 1.2)}, '*_upper': {com: uniform(-1 -1 -1 .. 1 1 1 cm)}}",
+    "robots.dog.joints={legs: {armature: uniform(0 .. 0.02 kg*m^2), friction: uniform(0 .. 0.2 N*m), damping:"
+    " uniform(0 .. 0.1 N*m*s/rad)}}",
+)
+SPUN = (
+    "robots.dog.actuators={legs: {type: velocity_motor, joints: legs, max_torque: 20 N*m}}",
+    "robots.dog.apply={legs: 10 rad/s * stride}",
+)
+
+
+CURVE = "stall_torque: 40 N*m, no_load_speed: 10 rad/s"
+SPRING = f"type: position_motor, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, {CURVE}"
+CURVED = (
+    f"robots.dog.actuators={{legs: {{{SPRING}, strength: 0.8}}}}",
+    f"robots.dog.actuators={{legs: {{{SPRING}, strength: uniform(0.5 .. 1)}}}}",
+)
+TORQUES = (
+    f"robots.dog.actuators={{legs: {{type: torque_motor, joints: legs, {CURVE}, strength: 1}}}}",
+    "robots.dog.apply={legs: 33 N*m * stride}",
+    "reset.settle=0 s",
+)
+
+
+@pytest.mark.parametrize(
+    "motors",
+    [(), SPUN, CURVED[:1], CURVED[1:], TORQUES],
+    ids=["springs", "velocity motors", "weak curves", "drawn curves", "torques"],
+)
+def test_drawn_bodies_and_joints_move_in_a_batch_as_in_single_worlds(motors: tuple[str, ...]) -> None:
+    assert compare(PUSHED, worlds=3, steps=30, overrides=(*BODIES, *motors)) > 0
+
+
 @pytest.mark.parametrize("start", ["level", "0.1"])
 def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> None:
     """Those with a received start begin with the first message, and all advance in the worlds that receive

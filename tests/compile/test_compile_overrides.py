@@ -179,3 +179,83 @@ def test_a_longer_pole_is_a_few_lines_upon_the_shipped_scenario() -> None:
     assert pole.inertial.ixx == pytest.approx(1.5**3 * old.inertial.ixx, rel=2e-3)
     assert long.program.world.robots[0].model.joint("tip_mount").origin.xyz == (0.0, 0.0, 1.5)
     assert long.digest != plain.digest
+
+
+def test_a_center_of_mass_is_moved_and_an_inertia_scaled(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("body").inertial
+    change = "links: {body: {com: 1 0 -2 cm, inertia: 1.5}}"
+    after = model(workshop.compile(cartpole(with_cart(change)))).link("body").inertial
+    x, y, z = before.origin.xyz
+    assert after.origin.xyz == pytest.approx((x + 0.01, y, z - 0.02))
+    assert after.izz == pytest.approx(1.5 * before.izz)
+    assert after.mass == before.mass
+
+
+def test_of_two_patterns_the_later_one_moves_the_center_and_scales_the_inertia(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("wheel_front_left").inertial
+    change = "links: {wheel_*: {com: 1 0 0 cm, inertia: 2}, wheel_front_left: {com: 0 2 0 cm, inertia: 3}}"
+    after = model(workshop.compile(cartpole(with_cart(change)))).link("wheel_front_left").inertial
+    assert after.origin.xyz == pytest.approx((before.origin.xyz[0], before.origin.xyz[1] + 0.02, 0.0))
+    assert after.ixx == pytest.approx(3 * before.ixx)
+
+
+def test_drawn_properties_leave_the_model_as_it_is(workshop, cartpole) -> None:
+    before = model(workshop.compile(cartpole())).link("body").inertial
+    change = "links: {body: {com: uniform(0 0 0 .. 4 4 4 cm), inertia: uniform(1 .. 3)}}"
+    compiled = workshop.compile(cartpole(with_cart(change)))
+    assert model(compiled).link("body").inertial == before
+    assert [(entry.what, tuple(entry.of)) for entry in compiled.program.reset.variations] == [
+        ("center_of_mass", ("cart", "body")),
+        ("inertia", ("cart", "body")),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ("links: {body: {com: uniform(0 .. 1 cm)}}", "DB404"),
+        ("links: {body: {inertia: 0}}", "DB105"),
+        ("links: {body: {inertia: normal(1 +- 0.1)}}", "DB105"),
+        ("joints: {pole_hinge: {armature: 0.1 kg}}", "DB503"),
+        ("joints: {pole_hinge: {armature: -1 kg*m^2}}", "DB105"),
+    ],
+)
+def test_an_impossible_property_is_a_finding(workshop, cartpole, change: str, code: str) -> None:
+    assert [finding.code for finding in workshop.lint(cartpole(with_cart(change)))] == [code]
+
+
+@pytest.mark.parametrize("key", ["com: 0 0 1 cm", "inertia: 2"])
+def test_a_link_without_mass_has_no_center_and_no_inertia_to_change(key: str) -> None:
+    """The hand of the Panda has a frame without mass; a pattern passes over it."""
+    bare = next(link.name for link in model(api.compile("panda_reach")).links if link.inertial is None)
+    refused = f"robots.panda.links={{{bare}: {{{key}}}}}"
+    assert [finding.code for finding in api.lint("panda_reach", overrides=[refused])] == ["DB105"]
+    assert api.lint("panda_reach", overrides=[f"robots.panda.links={{'*': {{{key}}}}}"]) == []
+
+
+MOTOR = (
+    "robots.dog.actuators={legs: {type: %s, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, %s}}"
+)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ("stall_torque: 40 N*m", "`stall_torque` needs `no_load_speed`"),
+        ("no_load_speed: 20 rad/s", "`no_load_speed` needs `stall_torque`"),
+    ],
+)
+def test_a_torque_curve_needs_both_ends(keys: str, message: str) -> None:
+    findings = api.lint("quadruped", overrides=[MOTOR % ("position_motor", keys)])
+    assert [(finding.code, finding.headline) for finding in findings] == [("DB102", message)]
+
+
+def test_a_servo_without_stiffness_has_no_torque_curve(workshop, cartpole) -> None:
+    motor = "{type: position_motor, joint: pole_hinge, stall_torque: 1 N*m, no_load_speed: 5 rad/s}"
+    findings = api.lint(
+        workshop.write(cartpole()),
+        overrides=[f"robots.cart.actuators.arm={motor}", "robots.cart.apply.arm=0 rad"],
+    )
+    assert [(finding.code, finding.headline) for finding in findings] == [
+        ("DB102", "`stall_torque` needs `stiffness`")
+    ]

@@ -11,10 +11,22 @@ import pytest
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
-from deepbots_cli.frames import quaternion
-from deepbots_cli.port import ZERO_VECTOR, View
+from deepbots_cli.frames import IDENTITY_FRAME, quaternion
+from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel, WorldParameter
-from deepbots_cli.robots.model import Box, Geometry, Inertial, Joint, Link, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Geometry,
+    Inertial,
+    Joint,
+    Link,
+    Pose,
+    RobotModel,
+    Sphere,
+    with_center,
+    with_joint,
+    with_link,
+)
 from deepbots_cli.scenario.world import World
 
 TURNED = quaternion(0.4, -0.3, 1.1)
@@ -77,6 +89,102 @@ def test_the_torque_of_a_spring_is_limited_and_damped(engine_name, worlds, build
         assert torque()[0] == pytest.approx(expected, rel=0.01)
 
 
+STALL, NO_LOAD, LIMIT = 8.0, 10.0, 5.0
+"""Stall torque (N m), no-load speed (rad/s) and limit (N m) of a motor on the hinge of `Worlds.rotor`."""
+
+
+@pytest.mark.parametrize("kind", ["torque_motor", "position_motor"])
+@pytest.mark.parametrize(
+    ("velocity", "wanted", "expected"),
+    [
+        (0.0, 99.0, LIMIT),
+        (2.0, 99.0, LIMIT),
+        (6.0, 99.0, STALL * 0.4),
+        (6.0, 1.5, 1.5),
+        (12.0, 99.0, 0.0),
+        (6.0, -99.0, -LIMIT),
+        (-4.0, 99.0, LIMIT),
+        (-6.0, -99.0, -STALL * 0.4),
+    ],
+)
+def test_the_torque_of_a_motor_falls_with_its_speed(
+    engine_name, worlds, build, kind, velocity, wanted, expected
+):
+    engine = build(engine_name, worlds.rotor(timestep=0.0001, substeps=1))
+    gains, curve = ([10.0], [0.5]), {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
+    drive = getattr(engine, kind)(
+        "robot", ["hinge"], [LIMIT], *(gains if kind == "position_motor" else ()), **curve
+    )
+    engine.set_joint("robot", "hinge", 0.3, velocity)
+    drive([wanted if kind == "torque_motor" else 0.3 + (wanted + 0.5 * velocity) / 10.0])
+    engine.step(1)
+    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(expected, abs=1e-9)
+    inertia = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2)
+    gained = engine.joint_states("robot", ["hinge"])()[0][1] - velocity
+    assert gained == pytest.approx(expected / inertia * 0.0001, abs=2e-6)
+
+
+def test_a_motor_approaches_its_no_load_speed_by_an_exponential(engine_name, worlds, build):
+    """Its torque is renewed in each engine step of one timestep, and with the next episode begins anew."""
+    engine = build(engine_name, worlds.rotor(timestep=0.2, substeps=2000))
+    curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
+    drive = engine.torque_motor("robot", ["hinge"], [100.0], **curve)
+    rate = STALL / NO_LOAD / (ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2))
+    for _ in range(2):
+        engine.reset()
+        drive([100.0])
+        engine.step(2000)
+        speed = engine.joint_states("robot", ["hinge"])()[0][1]
+        assert speed == pytest.approx(NO_LOAD * (1.0 - exp(-rate * 0.2)), rel=1e-3)
+    drive([1.0])
+    engine.step(1)
+    assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(1.0)
+
+
+def test_a_motor_without_a_curve_takes_over_from_one_with_a_curve(worlds, build):
+    engine = build("mujoco", worlds.rotor(timestep=0.001, substeps=1))
+    curved = engine.torque_motor("robot", ["hinge"], [5.0], stall_torque=[1.0], no_load_speed=[1.0])
+    plain = engine.torque_motor("robot", ["hinge"], [4.0])
+    torque = engine.joint_torques("robot", ["hinge"])
+    for drive, expected in ((curved, 1.0), (plain, 4.0)):
+        engine.reset()
+        for each in (plain, curved, drive):
+            each([100.0])
+        engine.step(1)
+        assert torque()[0] == pytest.approx(expected)
+
+
+def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, build):
+    world = with_varying_center(worlds.rotor(timestep=0.01, substeps=5), "arm")
+    engine = build("mujoco", world)
+    drive, read = engine.velocity_motor("robot", ["hinge"], [2.0]), engine.joint_states("robot", ["hinge"])
+    curved = engine.torque_motor("robot", ["hinge"], [9.0], stall_torque=[3.0], no_load_speed=[9.0])
+
+    def begin(armature: float, offset: float, factor: float) -> None:
+        engine.reset()
+        engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
+        engine.set_parameter("center_of_mass", ("robot", "arm"), offset, 0.0, 0.0)
+        engine.set_parameter("inertia", ("robot", "arm"), factor)
+
+    def follow() -> list[tuple[float, float]]:
+        course = []
+        for target in (20.0, 20.0, -5.0, 3.0):
+            engine.step(5)
+            course += read()
+            drive([target])
+        return course
+
+    for write in (drive, curved):
+        begin(0.5, 0.1, 2.0)
+        write([30.0])
+        engine.step(5)
+        kept, expected = engine.snapshot(), follow()
+        begin(0.1, -0.2, 0.5)
+        follow()
+        engine.restore(kept)
+        assert follow() == expected
+
+
 def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
     push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])
@@ -88,6 +196,129 @@ def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_na
         push([2.0])
         engine.step(1)
         assert read()[0][1] == pytest.approx(2.0 / ((mass or 1.0) + 0.1) * 0.01, rel=0.01)
+
+
+ARM_MASS, ARM_INERTIA, ARM_CENTER = 2.0, 0.02, (0.3, 0.1, 0.0)
+"""Of the link of `Worlds.rotor`: mass (kg), moment of inertia about its center (kg m^2), center (m)."""
+
+
+def spin_up(engine) -> float:
+    """The moment of inertia (kg m^2) about the hinge of `Worlds.rotor`, from the speed that a torque of 2 N m
+    gives in 1 ms."""
+    engine.torque_motor("robot", ["hinge"], [10.0])([2.0])
+    engine.step(1)
+    return 2.0 * 0.001 / engine.joint_states("robot", ["hinge"])()[0][1]
+
+
+def test_a_factor_scales_the_inertia_beside_the_mass_until_the_next_reset(engine_name, worlds, build):
+    engine = build(engine_name, worlds.rotor(timestep=0.001, substeps=1))
+    arm = ("robot", "arm")
+    for mass, factor in ((None, None), (None, 5.0), (3.0, 5.0), (3.0, None), (None, None)):
+        engine.reset()
+        if factor is not None:
+            engine.set_parameter("inertia", arm, factor)
+        if mass is not None:
+            engine.set_parameter("mass", arm, mass)
+        share = (mass or ARM_MASS) / ARM_MASS
+        expected = ARM_INERTIA * share * (factor or 1.0) + ARM_MASS * share * (0.3**2 + 0.1**2)
+        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
+    with pytest.raises(EngineError, match="cannot be multiplied by 0"):
+        engine.set_parameter("inertia", arm, 0.0)
+
+
+def with_varying_center(world: WorldModel, name: str) -> WorldModel:
+    """The world, in which episodes may move the center of mass of a link of its robot."""
+    (robot,) = world.robots
+    link = replace(robot.model.link(name), center_varies=True)
+    return replace(world, robots=(replace(robot, model=with_link(robot.model, link)),))
+
+
+def test_the_center_of_mass_moves_until_the_next_reset(engine_name, worlds, build):
+    fixed = worlds.rotor(timestep=0.001, substeps=1)
+    arm = ("robot", "arm")
+    engine = build(engine_name, fixed)
+    with pytest.raises(EngineError, match="center"):
+        engine.set_parameter("center_of_mass", arm, 0.1, 0.0, 0.0)
+    if "center_of_mass" not in engine.capabilities:
+        with pytest.raises(EngineError, match="such as 'arm' of 'robot'; write a fixed `com`, or use"):
+            build(engine_name, with_varying_center(fixed, "arm"))
+        return
+    engine = build(engine_name, with_varying_center(fixed, "arm"))
+    for x, y in ((0.0, 0.0), (-0.3, -0.1), (0.2, -0.4), (0.0, 0.0)):
+        engine.reset()
+        if x or y:
+            engine.set_parameter("center_of_mass", arm, x, y, 0.0)
+        expected = ARM_INERTIA + ARM_MASS * ((0.3 + x) ** 2 + (0.1 + y) ** 2)
+        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
+
+
+def course_of_a_ball(engine: Engine, offset: tuple[float, float, float] | None) -> np.ndarray:
+    """A ball that is pushed at its origin while it falls and rolls: pose, velocity, contact force and a ray
+    after each timestep."""
+    engine.reset()
+    if offset is not None:
+        engine.set_parameter("center_of_mass", ("robot", "ball"), *offset)
+    read, push = engine.motion("robot"), engine.pusher(("robot", None))
+    force, ray = engine.contact_force(("robot", None)), engine.rays(("robot", None), [IDENTITY_FRAME], 1.0)
+    course = []
+    for _ in range(60):
+        push((0.0, 3.0, 0.0), ZERO_VECTOR)
+        engine.step(5)
+        (position, turned), (linear, angular) = read()
+        course.append([*position, *turned, *linear, *angular, force(), *ray()])
+    return np.array(course)
+
+
+def test_a_center_of_mass_that_an_episode_moves_is_that_of_a_model_with_it(build):
+    """Shapes and pushes at the origin of the link stay where they are."""
+    ball = (Geometry(Sphere(0.1)),)
+    link = Link("ball", Inertial(1.0, ixx=0.004, iyy=0.004, izz=0.004), ball, ball)
+    model, offset = RobotModel("ball", (link,), (), root="ball"), (0.03, 0.02, -0.01)
+
+    def world(model: RobotModel) -> WorldModel:
+        return WorldModel(0.01, 5, robots=(RobotBody("robot", model, pose=Pose((0, 0, 0.3))),))
+
+    moved = course_of_a_ball(build("mujoco", world(with_center(model, "ball", offset))), None)
+    engine = build("mujoco", with_varying_center(world(model), "ball"))
+    for moves in (True, False, True):
+        course = course_of_a_ball(engine, offset if moves else None)
+        assert np.allclose(course, moved, atol=1e-6) is moves
+
+
+def test_an_armature_adds_to_the_inertia_at_its_joint(engine_name, worlds, build):
+    rotor = worlds.rotor(timestep=0.001, substeps=1)
+    (robot,) = rotor.robots
+    geared = replace(rotor, robots=(replace(robot, model=with_joint(robot.model, "hinge", armature=0.3)),))
+    message = "a joint cannot have an armature in .*, such as 'hinge' of 'robot'; remove `armature`"
+    if "armature" not in build(engine_name, rotor).capabilities:
+        with pytest.raises(EngineError, match=message):
+            build(engine_name, geared)
+        with pytest.raises(EngineError, match="`joint_armature` of 'robot' 'hinge'"):
+            build(engine_name, rotor).set_parameter("joint_armature", ("robot", "hinge"), 0.3)
+        return
+    engine = build(engine_name, geared)
+    usual = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2)
+    for armature in (None, 0.1, 0.0, None):
+        engine.reset()
+        if armature is not None:
+            engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
+        expected = usual + (0.3 if armature is None else armature)
+        assert spin_up(engine) == pytest.approx(expected, rel=0.001)
+
+
+def test_a_velocity_motor_moves_a_joint_with_the_armature_of_the_episode(worlds, build):
+    """Its limit accelerates the joint, which reads the torque of the motor alone."""
+    engine = build("mujoco", worlds.rotor(timestep=0.001, substeps=1))
+    drive = engine.velocity_motor("robot", ["hinge"], [2.0])
+    for armature in (0.5, 0.1, 0.5):
+        engine.reset()
+        engine.set_parameter("joint_armature", ("robot", "hinge"), armature)
+        for _ in range(10):
+            drive([1000.0])
+            engine.step(1)
+        inertia = ARM_INERTIA + ARM_MASS * (0.3**2 + 0.1**2) + armature
+        assert engine.joint_states("robot", ["hinge"])()[0][1] == pytest.approx(0.02 / inertia, rel=0.001)
+        assert engine.joint_torques("robot", ["hinge"])()[0] == pytest.approx(2.0, rel=0.001)
 
 
 def test_a_new_mass_scales_the_inertia_along(engine_name, worlds, build):

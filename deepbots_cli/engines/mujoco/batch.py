@@ -25,6 +25,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli import frames
+from deepbots_cli.engines.curves import TorqueCurve, torque_curve
 from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
@@ -50,7 +51,7 @@ MOTOR_FIELDS = (
 )
 """The arrays of a model that motors write."""
 VARIED_FIELDS = ("opt.gravity", *VARIED_ARRAYS)
-OBSERVED_FIELDS = ("geom_group", "body_mass", "body_subtreemass")
+OBSERVED_FIELDS = ("geom_group", "body_mass", "body_ipos", "body_subtreemass")
 """The arrays of a model that positions, velocities and rays depend on."""
 FORCE_SLOTS = 32
 """Contacts of a link whose forces a batch adds up."""
@@ -155,8 +156,8 @@ class BatchMember(EngineProxy):
     contact_force = partialmethod(_of_columns, "contact_force")
     joint_torques = partialmethod(_of_columns, "joint_torques")
 
-    def _motor(self, kind: str, *given: Any) -> MotorWriter:
-        return self._batch.motor(kind, *given, world=self._index).writer(self._index)
+    def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
+        return self._batch.motor(kind, *given, **curve, world=self._index).writer(self._index)
 
     velocity_motor = partialmethod(_motor, "velocity")
     position_motor = partialmethod(_motor, "position")
@@ -168,7 +169,9 @@ class MuJoCoBatch:
     use."""
 
     name = "mujoco"
-    capabilities: frozenset[Any] = frozenset({"contacts", "mimic"})
+    capabilities: frozenset[Any] = frozenset(
+        {"contacts", "mimic", "armature", "center_of_mass", "torque_curve"}
+    )
 
     def __init__(self, world: WorldModel, count: int) -> None:
         """Create a batch, whose worlds are stepped by as many threads as there are cores for this process."""
@@ -192,6 +195,9 @@ class MuJoCoBatch:
         self._weighed: dict[int, Column] = {}
         """The worlds whose mean inertia is not that of the model, and the armature that it was computed
         with."""
+        self._armature: Column | None = None
+        """The armature of each world without the part that velocity motors add, from the first episode on
+        that sets one."""
         self.acts_in_substeps = False
         """Whether members act in each substep."""
         self._pushes: list[Pushes] = []
@@ -305,7 +311,12 @@ class MuJoCoBatch:
             if len(worlds):
                 links = pushes.links[worlds]
                 turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
-                applied[worlds, links] += pushes.take(worlds, turned, self.nominal.body_ipos[links].T)
+                centers = (
+                    self.rows["body_ipos"][worlds, links]
+                    if "body_ipos" in self.rows
+                    else self.nominal.body_ipos[links]
+                )
+                applied[worlds, links] += pushes.take(worlds, turned, centers.T)
         return applied
 
     def take_commands(self) -> None:
@@ -337,6 +348,8 @@ class MuJoCoBatch:
         self.attached, self._has_changes = index, True
         for name, rows in self.rows.items():
             rows[index] = _field(self.nominal, name)
+        if self._armature is not None:
+            self._armature[index] = self.nominal.dof_armature
         if self._weighed.pop(index, None) is not None:
             self._batch.set_const([index])
         self._stale.discard(index)
@@ -385,6 +398,7 @@ class MuJoCoBatch:
         if world.is_stale:
             if world.settle_values():
                 self._stale.add(index)
+            self._take_armature(index)
             for name in VARIED_FIELDS:
                 if name not in self.rows and not np.array_equal(
                     _field(world.model, name), _field(self.nominal, name)
@@ -395,6 +409,24 @@ class MuJoCoBatch:
             self.rows[name][index] = _field(world.model, name)
         self._memories[index] = self._remembered = world.memory()
         self._forget()
+
+    def _take_armature(self, index: int) -> None:
+        """Copy the armature that an episode has set to its world."""
+        usual, nominal = self._world.armature, self.nominal.dof_armature
+        if self._armature is None and not np.array_equal(usual, nominal):
+            self._armature = np.tile(nominal, (self.count, 1))
+        if self._armature is not None:
+            self._armature[index] = self.rows["dof_armature"][index] = usual
+
+    def usual_armature(self, worlds: Any, dofs: Any) -> Column:
+        """Return the armature of these degrees of freedom without the part that velocity motors add: a row
+        per world of these, or one for all."""
+        usual: Column
+        if self._armature is None:
+            usual = self.nominal.dof_armature[dofs][None]
+            return usual
+        usual = self._armature[_cells(worlds, dofs)]
+        return usual
 
     def _weigh(self, index: int, armature: Column) -> None:
         """Compute the values that depend on the masses of a world."""
@@ -449,13 +481,13 @@ class MuJoCoBatch:
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
         dofs = self.nominal.jnt_dofadr[list(self.single._joints(robot, joints))]
-        usual = self.nominal.dof_armature[dofs][:, None]
         for name in ("qfrc_actuator", "qacc"):
             self._output(name)
 
         def read() -> Any:
-            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])
-            return self._state("qfrc_actuator")[dofs] - (armature[dofs] - usual) * self._state("qacc")[dofs]
+            armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
+            added = armature - self.usual_armature(slice(None), dofs).T
+            return self._state("qfrc_actuator")[dofs] - added * self._state("qacc")[dofs]
 
         return read
 
@@ -634,13 +666,45 @@ class MuJoCoBatch:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self.motor("velocity", robot, joints, max_torque)
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self.motor("torque", robot, joints, max_torque)
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        return self.motor(
+            "torque",
+            robot,
+            joints,
+            max_torque,
+            stall_torque=stall_torque,
+            no_load_speed=no_load_speed,
+        )
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
-        return self.motor("position", robot, joints, max_torque, stiffness, damping)
+        return self.motor(
+            "position",
+            robot,
+            joints,
+            max_torque,
+            stiffness,
+            damping,
+            stall_torque=stall_torque,
+            no_load_speed=no_load_speed,
+        )
 
     def motor(
         self,
@@ -649,30 +713,37 @@ class MuJoCoBatch:
         joints: Sequence[str],
         limits: Sequence[float],
         *gains: Gain,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
         world: int | None = None,
     ) -> BatchMotor:
-        """Return the motor of this kind on the same joints of all worlds, with these limits and gains in one
-        of them or in all."""
+        """Return the motor of this kind on the same joints of all worlds, with these limits, gains and curve
+        of torques in one of them or in all."""
         stiffness, damping = gains or (None, None)
+        curve = torque_curve(stall_torque, no_load_speed)
+        worlds = slice(None) if world is None else slice(world, world + 1)
         numbers = self.single._joints(robot, joints)
-        key = kind, numbers, stiffness is None
+        key = kind, numbers, stiffness is None, curve is None
         if key not in self.motors:
             is_servo = kind == "position" and stiffness is None
             rate = motors.servo_rate(self.nominal) if is_servo else 0.0
-            motor = (
-                TrackingMotor(self, numbers, rate)
-                if kind == "velocity" or is_servo
-                else BatchMotor(self, numbers)
-            )
+            motor: BatchMotor
+            if kind == "velocity" or is_servo:
+                motor = TrackingMotor(self, numbers, rate)
+            elif curve is not None:
+                motor = CurvedMotor(self, numbers)
+            else:
+                motor = BatchMotor(self, numbers)
             for other in self.motors.values():
                 if not set(other.joints).isdisjoint(numbers):
                     motor.rivals.append(other)
                     other.rivals.append(motor)
             self.motors[key] = motor
-        self.motors[key].bind(
-            slice(None) if world is None else slice(world, world + 1), limits, stiffness, damping
-        )
-        return self.motors[key]
+        bound = self.motors[key]
+        bound.bind(worlds, limits, stiffness, damping)
+        if isinstance(bound, CurvedMotor) and curve is not None:
+            bound.bind_curve(worlds, curve)
+        return bound
 
 
 class Observer:
@@ -840,7 +911,7 @@ class BatchMotor:
         bias[acts] = 0.0
         if self._is_spring:
             bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
-        rows["dof_armature"][dofs] = self._model.dof_armature[self._dofs]
+        rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
         rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
         rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = (
             not self.is_soft,
@@ -861,6 +932,34 @@ class BatchMotor:
         self._is_active[world] = self._is_given[world] = self.waits[world] = False
 
 
+class CurvedMotor(BatchMotor):
+    """A motor whose largest torque falls with its speed; see `TorqueCurve.bounds`, which computes the same
+    for one world."""
+
+    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
+        super().__init__(batch, joints)
+        self._stall, self._fastest = np.zeros(self._targets.shape), np.ones(self._targets.shape)
+
+    def bind_curve(self, worlds: slice, curve: TorqueCurve) -> None:
+        """Set the curve of some worlds."""
+        self._stall[worlds], self._fastest[worlds] = curve
+
+    def _activate(self, worlds: Column) -> None:
+        super()._activate(worlds)
+        self.waits[worlds] = True
+
+    def renew(self, goes: Column) -> None:
+        worlds = np.flatnonzero(self.waits & goes)
+        if not len(worlds):
+            return
+        stall, limits = self._stall[worlds], self._limits[worlds]
+        share = self._batch.qvel[_cells(worlds, self._dofs)] / self._fastest[worlds]
+        low, high = (
+            np.minimum(np.maximum(end, 0.0), limits) for end in (stall * (1.0 + share), stall * (1.0 - share))
+        )
+        self._batch.rows["actuator_forcerange"][_cells(worlds, self._acts)] = np.stack([-low, high], axis=-1)
+
+
 class TrackingMotor(BatchMotor):
     """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.tracking_writer`, which computes
     the same for one world."""
@@ -872,7 +971,7 @@ class TrackingMotor(BatchMotor):
         model, self._rate, self._step = self._model, rate, self._model.opt.timestep
         self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
-        self._usual, self._moved = model.dof_armature[self._dofs], 1.0 / model.dof_invweight0[self._dofs]
+        self._moved = 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = motors.MAX_GAIN * inertias / self._step
         self._least = 4.0 * inertias * rate if rate else inertias / self._step
         self._gains = np.full(self._targets.shape, np.nan)
@@ -909,7 +1008,8 @@ class TrackingMotor(BatchMotor):
         bias[..., 2][_cells(worlds, self._acts)] = -gains
         if self._rate:
             bias[..., 1][_cells(worlds, self._acts)] = -gains * self._rate
-        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = self._usual + added
+        usual = batch.usual_armature(worlds, self._dofs)
+        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = usual + added
         batch.rows["dof_invweight0"][_cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
         return aimed
 
@@ -943,7 +1043,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
         model.opt.jacobian,
         model.stat.meaninertia,
     )
-    for name in ("dof_simplenum", *VARIED_ARRAYS):
+    for name in ("dof_simplenum", "body_sameframe", "geom_sameframe", *VARIED_ARRAYS):
         getattr(compiled, name)[:] = getattr(model, name)
     return compiled
 

@@ -8,6 +8,7 @@ from math import inf
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
+from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
@@ -57,7 +58,10 @@ class MuJoCoEngine:
         self._substep_callbacks: list[Callable[[], object]] = []
         self._renderer = cameras.WorldRenderer(world, self._world)
         drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
-        self.capabilities: frozenset[Capability] = drawing | {"contacts", "mimic", "snapshot"}
+        self.capabilities: frozenset[Capability] = drawing | {
+            *("contacts", "mimic", "snapshot"),
+            *("armature", "center_of_mass", "torque_curve"),
+        }
         self.reset()
 
     # Time
@@ -173,15 +177,33 @@ class MuJoCoEngine:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return self._motor(robot, joints, max_torque).tracking_writer()
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self._motor(robot, joints, max_torque).torque_writer()
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        curve = torque_curve(stall_torque, no_load_speed)
+        return self._motor(robot, joints, max_torque).torque_writer(curve)
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
         motor = self._motor(robot, joints, max_torque)
-        rate = motors.servo_rate(self._world.model)
-        return motor.tracking_writer(rate) if stiffness is None else motor.spring_writer(stiffness, damping)
+        if stiffness is None:
+            return motor.tracking_writer(motors.servo_rate(self._world.model))
+        return motor.spring_writer(stiffness, damping, torque_curve(stall_torque, no_load_speed))
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._pool(part[0]).bind_current(

@@ -190,6 +190,11 @@ class ModelBuilder:
             body.geoms = {name: [geom.id for geom in element] for name, element in geoms.items()}
             body.root_id = body.links[body.model.root]
             body.mocap_index = int(model.body_mocapid[body.root_id])
+            for link in body.model.links:
+                if link.center_varies:
+                    # MuJoCo reads no place of a center at the origin, or of a geom at the center.
+                    model.body_sameframe[body.links[link.name]] = mj.mjtSameFrame.mjSAMEFRAME_NONE
+                    model.geom_sameframe[body.geoms[link.name]] = mj.mjtSameFrame.mjSAMEFRAME_NONE
             if not body.fixed:
                 first = model.body_jntadr[body.root_id]
                 body.position_index, body.velocity_index = (
@@ -406,6 +411,7 @@ class ModelBuilder:
             else:
                 tensor = _without_excess(tensor)
         element.explicitinertial = True
+        element.simple = not link.center_varies
         element.mass, element.ipos = mass, at
         if mass > 0.0:
             element.fullinertia = (
@@ -442,6 +448,7 @@ class ModelBuilder:
             range=(low, max(high, low + 1e-9)),
             damping=joint.damping,
             frictionloss=joint.friction,
+            armature=joint.armature,
             solref_limit=self._response,
             solimp_limit=CONTACT_IMPEDANCE,
             solref_friction=self._response,

@@ -13,6 +13,7 @@ from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
+    from deepbots_cli.engines.curves import TorqueCurve
     from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
@@ -35,10 +36,7 @@ class Motors:
         self.gain_updates: dict[Motor, Callable[[], None]] = {}
         """The functions to call before each engine step, for motors whose limits keep them from their
         targets."""
-        self.nominal_armature, self.nominal_inverse_inertia = (
-            world.model.dof_armature.copy(),
-            world.model.dof_invweight0.copy(),
-        )
+        self.nominal_inverse_inertia = world.model.dof_invweight0.copy()
         self.actuators = {
             joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())
         }
@@ -78,8 +76,8 @@ class Motors:
         exerted = world.data.qfrc_actuator
         armature = model.dof_armature
         accelerations = world.data.qacc
-        usual = self.nominal_armature[dofs]
-        return lambda: (exerted[dofs] - (armature[dofs] - usual) * accelerations[dofs]).tolist()
+        usual = world.armature
+        return lambda: (exerted[dofs] - (armature[dofs] - usual[dofs]) * accelerations[dofs]).tolist()
 
 
 class Motor:
@@ -108,7 +106,7 @@ class Motor:
         model = self._world.model
         ranges = [(-limit, limit) for limit in self._limits]
         model.actuator_biasprm[self._actuators] = 0.0
-        model.dof_armature[self._dof_index] = self._motors.nominal_armature[self._dof_index]
+        model.dof_armature[self._dof_index] = self._world.armature[self._dof_index]
         model.dof_invweight0[self._dof_index] = self._motors.nominal_inverse_inertia[self._dof_index]
         model.actuator_forcelimited[self._actuators] = not soft
         model.actuator_forcerange[self._actuators] = ranges
@@ -116,19 +114,37 @@ class Motor:
         model.jnt_actfrcrange[self._joint_index] = ranges
         self._motors.activate(self)
 
-    def torque_writer(self) -> MotorWriter:
+    def _activate_curve(self, curve: TorqueCurve | None) -> None:
+        """Bound the torques by the speed before each engine step, if there is a curve."""
+        if curve is None:
+            return
+        ranges, acts, limits = self._world.model.actuator_forcerange, self._actuators, self._limits
+        velocity = array_reader(self._world.data.qvel, self._dof_index)
+
+        def renew() -> None:
+            ranges[acts] = curve.bounds(velocity(), limits)
+
+        self._motors.gain_updates[self] = renew
+
+    def torque_writer(self, curve: TorqueCurve | None = None) -> MotorWriter:
         ctrl, acts, limits = self._world.data.ctrl, self._actuators, self._limits
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
+                self._activate_curve(curve)
             ctrl[acts] = [
                 min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)
             ]
 
         return write
 
-    def spring_writer(self, stiffness: Sequence[float], damping: Sequence[float] | None) -> MotorWriter:
+    def spring_writer(
+        self,
+        stiffness: Sequence[float],
+        damping: Sequence[float] | None,
+        curve: TorqueCurve | None = None,
+    ) -> MotorWriter:
         """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
         * velocity`."""
         ctrl, acts, bias = self._world.data.ctrl, self._actuators, self._world.model.actuator_biasprm
@@ -137,6 +153,7 @@ class Motor:
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
+                self._activate_curve(curve)
                 bias[acts, 1], bias[acts, 2] = [-k for k in stiffness], [-d for d in damping]
             ctrl[acts] = [k * target for k, target in zip(stiffness, targets, strict=True)]
 
@@ -158,7 +175,7 @@ class Motor:
         step, renewed = model.opt.timestep, self._motors.gain_updates
         velocity = array_reader(data.qvel, self._dof_index)
         position = array_reader(data.qpos, self._position_index)
-        usual = self._motors.nominal_armature[self._dof_index].tolist()
+        usual: list[float] = []
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
@@ -177,7 +194,7 @@ class Motor:
         width = model.actuator_biasprm.shape[1]
         acts = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
-        by_joint = list(zip(acts, [width * act for act in acts], dofs, usual, moved, strict=True))
+        by_joint = list(zip(acts, [width * act for act in acts], dofs, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
             wanted = (
@@ -190,8 +207,10 @@ class Motor:
             if gains == self.gains and targets == self.targets:
                 return
             if gains != self.gains:
+                if not self.gains:  # the motor begins, perhaps in an episode with another armature
+                    usual[:] = self._world.armature[self._dof_index].tolist()
                 self.gains = gains
-                for gain, (_, place, dof, own, inertia) in zip(gains, by_joint, strict=True):
+                for gain, own, (_, place, dof, inertia) in zip(gains, usual, by_joint, strict=True):
                     added = gain * step
                     bias[place + 2] = -gain
                     armature[dof] = own + added
@@ -259,10 +278,14 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
     world."""
     model, data = world.model, world.data
     applied, turned = data.xfrc_applied[link], data.xquat[link]
-    center = tuple(model.body_ipos[link].tolist())
-    centered = center == ZERO_VECTOR
+    varies, place = link in world.varying_centers, model.body_ipos[link]
+    center = tuple(place.tolist())
+    centered = center == ZERO_VECTOR and not varies
 
     def push(force: Triple, torque: Triple) -> None:
+        nonlocal center
+        if varies:
+            center = tuple(place.tolist())
         if frame == "link" or not centered:
             world.update_positions()
             w, x, y, z = turned.tolist()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from math import atan2, exp, pi, sqrt
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 FULL_STATE = int(mj.mjtState.mjSTATE_INTEGRATION)
 VARIED_ARRAYS = (
-    *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "body_gravcomp"),
+    *("body_mass", "body_inertia", "body_ipos"),
+    *("body_subtreemass", "body_invweight0", "body_gravcomp"),
     *(
         "dof_invweight0",
         "dof_M0",
@@ -42,6 +43,8 @@ VARIED_ARRAYS = (
     *("geom_group", "pair_friction", "pair_dim", "pair_solref", "pair_solimp"),
 )
 """The arrays of a model that an episode may change, and the arrays computed from them."""
+MASS, OWN = range(2)
+"""The factors on the inertia of a link: that of its mass, and its own."""
 LATERAL, SPINNING, ROLLING, RESTITUTION = range(4)
 _SURFACE = {
     "lateral_friction": LATERAL,
@@ -88,6 +91,17 @@ class MujocoWorld:
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
         """The functions that read and write the memories of other objects in an episode; a reset restores
         their first values."""
+        self.varying_centers = frozenset(
+            body.links[link.name]
+            for pool in pools
+            for body in pool
+            for link in body.model.links
+            if link.center_varies
+        )
+        """The links whose center of mass an episode may move."""
+        self._inertia_factors = np.ones((model.nbody, 2))
+        self.armature = model.dof_armature.copy()
+        """The armature of the present episode, to which velocity motors add."""
         self.surfaces = np.zeros((model.ngeom, 4))
         for pool in pools:
             for body in pool:
@@ -130,6 +144,8 @@ class MujocoWorld:
             model.opt.gravity,
             self.surfaces,
             *(getattr(model, name) for name in VARIED_ARRAYS),
+            self._inertia_factors,
+            self.armature,
         ]
         self._nominal = [np.array(values) for values in self._varied_arrays]
         self.update_constants()
@@ -275,12 +291,8 @@ class MujocoWorld:
                 self.model.opt.gravity[:] = values
             case "light":
                 (self.light,) = values
-            case "joint_damping" | "joint_friction":
-                body = self.body(owner[0])
-                dof = self.model.jnt_dofadr[find(body.joints, owner[1], f"'{owner[0]}' has no joint")]
-                (self.model.dof_damping if parameter == "joint_damping" else self.model.dof_frictionloss)[
-                    dof
-                ] = values[0]
+            case "joint_damping" | "joint_friction" | "joint_armature":
+                self._set_joint(parameter, owner[0], owner[1], values[0])
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
@@ -289,6 +301,8 @@ class MujocoWorld:
                     self.colors[owner[0], link] = values
                 elif parameter == "mass":
                     self._set_mass(body, place, values[0])
+                elif parameter in ("inertia", "center_of_mass"):
+                    self._set_inertial(parameter, body, place, values)
                 else:
                     self.surfaces[body.geoms[link], _SURFACE[parameter]] = values[0]
                     self._friction_changed = True
@@ -296,22 +310,73 @@ class MujocoWorld:
     def body(self, name: str) -> Body:
         return find(self.require_open().pools, name, "the world has no body").current
 
+    def _set_joint(
+        self,
+        parameter: Literal["joint_damping", "joint_friction", "joint_armature"],
+        robot: str,
+        joint: str,
+        value: float,
+    ) -> None:
+        body, model = self.body(robot), self.model
+        dof = model.jnt_dofadr[find(body.joints, joint, f"'{robot}' has no joint")]
+        if parameter == "joint_damping":
+            model.dof_damping[dof] = value
+        elif parameter == "joint_friction":
+            model.dof_frictionloss[dof] = value
+        else:
+            model.dof_armature[dof] = self.armature[dof] = value
+            self._mass_changed = True
+
     def _set_mass(self, body: Body, link: int, mass: float) -> None:
         """Set the mass of a link, and scale its inertia. The base of a fixed body keeps its mass, which has
         no effect."""
         if body.fixed and link == body.root_id:
             return
-        masses, moments = (
-            self._nominal[2 + VARIED_ARRAYS.index(name)] for name in ("body_mass", "body_inertia")
-        )
-        usual = float(masses[link])
+        usual = float(self._nominal_values("body_mass")[link])
         if not (usual > 0.0 and mass > 0.0):
             raise EngineError(
                 f"the mass of a link of '{body.name}' cannot go from {usual:g} kg to {mass:g} kg"
             )
         self.model.body_mass[link] = mass
-        self.model.body_inertia[link] = moments[link] * (mass / usual)
+        self._inertia_factors[link, MASS] = mass / usual
+        self._update_inertia(link)
+
+    def _set_inertial(
+        self,
+        parameter: Literal["inertia", "center_of_mass"],
+        body: Body,
+        link: int,
+        values: Sequence[float],
+    ) -> None:
+        """Set the factor on the inertia of a link, or the offset of its center of mass. Neither has an effect
+        on the base of a fixed body."""
+        if body.fixed and link == body.root_id:
+            return
+        if parameter == "center_of_mass":
+            self._move_center(body, link, values)
+            return
+        if not values[0] > 0.0:
+            raise EngineError(f"the inertia of a link of '{body.name}' cannot be multiplied by {values[0]:g}")
+        self._inertia_factors[link, OWN] = values[0]
+        self._update_inertia(link)
+
+    def _update_inertia(self, link: int) -> None:
+        of_mass, own = self._inertia_factors[link].tolist()
+        self.model.body_inertia[link] = self._nominal_values("body_inertia")[link] * of_mass * own
         self._mass_changed = True
+
+    def _move_center(self, body: Body, link: int, offset: Sequence[float]) -> None:
+        """Move the center of mass of a link by an offset (m, axes of the link)."""
+        if link not in self.varying_centers:
+            raise EngineError(
+                f"the center of mass of a link of '{body.name}' is fixed; build the world with"
+                " `center_varies` of the link"
+            )
+        self.model.body_ipos[link] = self._nominal_values("body_ipos")[link] + offset
+        self._mass_changed = True
+
+    def _nominal_values(self, name: str) -> FloatArray:
+        return self._nominal[2 + VARIED_ARRAYS.index(name)]
 
     def _update_contact_pairs(self) -> None:
         """Set the friction and restitution of all pairs.
@@ -329,9 +394,8 @@ class MujocoWorld:
         model.pair_dim[:] = np.where(
             rolling > 0.0, 6, np.where(spinning > 0.0, 4, np.where(sliding > 0.0, 3, 1))
         )
-        model.pair_solref[:], model.pair_solimp[:] = (
-            self._nominal[2 + VARIED_ARRAYS.index(name)] for name in ("pair_solref", "pair_solimp")
-        )
+        model.pair_solref[:] = self._nominal_values("pair_solref")
+        model.pair_solimp[:] = self._nominal_values("pair_solimp")
         bounces = one[RESTITUTION] * other[RESTITUTION]
         for place in np.flatnonzero(bounces > 0.0):
             model.pair_solref[place] = bounce_spring(float(bounces[place]), model.opt.timestep)

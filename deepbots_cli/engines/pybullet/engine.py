@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import (
@@ -104,7 +105,7 @@ class PyBulletEngine:
     """One world: about 29 MB until it is closed or dropped, and its readers and writers with it."""
 
     name = "pybullet"
-    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering"})
+    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering", "torque_curve"})
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
@@ -332,19 +333,46 @@ class PyBulletEngine:
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)
 
-    def torque_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return motors.torque_motor(self._client, *self._joints(robot, joints), max_torque)
+    def torque_motor(
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
+    ) -> MotorWriter:
+        body, indices = self._joints(robot, joints)
+        curve = torque_curve(stall_torque, no_load_speed)
+        if curve is None:
+            return motors.torque_motor(self._client, body, indices, max_torque)
+        read = self.joint_states(robot, joints)
+        return self._drive(motors.CurvedMotor(self._client, body, indices, read, max_torque, curve), body)
 
     def position_motor(
-        self, robot: str, joints: Sequence[str], max_torque: Sequence[float], stiffness: Gain, damping: Gain
+        self,
+        robot: str,
+        joints: Sequence[str],
+        max_torque: Sequence[float],
+        stiffness: Gain,
+        damping: Gain,
+        *,
+        stall_torque: Gain = None,
+        no_load_speed: Gain = None,
     ) -> MotorWriter:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        springs = motors.Springs(
-            self._client, body, indices, self.joint_states(robot, joints), max_torque, stiffness, damping
-        )
-        self._springs[body, indices] = springs
+        curve, of = torque_curve(stall_torque, no_load_speed), (self._client, body, indices)
+        read = self.joint_states(robot, joints)
+        if curve is None:
+            return self._drive(motors.Springs(*of, read, max_torque, stiffness, damping), body)
+        return self._drive(motors.CurvedMotor(*of, read, max_torque, curve, stiffness, damping), body)
+
+    def _drive(self, springs: motors.Springs, body: int) -> MotorWriter:
+        """Let springs renew their torques in every engine step, in place of earlier ones on the same
+        joints."""
+        self._springs[body, springs.indices] = springs
         self._substeps.drives[:] = [each.apply for each in self._springs.values()]
         return springs.set_targets
 

@@ -20,6 +20,7 @@ from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
 if TYPE_CHECKING:
+    from deepbots_cli.engines.curves import TorqueCurve
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Triple
     from deepbots_cli.port import JointReader, MotorWriter, Pusher, TorqueReader
@@ -129,6 +130,43 @@ class Springs:
                 for k, d, low, high, target, state in zip(*self._columns, targets, self._read(), strict=True)
             ]
             self._exert(torques)
+
+
+class CurvedMotor(Springs):
+    """Springs, or motors with target torques where `stiffness` is None, whose largest torque falls with their
+    speed."""
+
+    def __init__(
+        self,
+        client: int,
+        body: int,
+        indices: Sequence[int],
+        read: JointReader,
+        max_torque: Sequence[float],
+        curve: TorqueCurve,
+        stiffness: Sequence[float] | None = None,
+        damping: Sequence[float] | None = None,
+    ) -> None:
+        nothing = [0.0] * len(indices)
+        super().__init__(client, body, indices, read, max_torque, stiffness or nothing, damping)
+        self._is_spring, self._curve = stiffness is not None, curve
+
+    def apply(self) -> None:
+        targets = self._targets
+        if targets is None:
+            return
+        states, (stiffness, damping, _, limits) = self._read(), self._columns
+        wanted = targets
+        if self._is_spring:
+            wanted = [
+                k * (target - state[0]) - d * state[1]
+                for k, d, target, state in zip(stiffness, damping, targets, states, strict=True)
+            ]
+        bounds = self._curve.bounds([state[1] for state in states], limits)
+        self.torques = [
+            min(max(torque, low), high) for torque, (low, high) in zip(wanted, bounds, strict=True)
+        ]
+        self._exert(self.torques)
 
 
 def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:

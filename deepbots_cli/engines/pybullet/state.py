@@ -73,7 +73,8 @@ class Body:
         self._back = frames.inverse(self.principal)
         self._parallel = self.principal == frames.IDENTITY_ROTATION
         self.initial_pose: Frame = IDENTITY_FRAME
-        self._weights: dict[int, tuple[float, Triple]] = {}
+        self._factors: dict[int, tuple[float, float]] = {}
+        """The factors on mass and inertia of links, and the further factors on their inertia."""
 
     def dynamics(self, index: int) -> Dynamics:
         """Return the dynamics of a link as it was loaded: read, and so kept, before anything varies."""
@@ -87,16 +88,27 @@ class Body:
 
     def scale_mass(self, index: int, factor: float) -> None:
         """Multiply the mass with which a link was loaded by a factor, and its inertia."""
-        loaded = self.dynamics(index)
-        self._weights[index] = loaded.mass * factor, frames.scaled(loaded.moments, factor)
+        self._scale(index, factor, self._factors.get(index, (1.0, 1.0))[1])
+
+    def scale_inertia(self, index: int, factor: float) -> None:
+        """Multiply the inertia with which a link was loaded by a factor, beside that of its mass."""
+        self._scale(index, self._factors.get(index, (1.0, 1.0))[0], factor)
+
+    def _scale(self, index: int, of_mass: float, of_inertia: float) -> None:
+        self.dynamics(index)  # reads it before it changes
+        self._factors[index] = of_mass, of_inertia
         if not self.suspended:
             self._apply_weight(index)
 
     def _apply_weight(self, index: int) -> None:
         """Set mass and inertia in one call: a mass alone would get the inertia of the link's shape."""
-        mass, moments = self._weights[index]
+        loaded, (of_mass, of_inertia) = self.dynamics(index), self._factors[index]
         p.changeDynamics(
-            self.number, index, mass=mass, localInertiaDiagonal=moments, physicsClientId=self._client
+            self.number,
+            index,
+            mass=loaded.mass * of_mass,
+            localInertiaDiagonal=frames.scaled(frames.scaled(loaded.moments, of_mass), of_inertia),
+            physicsClientId=self._client,
         )
 
     def deactivate(self) -> None:
@@ -110,7 +122,7 @@ class Body:
         """Move again, with the mass that was set."""
         if self.suspended:
             self.suspended = False
-            if BASE_LINK not in self._weights:
+            if BASE_LINK not in self._factors:
                 self.scale_mass(BASE_LINK, 1.0)
             self._apply_weight(BASE_LINK)
 
@@ -273,7 +285,10 @@ class Parameters:
         if parameter in _CONTACT_PARAMETERS:
             self._set_contact(_CONTACT_PARAMETERS[parameter], *owner, *values)  # type: ignore[arg-type]
         else:
-            getattr(self, f"_set_{parameter}")(*owner, *values)
+            set_value = getattr(self, f"_set_{parameter}", None)
+            if set_value is None:
+                raise EngineError(f"PyBullet cannot set `{parameter}` of {' '.join(map(repr, owner))}")
+            set_value(*owner, *values)
 
     def _body(self, name: str) -> Body:
         return find(self._pools, name, "the world has no body").current
@@ -299,6 +314,16 @@ class Parameters:
             )
         owner.scale_mass(index, mass / usual)
         self._undo["mass", owner.number, index] = partial(owner.scale_mass, index, 1.0)
+
+    def _set_inertia(self, body: str, link: str, factor: float) -> None:
+        """Multiply the inertia of a link. That of the base of a fixed body has no effect."""
+        owner, index = self._link(body, link)
+        if index == BASE_LINK and owner.fixed:
+            return
+        if not factor > 0.0:
+            raise EngineError(f"the inertia of a link of '{owner.name}' cannot be multiplied by {factor:g}")
+        owner.scale_inertia(index, factor)
+        self._undo["inertia", owner.number, index] = partial(owner.scale_inertia, index, 1.0)
 
     def _set_contact(self, name: str, body: str, link: str, value: float) -> None:
         """Set one property per call: with two in one call, one was set on the root link."""
