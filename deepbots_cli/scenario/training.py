@@ -403,6 +403,7 @@ class RslPPO(Training):
 
     import_path = "deepbots_cli.learning.rsl.learner:RslLearner"
     on_policy = True
+    has_critic = True
     acts_by = frozenset({"ranges"})
 
     algorithm: Literal["rsl_rl.PPO"]

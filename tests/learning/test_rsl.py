@@ -59,6 +59,20 @@ def policy(training: Training = SHORT, **settings: Any) -> RslLearner:
     return made
 
 
+def test_only_the_critic_sees_the_values_of_the_critic() -> None:
+    wide, columns = gym.spaces.Box(-1.0, 1.0, (5,), np.float32), (0, 3)
+    made = learner.create(Setup(SHORT, wide, RANGES, policy_columns=columns))
+    assert isinstance(made, RslLearner)
+    seen = np.random.default_rng(1).uniform(-1, 1, (4, 5)).astype(np.float32)
+    other = seen.copy()
+    other[:, [1, 2, 4]] += 0.5
+    actions = [made.predict(rows, deterministic=True)[0] for rows in (seen, other, seen[:, list(columns)])]
+    np.testing.assert_array_equal(actions[0], actions[1])
+    np.testing.assert_array_equal(actions[0], actions[2])
+    assert made.algorithm.critic.mlp[0].in_features == 5
+    assert made.network().layers[0].in_features == 2
+
+
 def scalars_of(folder: Path) -> EventAccumulator:
     events = EventAccumulator(str(folder / "tensorboard"), size_guidance={"scalars": 0})
     events.Reload()

@@ -37,9 +37,8 @@ try:
 except ModuleNotFoundError as error:
     raise MissingExtraError("rsl", "training with rsl_rl.PPO") from error
 
-_GROUP = "policy"
-"""The name of the only group of observations."""
-_GROUPS = {"actor": [_GROUP], "critic": [_GROUP]}
+_GROUPS = {"actor": ["policy"], "critic": ["critic"]}
+"""The group of observations that each network gets: the numbers of the policy, and all numbers."""
 _ACTIVATIONS = {"leaky_relu": "lrelu", "silu": "swish"}
 """The activation functions to which RSL-RL gives another name."""
 _DISTRIBUTION = ("init_std", "std_type", "learn_std")
@@ -92,7 +91,7 @@ class RslLearner(ArrayLearner):
     @torch.no_grad()
     def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         actor = self.algorithm.actor
-        means = _outputs(actor, observations)
+        means = _outputs(actor, self._own(_tensor(observations)))
         if not means.isfinite().all():
             raise RunError(NOT_FINITE)
         with overflow_explained():
@@ -119,7 +118,7 @@ class RslLearner(ArrayLearner):
             RunError: An action is not finite, because the weights of the run are too large.
         """
         actor = self.algorithm.actor
-        actions = _outputs(actor, observation)
+        actions = _outputs(actor, self._own(_tensor(observation)))
         if not actions.isfinite().all():
             raise RunError(NOT_FINITE)
         if not deterministic:
@@ -133,6 +132,16 @@ class RslLearner(ArrayLearner):
         space = self.setup.action_space
         assert isinstance(space, spaces.Box)
         return np.asarray(np.clip(actions.numpy(), space.low, space.high))
+
+    def _own(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return the numbers that the policy sees, of observations of a training or of the policy alone."""
+        columns = self.setup.policy_columns
+        if columns is None or observations.shape[-1] == len(columns):
+            return observations
+        return observations[..., list(columns)]
+
+    def _grouped(self, observations: torch.Tensor) -> TensorDict:
+        return _grouped(self._own(observations), observations)
 
     # Learning
 
@@ -162,14 +171,16 @@ class RslLearner(ArrayLearner):
         """Put a fragment into the storage, with returns and advantages."""
         algorithm, storage = self.algorithm, self.algorithm.storage
         observations = _tensor(fragment.observations)
-        values = algorithm.critic(_grouped(observations.flatten(0, 1))).reshape(*fragment.rewards.shape, 1)
+        values = algorithm.critic(self._grouped(observations.flatten(0, 1))).reshape(
+            *fragment.rewards.shape, 1
+        )
         ends = np.stack([*fragment.starts[1:], fragment.following_starts])
         rewards = self._rewards(fragment, ends)
         columns = {name: _tensor(column) for name, column in fragment.columns.items()}
         parameters = [name for name in columns if name.startswith(_parameter(""))]
         for step in range(len(rewards)):
             transition = RolloutStorage.Transition()
-            transition.observations = _grouped(observations[step])
+            transition.observations = self._grouped(observations[step])
             transition.actions, transition.actions_log_prob = (
                 columns["action"][step],
                 columns["log_probs"][step],
@@ -178,7 +189,7 @@ class RslLearner(ArrayLearner):
             transition.values = values[step]
             transition.rewards, transition.dones = rewards[step], torch.from_numpy(ends[step])
             storage.add_transition(transition)
-        algorithm.compute_returns(_grouped(_tensor(fragment.following)))
+        algorithm.compute_returns(self._grouped(_tensor(fragment.following)))
 
     def _rewards(self, fragment: Fragment, ends: Array) -> torch.Tensor:
         """Return the rewards, normalized if the scenario sets this. At a time limit, the value of the state
@@ -191,7 +202,7 @@ class RslLearner(ArrayLearner):
         limits = [(step, ending) for step, ending in fragment.endings if ending.timed_out]
         if limits:
             last = _tensor(np.stack([ending.observation for _, ending in limits]))
-            values = self.algorithm.critic(_grouped(last)).flatten()
+            values = self.algorithm.critic(self._grouped(last)).flatten()
             places = tuple(torch.tensor([(step, ending.row) for step, ending in limits]).T)
             rewards[places] += self.algorithm.gamma * values
         return rewards
@@ -237,9 +248,9 @@ class RslLearner(ArrayLearner):
 
     @torch.no_grad()
     def values(self, observations: Sequence[Any]) -> Array | None:
-        if not observations:
+        if not observations or self.setup.policy_columns is not None:  # they lack what the critic sees
             return None
-        values = self.algorithm.critic(_grouped(_tensor(np.stack(observations))))
+        values = self.algorithm.critic(self._grouped(_tensor(np.stack(observations))))
         return np.asarray(values.flatten().numpy(), float)
 
     def network(self) -> PolicyNetwork:
@@ -289,7 +300,9 @@ def _check_batches(algorithm: PPO, samples: int) -> None:
 def _algorithm(setup: Setup, settings: dict[str, Any], rows: int, steps: int) -> PPO:
     """Create the algorithm with its networks, and a storage for so many steps of each row."""
     training = setup.training
-    seen = _grouped(torch.zeros(rows, *(setup.observation_space.shape or ())))
+    (width,) = setup.observation_space.shape or ()
+    own_width = width if setup.policy_columns is None else len(setup.policy_columns)
+    seen = _grouped(torch.zeros(rows, own_width), torch.zeros(rows, width))
     (actions,) = setup.action_space.shape or ()
     networks = {
         "hidden_dims": list(training.network.hidden),
@@ -323,10 +336,10 @@ def _fill_optimizer(optimizer: torch.optim.Optimizer) -> None:
             tensor.zero_()
 
 
-def _outputs(model: Any, observations: Array) -> torch.Tensor:
+def _outputs(model: Any, observations: torch.Tensor) -> torch.Tensor:
     """Return the outputs of a network for rows of observations, without the dictionary that the library wraps
     them in."""
-    outputs: torch.Tensor = model.mlp(model.obs_normalizer(_tensor(observations)))
+    outputs: torch.Tensor = model.mlp(model.obs_normalizer(observations))
     return outputs
 
 
@@ -340,8 +353,8 @@ def _normalizing(layer: nn.Linear, normalizer: Any) -> nn.Linear:
     return combined
 
 
-def _grouped(observations: torch.Tensor) -> TensorDict:
-    return TensorDict({_GROUP: observations}, batch_size=observations.shape[:1])
+def _grouped(own: torch.Tensor, whole: torch.Tensor) -> TensorDict:
+    return TensorDict({"policy": own, "critic": whole}, batch_size=whole.shape[:1])
 
 
 def _tensor(array: Array) -> torch.Tensor:
