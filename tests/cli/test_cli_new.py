@@ -115,6 +115,7 @@ ROBOTS = {
     "cartpole": "upright",
     "cartpole_rail": "upright",
     "a1": "legs",
+    "biped": "legs",
     "panda": "arm",
     "roller": "moves away",
     "quadrotor": "rotors",
@@ -146,8 +147,25 @@ def test_what_has_legs_walks_the_way_that_its_body_is_long(deepbots, tmp_path, r
     pytest.importorskip("pybullet_data")
     deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
-    assert f"clamp(v.{way} / (m/s)" in text
+    assert f"exp(-((v.{way} - speed)^2" in text
     assert ("roll: 90 deg" in text) is (way == "y")
+
+
+@pytest.mark.parametrize(
+    ("robot", "feet"),
+    [("a1", [{"FR_toe", "RL_toe"}, {"FL_toe", "RR_toe"}]), ("biped", [{"left_foot"}, {"right_foot"}])],
+)
+def test_a_legged_robot_begins_with_springs_a_gait_and_a_batch_of_worlds(deepbots, tmp_path, robot, feet):
+    deepbots("new", "first", "--urdf", robot, "--json")
+    program = api.compile(tmp_path / "first.yaml").program
+    (motor,) = program.robots[0].actuators
+    assert motor.stiffness is not None
+    assert (program.engine, program.agent.training.environments) == ("mujoco", 256)
+    groups = yaml.safe_load((tmp_path / "first.yaml").read_text())["robots"]["robot"]["groups"]
+    assert sorted(sorted(groups[name]) for name in ("feet_a", "feet_b")) == sorted(map(sorted, feet))
+    if robot == "a1":
+        stood = deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json")
+        assert json.loads(stood.out)["summary"]["mean_length"] > 100
 
 
 def test_every_shipped_robot_is_among_those_that_are_tried():

@@ -17,7 +17,7 @@ GRAVITY = 9.81
 class Draft:
     """The parts of a robot's entry that depend on its joints; the templates read them by these names.
 
-    `motors` maps actuators to (type, group, max_torque), `commands` to their `apply` expressions, `starts`
+    `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions, `starts`
     groups to poses.
     """
 
@@ -25,7 +25,7 @@ class Draft:
     urdf: str
     groups: dict[str, list[str]] = field(default_factory=dict)
     poses: dict[str, dict[str, str]] = field(default_factory=dict)
-    motors: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    motors: dict[str, tuple[str, str, dict[str, str]]] = field(default_factory=dict)
     commands: dict[str, str] = field(default_factory=dict)
     starts: dict[str, str] = field(default_factory=dict)
     positions: dict[str, float] = field(default_factory=dict)
@@ -43,6 +43,13 @@ class Draft:
         self.groups[name] = [joint.name for joint in joints]
         return name
 
+    def links(self, name: str, links: Sequence[str]) -> str:
+        """Add a group of links. Returns its name."""
+        model = self.build.model
+        name = _unused(name, [*(link.name for link in model.links), *(joint.name for joint in model.joints)])
+        self.groups[name] = list(links)
+        return name
+
     def start(self, group: str, name: str, positions: Mapping[str, float], joints: Sequence[Joint]) -> str:
         """Add a pose of a group in which episodes begin. Returns its name."""
         name = _unused(name, [group])
@@ -52,19 +59,27 @@ class Draft:
         self.positions |= rounded
         return name
 
-    def motor(self, name: str, kind: str, group: str, joints: Sequence[Joint], command: str) -> None:
-        """Add a motor for a group. If the file names no effort, the motor is strong enough for the robot's
-        weight."""
-        strength = ""
+    def motor(
+        self,
+        name: str,
+        kind: str,
+        group: str,
+        joints: Sequence[Joint],
+        command: str,
+        gains: Mapping[str, str] | None = None,
+    ) -> None:
+        """Add a motor for a group, with the settings `gains`. If the file names no effort, the motor is strong
+        enough for the robot's weight."""
+        settings = dict(gains or {})
         if not all(joint.limit.effort for joint in joints):
             weight = max(self.build.mass, 0.1) * GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
-            strength = (
+            settings["max_torque"] = (
                 f"{short_number(2.0 * weight)} N"
                 if joints[0].type == "prismatic"
                 else f"{short_number(weight * arm)} N*m"
             )
-        self.motors[name] = (kind, group, strength)
+        self.motors[name] = (kind, group, settings)
         self.commands[name] = command
 
     def hold(self, joints: Sequence[Joint]) -> None:

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from math import atan2, degrees, hypot, inf, radians
+from math import atan2, degrees, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
 from deepbots_cli.cli.starters.draft import GRAVITY, Draft, by_unit
 from deepbots_cli.cli.starters.text import short_number
-from deepbots_cli.frames import Triple, quaternion
+from deepbots_cli.engine_kinds import ENGINES
+from deepbots_cli.frames import Quaternion, Triple, quaternion
 from deepbots_cli.robots.model import Joint
 
 _PARALLEL = 0.999
 """The cosine of the angle between axes that count as parallel."""
 _TIP_TOLERANCE = 0.02
 """The largest distance of the tip of a limb from its target, as a fraction of the limb's reach."""
+_STIFFNESS_PER_LOAD = 0.7
+"""The stiffness of a leg's motors (N m/rad), per torque of the weight at the length of a leg (N m): as the quadruped
+that comes with deepbots has, about."""
+_DAMPING_PER_STIFFNESS = 0.015
+"""In s. Laikago of pybullet_data shakes at 0.025 in substeps of 5 ms, and stands at 0.015."""
 _STANDING_LEG_SHARE = 0.75
 """The length of a standing leg, as a fraction of its reach."""
 
@@ -147,8 +153,16 @@ def walk(draft: Draft) -> dict[str, object]:
     joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
     group = draft.group("legs", joints)
     draft.start(group, "stand", positions, joints)
-    draft.motor("motors", "position_motor", group, joints, "stand + swing * stride")
+    reach = max(limb.reach for limb in build.limbs)
+    load = build.mass * GRAVITY * reach
+    gains = {
+        "stiffness": f"{short_number(_STIFFNESS_PER_LOAD * load)} N*m/rad",
+        "damping": f"{short_number(_DAMPING_PER_STIFFNESS * _STIFFNESS_PER_LOAD * load)} N*m*s/rad",
+    }
+    draft.motor("motors", "position_motor", group, joints, "stand + swing * stride", gains)
     draft.hold([joint for joint in build.driven if joint not in joints])
+    first, second = _gait(build, tilt)
+    feet = {"first": draft.links("feet_a", first), "second": draft.links("feet_b", second)}
     hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
     height = build.height(positions, tilt)
@@ -162,7 +176,26 @@ def walk(draft: Draft) -> dict[str, object]:
         "height": height,
         "chassis": build.chassis,
         "place": place,
+        "feet": feet,
+        "tips": [*first, *second],
+        "lift": 0.18 * reach,
+        "beat": 0.5 * sqrt(reach / 0.4),
+        "load": load / 4,
+        "engine": "mujoco" if ENGINES["mujoco"].is_installed else "",
     }
+
+
+def _gait(build: Build, tilt: Quaternion) -> tuple[list[str], list[str]]:
+    """Return the feet that swing first and those that swing second: legs around the body in turn, so that a
+    quadruped trots."""
+    hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
+    middle = [sum(hip[axis] for hip in hips) / len(hips) for axis in (0, 1)]
+    order = sorted(
+        range(len(hips)),
+        key=lambda leg: atan2(hips[leg][1] - middle[1], hips[leg][0] - middle[0]),
+    )
+    tips = [build.limbs[leg].tip for leg in order]
+    return tips[::2], tips[1::2]
 
 
 def roam(draft: Draft) -> dict[str, object]:
