@@ -114,9 +114,10 @@ class Environment:
 
 
 def _files(folder: Path, package: str) -> Iterator[Path]:
-    (record,) = folder.glob(f"{package.replace('-', '_')}-*.dist-info/RECORD")
-    for line in record.read_text(encoding="utf-8").splitlines():
-        yield folder / line.rsplit(",", 2)[0].strip('"')
+    # A requirement of another platform is not installed.
+    for record in folder.glob(f"{package.replace('-', '_')}-*.dist-info/RECORD"):
+        for line in record.read_text(encoding="utf-8").splitlines():
+            yield folder / line.rsplit(",", 2)[0].strip('"')
 
 
 def required(package: str, extras: Sequence[str] = ()) -> dict[str, None]:
