@@ -76,7 +76,7 @@ class Worker:
             self._inbox.put((self, None))
 
     def send(self, message: bytes | None) -> None:
-        with suppress(OSError):  # the process was lost, which the thread reports
+        with suppress(OSError, ValueError):  # the process was lost, or its pipe is closed already
             pickle.dump(message, self._pipe)
             self._pipe.flush()
 
@@ -169,6 +169,9 @@ class LocalProcesses:
 
     def _send(self, owed: Owed, function: Callable[..., object], *arguments: object) -> Owed:
         content = pickle.dumps((function, arguments))
+        if owed.worker not in self._alive:  # it was lost between two calls
+            owed.result = ("lost", owed.worker.end())
+            return owed
         owed.worker.owed.append(owed)
         owed.worker.send(content)
         return owed

@@ -49,7 +49,7 @@ class Process(NamedTuple):
 
 def processes() -> list[Process]:
     lines = subprocess.run(
-        ["ps", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     found = [line.split(maxsplit=7) for line in lines if "<defunct>" not in line]
     return [

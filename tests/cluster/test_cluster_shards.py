@@ -7,6 +7,7 @@ import csv
 import os
 import signal
 import subprocess
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses, Owed, Worker
+from deepbots_cli.cluster.worker_pool import WorkerLost
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.executor import SERIAL, Executor
@@ -105,7 +107,7 @@ def workers() -> list[int]:
 
 def children(name: str) -> list[int]:
     processes = subprocess.run(
-        ["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
     found = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
@@ -152,3 +154,28 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(tmp_path: Pat
             trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", SERIAL)
+
+
+class Echo:
+    """Work of a worker: it returns what it gets."""
+
+    def work(self, value: int) -> int:
+        return value
+
+
+def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> None:
+    with LocalProcesses(2) as processes:
+        killed, other = processes.start(Echo), processes.start(Echo)
+        answers = [processes.ask(worker, "work", 1) for worker in (killed, other)]
+        processes.wait(answers, count=2)
+        killed.process.kill()
+        killed.process.wait()
+        processes.wait([processes.ask(other, "work", 2)])  # meanwhile its end is noticed
+        processes.wait([], timeout_s=0.0)
+        deadline = time.monotonic() + 20.0
+        while not killed.process.stdin.closed and time.monotonic() < deadline:  # type: ignore[union-attr]
+            processes.wait([processes.ask(other, "work", 3)])
+        lost = processes.ask(killed, "work", 4)
+        assert processes.wait([lost], timeout_s=20.0) == [lost]
+        with pytest.raises(WorkerLost, match="ended by SIGKILL"):
+            processes.answer(lost)

@@ -86,6 +86,7 @@ WORDS = frozenset(
     (
         *(
             "when",
+            "else",
             "not",
             "and",
             "or",

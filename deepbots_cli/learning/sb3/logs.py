@@ -76,9 +76,11 @@ class TrainingLog(Logger):
 
     def restore(self, pending: Pending) -> None:
         values, counts, excluded = pending
+        if not values.keys() <= excluded.keys():
+            raise ValueError("the pending scalars and those with loggers to leave out have other names")
         self.name_to_value.update({name: number_of(value) for name, value in values.items()})
         self.name_to_count.update(counts)
-        self.name_to_excluded.update({name: tuple(names) for name, names in excluded.items()})
+        self.name_to_excluded.update({name: tuple(excluded[name]) for name in values})
 
 
 def encoded(value: Any) -> Any:
