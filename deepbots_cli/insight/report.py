@@ -432,8 +432,6 @@ class Report:
             folder, ((name, figure) for name, _, figure in self.figures("light") if figure is not None)
         )
 
-    # The page
-
     def html(self) -> str:
         """Return the page."""
         dark = {name: figure for name, _, figure in self.figures("dark")}

@@ -45,12 +45,12 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
-"""The number of short episodes of the policy, of random actions and without commands, and their steps at
-most; and the steps of a constant action."""
+"""The number of short episodes of each driver (policy, random actions, no commands), the largest number of their
+steps, and the number of steps of an episode with a constant action."""
 
 SCRIPT_EPISODES = 8
-"""The number of whole episodes of each script: from 8 successes of 8 follows a success rate of 68 % or
-more."""
+"""The number of whole episodes of each script. If all 8 succeed, the lower end of the 95 % interval (Wilson) of the
+success rate is 68 %."""
 
 FAILED_EPISODES = 6
 """The number of episodes without success of the quoted evaluation that are repeated."""
@@ -174,8 +174,6 @@ class TrainingEvidence:
         """Whether the present stage has had half of its share of the planned steps, so that a missing success
         may never come."""
         return self.stage_steps >= 0.5 * self.planned / max(1, len(self.stages))
-
-    # Episodes
 
     @property
     def has_failed(self) -> bool:

@@ -35,7 +35,7 @@ MAX_CHECK_INTERVAL = 2_000
 training it checks earlier."""
 
 OnEvaluation = Callable[[Path], str | None]
-"""Called after each evaluation of a training with the run directory. Returns the name of who stops the
+"""Called after each evaluation of a training with the run directory. Returns the name of what stops the
 training, or None to continue."""
 
 
@@ -60,12 +60,12 @@ class TrainingCallback:
     """Called by the learner after every step of all rows.
 
     Every `check_interval` steps it checks for evaluations, scalars and the progress display; in every step it
-    checks whether to stop. A model with a number that is not finite is refused, so the last good one stays.
+    checks whether to stop. A model with a parameter that is not finite is refused, so the last good one is kept.
 
     Attributes:
         evaluation_seconds: Time of evaluations and confirmations in this process, without the choice of the
             best model.
-        stopped_by: Who stopped the training after an evaluation.
+        stopped_by: What stopped the training after an evaluation, such as `patience`; None if nothing did.
     """
 
     def __init__(self, active: ActiveTraining, on_evaluation: OnEvaluation | None = None) -> None:
@@ -137,7 +137,8 @@ class TrainingCallback:
         )
 
     def restore(self, state: CallbackState) -> None:
-        if self._until_solved:  # a training that continued after its confirmation stops at the next one
+        if self._until_solved:
+            # It was solved before, with --full. Without this, no confirmation would follow.
             self.active.statistics.solved_at = None
         self._next_check = state.next_beat
         self.confirmations.count, self.confirmations.steps = state.confirmations, state.confirmation_steps
@@ -264,7 +265,8 @@ class TrainingCallback:
         return not self._is_ending
 
     def on_collected(self) -> None:
-        # The update that follows changes the weights; so it is in each checkpoint, too.
+        # The update that follows changes the weights. A checkpoint comes after it, so the flag is always true
+        # there, and is not kept.
         self.evaluations.has_new_weights = True
         # Always False between two rollouts of a checkpoint, which therefore does not keep it.
         if self._check_passed:

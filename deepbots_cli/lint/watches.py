@@ -210,9 +210,9 @@ class TiltWatch:
 
 # Arms
 
-_DISTANCE_TOLERANCE_M = 0.005  # m
+_DISTANCE_TOLERANCE_M = 0.005  # a search that succeeds ends within 0.1 um
 _ANGLE_TOLERANCE = radians(1.0)
-"""The tolerance of the angle of a pose, in rad. A search that succeeds ends within 0.1 um."""
+"""The tolerance of the angle of a pose, in rad."""
 _LARGE_TURN = radians(90.0)
 _MAX_TURNING_DISTANCE_M = 0.2
 """The distance (m) beyond which the start of an arm, such as stretched out, makes it turn on its way."""

@@ -152,7 +152,7 @@ class SensorErrors:
 
 
 def _nothing(_generator: Any = None) -> None:
-    """Do nothing, as most instruments at a reset and between two readings."""
+    """Do nothing. This is the default at a reset and between two readings."""
 
 
 class Lookup(Protocol):

@@ -336,7 +336,7 @@ def record(
     *,
     steps: int | None = None,
 ) -> list[WorldFrame]:
-    """Record episodes of a seed in a new file. Yields the last frame of each.
+    """Record episodes of a seed in a new file, and return the last frame of each.
 
     Args:
         path: Replaced whole, at the end.

@@ -43,6 +43,7 @@ _EXTRAS = {
     "sim": "simulation",
     "train": "training",
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
+    "rsl": "rsl_rl.PPO",
     "view": "the page of view and play",
     "editor": "the language server",
     "export": "policies as ONNX",
@@ -51,6 +52,7 @@ _EXTRAS = {
     "cluster": "--cluster",
     "tune": "searches by tune",
     "robot": "policies on a robot",
+    "sign": "signatures of exported policies",
 }
 """The purpose of each extra. The metadata of the installation name its packages."""
 

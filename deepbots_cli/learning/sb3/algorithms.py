@@ -246,7 +246,7 @@ def takes_masks(model: BaseAlgorithm) -> bool:
 
 
 def collects_as_usual(training: Training, model: BaseAlgorithm) -> bool:
-    """Return whether the algorithm has the rollouts of the built-in one that it is or is derived from."""
+    """Return whether the algorithm collects rollouts with the method of its built-in base algorithm."""
     algorithm = _entry(training.algorithm)
     usual: Any = _imported(ALGORITHMS[algorithm.base()])
     return type(model).collect_rollouts is usual.collect_rollouts  # type: ignore[attr-defined]

@@ -28,10 +28,11 @@ _NUMBERS = "observation"
 
 
 class PolicyColumns(BaseFeaturesExtractor):
-    """The first layers of a policy: those for its own columns of an observation (rows, numbers).
+    """The features extractor of a policy, which passes on only the columns of the policy, of an observation of
+    shape (rows, numbers).
 
     Attributes:
-        inner: The first layers for an observation of the policy.
+        inner: The features extractor for an observation of the policy.
         space: The space of such an observation.
     """
 
@@ -92,9 +93,6 @@ def _padded(space: gym.Space[Any], columns: Sequence[int], numbers: Array) -> Ar
     return padded
 
 
-# Classes of policies
-
-
 class _OnPolicy(internals.Layers):
     """A mixin for the policies of on-policy algorithms, with `columns` on the class."""
 
@@ -108,6 +106,7 @@ class _OnPolicy(internals.Layers):
         self.pi_features_extractor = self.features_extractor = PolicyColumns(
             self.observation_space, self.columns
         )
+        # The library makes layers of policy and critic for one width: they are made for each width in turn.
         whole, self.features_dim = self.features_dim, self.features_extractor.features_dim
         build()
         own_layers, self.features_dim = self.mlp_extractor.policy_net, whole
@@ -150,7 +149,7 @@ def asymmetric(policy: type, columns: Sequence[int]) -> type:
     """Return the class of a policy whose critic sees all columns of an observation.
 
     Raises:
-        TypeError: It is no class of Stable-Baselines3 or sb3-contrib with a critic of its own.
+        TypeError: `policy` is no policy class of Stable-Baselines3 or sb3-contrib with a critic of its own.
     """
     if hasattr(policy, "make_actor"):
         mixin: type = _OffPolicy
@@ -162,5 +161,5 @@ def asymmetric(policy: type, columns: Sequence[int]) -> type:
 
 
 def policy_extractor(extractor: Any) -> Any:
-    """Return the first layers for an observation of the policy."""
+    """Return the features extractor for an observation of the policy."""
     return extractor.inner if isinstance(extractor, PolicyColumns) else extractor
