@@ -175,13 +175,14 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
         (
             ("torch",),
             "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and"
-            " TQC, policies as ONNX,"
+            " TQC, rsl_rl.PPO, policies as ONNX,"
             " --cluster, searches by tune",
         ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, the page of view and play, policies"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO, the page of view and"
+            " play, policies"
             " as ONNX,"
             " --cluster, searches by tune",
         ),
