@@ -412,7 +412,7 @@ def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[
 def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tuple[float, float]]:
     """Return a reader of the lowest point of any ray within its range, and the highest at which one begins,
     in m; (-inf, inf) while a ray meets something."""
-    assert sensor.beams is not None  # it casts rays
+    assert sensor.beams is not None  # only sensors that cast rays get here
     mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     begins = [ray[0] for ray in rays]

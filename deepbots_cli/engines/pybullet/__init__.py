@@ -73,7 +73,15 @@ def _flush() -> None:
 with capture_native_output():  # it prints the time of its build
     import pybullet
 
-__all__ = ["BASE", "FAINT", "GAINS", "STRONGEST", "UNREACHABLE", "capture_native_output", "pybullet"]
+__all__ = [
+    "BASE_LINK",
+    "DEFAULT_GAINS",
+    "NEGLIGIBLE_FORCE",
+    "UNLIMITED_FORCE",
+    "UNREACHABLE_SPEED",
+    "capture_native_output",
+    "pybullet",
+]
 
 BASE_LINK = -1  # the number of a root link
 NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would still report its last force
