@@ -59,8 +59,8 @@ class HeightGrid:
     """Heights (m) over a rectangle around the origin: `heights[row, column]`, rows along y and columns along
     x, both upwards.
 
-    Each cell is two triangles, which meet along a diagonal. A falling diagonal joins the corner at the greater
-    x and the one at the greater y, a rising one the other two.
+    Each cell is two triangles, which meet along a diagonal. A falling diagonal joins the corner at the
+    greater x and the one at the greater y, a rising one the other two.
     """
 
     heights: NDArray[np.float64]

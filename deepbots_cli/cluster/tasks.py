@@ -85,7 +85,8 @@ class Tasks:
             else:
                 outcome = _too_many_losses(call, loss)
         except Exception:
-            if not is_stopping:  # the signal may also come too late
+            # A call that is stopped may end in any error of its function: only its end matters then.
+            if not is_stopping:
                 raise
             outcome = None
         if isinstance(outcome, Refusal):

@@ -322,26 +322,25 @@ class ActuatorBindings:
                 arguments += [f"{name}={number!r}" for name, number in numbers if number is not None]
                 return f"Motor({', '.join([*arguments, *self._response_arguments(actuator)])})"
             case Motor():
-                strength = actuator.response.strength
-                arguments = [robot, self._constants.strings(actuator.joints), _limits(actuator, strength)]
-                if actuator.kind == "position_motor":
-                    gains_ = (actuator.stiffness, actuator.damping)
-                    arguments += [
-                        "None"
-                        if gain is None
-                        else constants_tuple_code([repr(strength * gain)] * len(actuator.joints))
-                        for gain in gains_
-                    ]
-                if actuator.stall_torque is not None and actuator.no_load_speed is not None:
-                    curve = (
-                        ("stall_torque", strength * actuator.stall_torque),
-                        ("no_load_speed", actuator.no_load_speed),
-                    )
-                    arguments += [
-                        f"{name}={constants_tuple_code([repr(value)] * len(actuator.joints))}"
-                        for name, value in curve
-                    ]
-                return f"engine.{actuator.kind}({', '.join(arguments)})"
+                return self._engine_motor(robot, actuator)
+
+    def _engine_motor(self, robot: str, motor: Motor) -> str:
+        """Return the code of a motor of the engine, whose values do not change within an episode."""
+        strength = motor.response.strength
+        arguments = [robot, self._constants.strings(motor.joints), _limits(motor, strength)]
+
+        def for_each_joint(value: float) -> str:
+            return constants_tuple_code([repr(value)] * len(motor.joints))
+
+        if motor.kind == "position_motor":
+            gains = (motor.stiffness, motor.damping)
+            arguments += ["None" if gain is None else for_each_joint(strength * gain) for gain in gains]
+        if motor.stall_torque is not None and motor.no_load_speed is not None:
+            arguments += [
+                f"stall_torque={for_each_joint(strength * motor.stall_torque)}",
+                f"no_load_speed={for_each_joint(motor.no_load_speed)}",
+            ]
+        return f"engine.{motor.kind}({', '.join(arguments)})"
 
     def _is_device(self, actuator: Actuator) -> bool:
         if not isinstance(actuator, Motor):

@@ -211,8 +211,6 @@ def _program(namespace: Namespace) -> Program:
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
-    if agent.training is not None and (mirror := symmetry(namespace, agent.with_critic)) is not None:
-        agent = replace(agent, training=replace(agent.training, symmetry=mirror))
     ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
         name=spec.name,
@@ -269,7 +267,7 @@ def _agent(
     period = timestep * spec.agent.action_repeat
     observations = Observations(namespace)
     observation = observations.entries()
-    return Agent(
+    agent = Agent(
         name=ONLY_AGENT,
         robots=(),
         action=action,
@@ -286,6 +284,10 @@ def _agent(
             namespace, action, each, limits.max_episode_steps(period) if limits != Truncation() else None
         ),
     )
+    mirrored = symmetry(namespace, agent.with_critic)
+    if agent.training is None or mirrored is None:
+        return agent
+    return replace(agent, training=replace(agent.training, symmetry=mirrored))
 
 
 def _joined(findings: Findings) -> Findings:

@@ -125,8 +125,8 @@ def training(
 
 
 def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
-    """Return the hyperparameters with a single value, a schedule or an adaptive rate; an unusual learning rate is a
-    finding."""
+    """Return the hyperparameters with a single value, a schedule or an adaptive rate; an unusual learning
+    rate is a finding."""
     read = []
     for name, value in own.items():
         if isinstance(value, AdaptiveRateSpec):

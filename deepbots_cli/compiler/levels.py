@@ -14,7 +14,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.draws import EpisodeDraw
 from deepbots_cli.program.levels import LIMITS, SUCCESS, Levels
 from deepbots_cli.program.values import Expression
-from deepbots_cli.scenario import levels as levels_spec
+from deepbots_cli.scenario import curriculum as curriculum_spec
 
 _TOLERANCE = 1e-9
 """Of a whole number, and of a value beyond its interval, as a share of it."""
@@ -28,7 +28,7 @@ def levels(namespace: Namespace, program: Program) -> Levels | None:
 
 
 class _LevelsReader(NamespaceReader):
-    def __init__(self, namespace: Namespace, program: Program, spec: levels_spec.Levels) -> None:
+    def __init__(self, namespace: Namespace, program: Program, spec: curriculum_spec.Levels) -> None:
         super().__init__(namespace)
         self._program = program
         self._levels = spec

@@ -325,7 +325,8 @@ class Observations(NamespaceReader):
                     "DB202",
                     entry.value.span,
                     f"the policy sees `{entry.name}` too",
-                    "remove it here, since the critic sees the whole observation; or remove it from `observation`",
+                    "remove it here, since the critic sees the whole observation; or remove it from"
+                    " `observation`",
                 )
             elif isinstance(entry, ImageObservation):
                 self._values.add(
@@ -366,12 +367,12 @@ class Observations(NamespaceReader):
         if tree is None:
             return None
         if not isinstance(tree, syntax.Name):
+            where = "augment" if section == "observation" else "signals"
             self._values.add(
                 "DB103",
                 text.span,
                 "expected a name, found an expression",
-                f"define the expression under `{'augment' if section == 'observation' else 'signals'}`, and write"
-                " its name here",
+                f"define the expression under `{where}`, and write its name here",
             )
             return None
         name = tree.parts[0]

@@ -1,4 +1,5 @@
-"""The mirror symmetry of a task, `train.symmetry`: pairs of words in names, and numbers that change their sign."""
+"""The mirror symmetry of a task, `train.symmetry`: pairs of words in names, and numbers that change their
+sign."""
 
 from __future__ import annotations
 
@@ -10,8 +11,7 @@ from typing import NamedTuple
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.program.symmetry import Mirror, Symmetry
-from deepbots_cli.program.task import Agent
+from deepbots_cli.program.task import Agent, Mirror, Symmetry
 from deepbots_cli.scenario.training import Symmetry as SymmetrySpec
 
 _PATH: NodePath = ("train", "symmetry")
@@ -19,8 +19,8 @@ _MAX_LISTED = 3
 
 
 class RangedName(NamedTuple):
-    """A number with a name: where it is in time, its unit, and its range, which maps to [-1, 1]. A truth value
-    has no range."""
+    """A number with a name: where it is in time, its unit, and its range, which maps to [-1, 1]. A truth
+    value has no range."""
 
     name: str
     steps_ago: int

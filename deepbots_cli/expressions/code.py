@@ -71,8 +71,8 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
     """Return the Python code of a function, with the code of its arguments in place of their names.
 
     Raises:
-        ValueError: It contains more than names, numbers, operators, comparisons of two, calls and `a if c else
-            b`.
+        ValueError: It contains more than names, numbers, operators, comparisons of two, calls and `a if c
+            else b`.
     """
     match node:
         case ast.Name(id=name):

@@ -45,12 +45,12 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
 
 PROBE_EPISODES, PROBE_STEPS, CONSTANT_ACTION_STEPS = 4, 300, 40
-"""The number of short episodes of each driver (policy, random actions, no commands), the largest number of their
-steps, and the number of steps of an episode with a constant action."""
+"""The number of short episodes of each driver (policy, random actions, no commands), the largest number of
+their steps, and the number of steps of an episode with a constant action."""
 
 SCRIPT_EPISODES = 8
-"""The number of whole episodes of each script. If all 8 succeed, the lower end of the 95 % interval (Wilson) of the
-success rate is 68 %."""
+"""The number of whole episodes of each script. If all 8 succeed, the lower end of the 95 % interval (Wilson)
+of the success rate is 68 %."""
 
 FAILED_EPISODES = 6
 """The number of episodes without success of the quoted evaluation that are repeated."""

@@ -60,7 +60,8 @@ class TrainingCallback:
     """Called by the learner after every step of all rows.
 
     Every `check_interval` steps it checks for evaluations, scalars and the progress display; in every step it
-    checks whether to stop. A model with a parameter that is not finite is refused, so the last good one is kept.
+    checks whether to stop. A model with a parameter that is not finite is refused, so the last good one is
+    kept.
 
     Attributes:
         evaluation_seconds: Time of evaluations and confirmations in this process, without the choice of the

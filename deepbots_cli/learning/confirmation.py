@@ -38,12 +38,12 @@ value."""
 MARGIN = 0.02
 """The margin, as a share of the success rate or of the range of returns."""
 COST_SHARE = 0.1
-"""The largest share of the steps of the training for failed confirmations. Once this share is used up, no further
-confirmation begins."""
+"""The largest share of the steps of the training for failed confirmations. Once this share is used up, no
+further confirmation begins."""
 POWER = 0.5
 """The smallest probability that a confirmation passes at a success rate halfway from the required one to 100
-%. With 100 starts, the first two confirmations of `>= 95 %` need 99 successes and the third 100, so a policy of
-97.5 % would pass with 28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
+%. With 100 starts, the first two confirmations of `>= 95 %` need 99 successes and the third 100, so a policy
+of 97.5 % would pass with 28 and 8 %. With 200 starts, it needs 194 and 195, and passes with 76 and 62 %."""
 EXPECTED = 0.25
 """The smallest mean return for which the number of starts is chosen, as a share of the way from the required
 one to the highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where
@@ -56,7 +56,8 @@ _MAX_EPISODES = 10 * MAX_SOLVED_EPISODES
 
 
 def error_level(number: int) -> float:
-    """Return the largest probability that confirmation `number`, counted from 1, passes a policy that is too weak."""
+    """Return the largest probability that confirmation `number`, counted from 1, passes a policy that is too
+    weak."""
     return FALSE_STOPS / (number * (number + 1))
 
 

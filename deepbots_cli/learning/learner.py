@@ -56,9 +56,9 @@ class Setup:
     """Arguments of a learner.
 
     `longest_episode` is in steps, `collector` is None for a policy that does not learn but acts in `rows`,
-    and `demonstrations` come from a recording that teaches. `policy_columns` are the places of the numbers that the
-    policy sees, where an observation has further ones that only a critic may see; None if the policy sees all. An
-    evaluation calls `predict` with these numbers alone. `teacher` is a policy that teaches.
+    and `demonstrations` come from a recording that teaches. `policy_columns` are the places of the numbers
+    that the policy sees, where an observation has further ones that only a critic may see; None if the policy
+    sees all. An evaluation calls `predict` with these numbers alone. `teacher` is a policy that teaches.
     """
 
     training: Training

@@ -288,8 +288,8 @@ def _defines_success(run: Path) -> bool:
 
 
 def teacher_of(run: Path) -> str | None:
-    """Return the script that teaches the policy of a run, or the file of a recording or the folder of a policy
-    that does."""
+    """Return the script that teaches the policy of a run, or the file of a recording or the folder of a
+    policy that does."""
     if (run / DEMONSTRATIONS_NAME).is_file():
         return DEMONSTRATIONS_NAME
     if (run / TEACHER_FOLDER).is_dir():

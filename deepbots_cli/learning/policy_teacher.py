@@ -1,8 +1,8 @@
 """A policy as teacher: it labels the states of a training with the actions that it would take.
 
-The policy that learns drives, and the teacher only labels (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011).
-The teacher usually sees more than the policy that learns. What it sees must be in the observation of the training,
-or in its `critic`: then its observation consists of columns of that of the training.
+The policy that learns drives, and the teacher only labels (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS
+2011). The teacher usually sees more than the policy that learns. What it sees must be in the observation of
+the training, or in its `critic`: then its observation consists of columns of that of the training.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class PolicyTeacher:
         program: The scenario of the training.
 
     Raises:
-        UsageError: The policy has a memory, another action, or sees something that the training does not compute.
+        UsageError: The policy has a memory, another action, or sees something that the training does not
+            compute.
     """
 
     def __init__(self, teacher: ModelRef, program: Program) -> None:
@@ -125,6 +126,6 @@ def _missing_text(name: str, first: str, count: int, learner: Agent) -> str:
     if any(observed.name == first for observed in learner.inputs):
         return f"the teacher {name} sees `{first}`{more} with another range or history; write the same ones"
     return (
-        f"the teacher {name} sees `{first}`{more}, which the training does not compute; list it under `critic` with"
-        " the range that the teacher has"
+        f"the teacher {name} sees `{first}`{more}, which the training does not compute; list it under `critic`"
+        " with the range that the teacher has"
     )

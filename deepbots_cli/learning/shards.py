@@ -104,16 +104,11 @@ def make_worlds(
     def options(world: int) -> Mapping[str, Any] | None:
         return None if levels is None else levels.settings(stages[world])
 
-    def draw(world: int) -> int:
-        """Return a random number that depends on the episodes of the world so far."""
-        state = json.dumps(env.random_state_of(world), sort_keys=True)
-        return derive_seed(run.record.seed, "environment", plan.numbers[world], "level", state)
-
     def next_seed(world: int) -> int | None:
         """Move a world into the present stage, or into its next level. Returns the seed with which it begins
         in another stage, else None."""
         if levels is not None:
-            stages[world] = levels.next(stages[world], outcomes[world], lambda: draw(world))
+            stages[world] = levels.next(stages[world], outcomes[world], lambda: _level_draw(plan, env, world))
             outcomes[world].clear()
             return None
         if stages[world] == plan.present():
@@ -145,6 +140,12 @@ def make_worlds(
         env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world, options=options)
     stack.callback(env.close)
     return env
+
+
+def _level_draw(plan: WorldPlan, worlds: Worlds, world: int) -> int:
+    """Return a random number that depends on the episodes of a world so far, for its next level."""
+    state = json.dumps(worlds.random_state_of(world), sort_keys=True)
+    return derive_seed(plan.run.record.seed, "environment", plan.numbers[world], "level", state)
 
 
 def outcomes_of(episode: Episode) -> list[str]:

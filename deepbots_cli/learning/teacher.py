@@ -4,8 +4,8 @@ At first the policy only imitates: the script drives some of the worlds, fewer a
 agreement, and provides its action in every state (DAgger; S. Ross, G. Gordon, D. Bagnell, AISTATS 2011). The
 critic learns meanwhile. This ends when an evaluation shows that the policy is about as good as the script, or
 after a share of all timesteps. Then the algorithm learns as usual, with an imitation loss whose weight fades.
-A recording does not drive; the policy imitates its actions in its states. Another policy does not drive either: it
-provides its action in every state.
+A recording does not drive; the policy imitates its actions in its states. Another policy does not drive
+either: it provides its action in every state.
 """
 
 from __future__ import annotations

@@ -257,8 +257,8 @@ def _check_taught_by_policy(training: Training) -> None:
     model = ALGORITHMS[training.algorithm]
     if not (model.on_policy and model.imitates):
         raise UsageError(
-            f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of that policy as"
-            " teacher"
+            f"{training.algorithm} cannot learn from the policy of a run; use PPO, or a recording of that"
+            " policy as teacher"
         )
 
 

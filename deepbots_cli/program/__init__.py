@@ -17,7 +17,6 @@ values.py        Expression, the leaf of all of these
 world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
 task.py          agents, endings, training, evaluation
-symmetry.py      the mirror images of observations and actions
 levels.py        levels of a curriculum, and how a world changes its own
 resets.py        placements, randomized parameters
 identity.py      canonical JSON, digests, interfaces
@@ -121,7 +120,8 @@ class Program:
 
     @cached_property
     def with_critic(self) -> Program:
-        """The program of the worlds of a training: the observation has the values of the critic at its end."""
+        """The program of the worlds of a training: the observation has the values of the critic at its
+        end."""
         if not self.agent.critic:
             return self
         return replace(self, agents={name: agent.with_critic for name, agent in self.agents.items()})

@@ -12,7 +12,6 @@ from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
-from deepbots_cli.program.symmetry import Symmetry
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.robots.model import Vector
 
@@ -465,7 +464,8 @@ class Schedule:
 
 @dataclass(frozen=True)
 class AdaptiveRate:
-    """A learning rate that begins at `start`, and follows the KL divergence of the policy to the target `kl`."""
+    """A learning rate that begins at `start`, and follows the KL divergence of the policy to the target
+    `kl`."""
 
     kl: float
     start: float
@@ -508,6 +508,36 @@ class Teacher:
 
     script: str
     share: float = 0.3
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A permutation of numbers with signs, between the ranges that map to [-1, 1].
+
+    The mirror image of `values` is `factors[i] * values[sources[i]] + offsets[i]`. An offset is not 0 only
+    where a range is not symmetric about 0.
+    """
+
+    sources: tuple[int, ...]
+    factors: tuple[float, ...]
+    offsets: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """The mirror images of an observation and of an action. Each is its own inverse.
+
+    Attributes:
+        observation: Of the numbers of the observation, with those of the critic.
+        ranges: Of the ranges of the action.
+        choices: The choice from which each choice of the action gets its mirror image.
+        options: For each choice, the option that is the mirror image of each option of its source.
+    """
+
+    observation: Mirror
+    ranges: Mirror
+    choices: tuple[int, ...] = ()
+    options: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -563,8 +593,8 @@ class Agent:
     `robots` are the robots that the action commands. The agent sees `frame_stack` observations in a row, and
     the goal if there is one. `reward` has the terms, whose sum is the reward. `success` names the endings
     that are a success of the agent; all others are failures. With `copies`, the agent acts for each copy of a
-    robot. `scripts` are hand-written policies for the same action. `critic` has the values that only the value
-    function of the learner gets.
+    robot. `scripts` are hand-written policies for the same action. `critic` has the values that only the
+    value function of the learner gets.
     """
 
     name: str
@@ -586,13 +616,14 @@ class Agent:
 
     @property
     def with_critic(self) -> Agent:
-        """The agent whose observation has the values of the critic at its end, as in the worlds of a training."""
+        """The agent whose observation has the values of the critic at its end, as in the worlds of a
+        training."""
         return replace(self, observation=(*self.observation, *self.critic)) if self.critic else self
 
     @property
     def policy_columns(self) -> tuple[int, ...] | None:
-        """The places of the numbers that the policy sees, in an observation with the values of the critic; None if
-        the observation has no others."""
+        """The places of the numbers that the policy sees, in an observation with the values of the critic;
+        None if the observation has no others."""
         hidden = {entry.name for entry in self.critic}
         if not any(entry.name in hidden for entry in self.observation):
             return None

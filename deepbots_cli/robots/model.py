@@ -379,8 +379,8 @@ def to_urdf(model: RobotModel) -> str:
     """Return the model as URDF text: one element per line, floats to the last digit, meshes by the path in
     the model.
 
-    `reader.read_bytes(to_urdf(model).encode(), ...)` gives an equal model, except for fields that URDF lacks, such as
-    the armature. Engines load this text, never the user's own file.
+    `reader.read_bytes(to_urdf(model).encode(), ...)` gives an equal model, except for fields that URDF lacks,
+    such as the armature. Engines load this text, never the user's own file.
     """
     colors: dict[Color, str] = {}
     links = [line for link in model.links for line in _link(link, colors)]

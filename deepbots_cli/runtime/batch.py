@@ -97,7 +97,8 @@ class EpisodeHistories:
         self._first = np.zeros(worlds, int)
 
     def begin(self, worlds: Sequence[int]) -> None:
-        """Begin the episodes of some worlds with the next action; actions that no episode has are forgotten."""
+        """Begin the episodes of some worlds with the next action; actions that no episode has are
+        forgotten."""
         self._first[worlds] = len(self.actions)
         if (ended := int(self._first.min())) > 1000:
             del self.actions[:ended]

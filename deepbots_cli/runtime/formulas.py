@@ -293,7 +293,8 @@ class Hold(Memory):
 
 
 class LowPass(Memory):
-    """A first-order low-pass filter with the time constant `tau` (s), discretized with the backward Euler method."""
+    """A first-order low-pass filter with the time constant `tau` (s), discretized with the backward Euler
+    method."""
 
     def advance(self, x: float, tau: float) -> Any:
         self.kept = self.kept + (x - self.kept) * (self.timestep / (tau + self.timestep))
@@ -349,8 +350,8 @@ class RisingEdge(Memory):
 
 
 class VectorMemory(Memory):
-    """The memory of a stateful function for a whole vector. It takes between 1/70 and 1/2 of the time of a memory for
-    each component."""
+    """The memory of a stateful function for a whole vector. It takes between 1/70 and 1/2 of the time of a
+    memory for each component."""
 
     component: ClassVar[type[Memory]]
     """The memory of a single component, which gives the same values."""

@@ -8,7 +8,7 @@ search.py       the search spaces of `tune`
 world.py        the sections of the world
 sensors.py      the sections of sensors
 actuators.py    the sections of actuators
-levels.py       the section of the levels of a curriculum
+curriculum.py   the sections of a curriculum: stages, levels
 training.py     the sections of training
 scenario.py     Scenario, the whole file: robots, messages, the task
 synonyms.py     words that people write instead of a word of the language: the table synonyms.yaml

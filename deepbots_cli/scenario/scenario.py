@@ -9,6 +9,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
+from deepbots_cli.scenario.curriculum import EndingNames, Levels, Settings, Stage
 from deepbots_cli.scenario.fields import (
     BodyName,
     Bool,
@@ -29,7 +30,6 @@ from deepbots_cli.scenario.fields import (
     Range,
     Reference,
     Scalar,
-    Setting,
     Share,
     SharedName,
     Signal,
@@ -37,11 +37,9 @@ from deepbots_cli.scenario.fields import (
     Solved,
     Text,
     Thickness,
-    Until,
     WholeNumber,
     Word,
 )
-from deepbots_cli.scenario.levels import EndingNames, Levels
 from deepbots_cli.scenario.search import SearchField
 from deepbots_cli.scenario.sensors import AnySensor
 from deepbots_cli.scenario.training import AnyTraining
@@ -317,25 +315,6 @@ Decision = Annotated[
     FORMS,
 ]
 Script = Annotated[dict[Annotated[str, Reference("action")], Decision], Size(1, "action")]
-
-
-Settings = dict[
-    Annotated[str, Reference("setting")],
-    Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()],
-]
-
-
-class Stage(Section):
-    """A stage of the curriculum."""
-
-    name: LocalName
-    """Name of the stage."""
-    set: Settings = {}
-    """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
-    until: Annotated[str, Until()] | None = None
-    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7
-    in evaluation` (without exploration), or `50_000 steps` (of this stage). `mean_return` can replace
-    `success_rate`."""
 
 
 class Case(Section):
@@ -665,8 +644,9 @@ class Scenario(Section):
     """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1].
     The policy gets them in the order of the file."""
     critic: Observation = {}
-    """Values that only the critic gets, in training: the value function of the algorithm sees them in addition to
-    the observation, the policy does not. They may be signals and parameters, such as a friction that was drawn."""
+    """Values that only the critic gets, in training: the value function of the algorithm sees them in
+    addition to the observation, the policy does not. They may be signals and parameters, such as a friction
+    that was drawn."""
     reward: Annotated[Reward, Size(1, "term")]
     """Terms of the reward, each under a name that you choose. Each term is a plain number; the reward is
     their sum."""

@@ -86,9 +86,9 @@ class AdaptiveRate(Section):
     """A learning rate that follows the divergence of the policy."""
 
     kl: Positive
-    """Target of the KL divergence between the policies before and after an update. After an update with more than
-    twice of it, the rate is divided by 1.5; with less than half of it, it is multiplied by 1.5; within 1e-5 to
-    1e-2."""
+    """Target of the KL divergence between the policies before and after an update. After an update with more
+    than twice of it, the rate is divided by 1.5; with less than half of it, it is multiplied by 1.5; within
+    1e-5 to 1e-2."""
     start: Positive = 1e-3
     """Learning rate of the first update."""
 
@@ -103,8 +103,8 @@ WORD = Text(
 
 
 class Symmetry(Section):
-    """The mirror symmetry of a robot and its task, from which a policy learns twice as much: each sample of a rollout
-    has a mirror image."""
+    """The mirror symmetry of a robot and its task, from which a policy learns twice as much: each sample of a
+    rollout has a mirror image."""
 
     swap: dict[Annotated[str, WORD], Annotated[str, WORD]] = {}
     """Words that change places in names: with `{FL: FR}`, `dog.q.FL_hip_joint` is the mirror image of

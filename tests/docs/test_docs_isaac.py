@@ -1,5 +1,6 @@
 """The page for those who come from Isaac Lab: each of its lines compiles in a scenario that extends the
-quadruped, ten of its lines have the value of a formula over readings of the engine, and its numbers are right.
+quadruped, ten of its lines have the value of a formula over readings of the engine, and its numbers are
+right.
 """
 
 from __future__ import annotations

@@ -198,7 +198,7 @@ def test_a_resumed_training_is_one_without_interruption_to_the_bit(
 
 
 def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> None:
-    """Worlds whose robots act by chance would differ, so that all act alike here."""
+    """All robots take the same actions: with random ones, the two trainings would differ for that reason alone."""
     task = {
         shards: compiled(
             f"train.shards={shards}",

@@ -17,7 +17,7 @@ from deepbots_cli.learning.sb3.symmetry import (
     mirrored_experience,
     mirrored_observations,
 )
-from deepbots_cli.program.symmetry import Mirror, Symmetry
+from deepbots_cli.program.task import Mirror, Symmetry
 from deepbots_cli.runtime.spaces import action_space
 from tests.learning.interruption import At, outcome
 

@@ -5,8 +5,8 @@ The first environment has deepbots-cli, trains, and exports a policy once deepbo
 second one has deepbots-robot alone, without any other package of this environment, and answers a robot over
 ZeroMQ.
 
-python -m tools.packaging.clean           what the wheels need is lent by this environment; nothing is downloaded
-python -m tools.packaging.clean --fetch   pip installs it, with the extra `export`
+python -m tools.packaging.clean           what the wheels need is lent by this environment; nothing is
+downloaded python -m tools.packaging.clean --fetch   pip installs it, with the extra `export`
 """
 
 from __future__ import annotations

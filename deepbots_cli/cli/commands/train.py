@@ -127,8 +127,8 @@ def command(
         str | None,
         option(
             "--teacher SCRIPT|FILE|RUN",
-            "Let a script of the scenario, the episodes of a recording (.mcap), or the policy of a run teach first;"
-            " by default `train.teacher`.",
+            "Let a script of the scenario, the episodes of a recording (.mcap), or the policy of a run teach"
+            " first; by default `train.teacher`.",
         ),
     ] = None,
     workers: Workers = None,

@@ -17,8 +17,8 @@ GRAVITY = 9.81
 class Draft:
     """The parts of a robot's entry that depend on its joints; the templates read them by these names.
 
-    `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions, `starts`
-    groups to poses.
+    `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions,
+    `starts` groups to poses.
     """
 
     build: Build
@@ -68,8 +68,8 @@ class Draft:
         command: str,
         gains: Mapping[str, str] | None = None,
     ) -> None:
-        """Add a motor for a group, with the settings `gains`. If the file names no effort, the motor is strong
-        enough for the robot's weight."""
+        """Add a motor for a group, with the settings `gains`. If the file names no effort, the motor is
+        strong enough for the robot's weight."""
         settings = dict(gains or {})
         if not all(joint.limit.effort for joint in joints):
             weight = max(self.build.mass, 0.1) * GRAVITY

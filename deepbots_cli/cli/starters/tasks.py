@@ -19,8 +19,8 @@ _PARALLEL = 0.999
 _TIP_TOLERANCE = 0.02
 """The largest distance of the tip of a limb from its target, as a fraction of the limb's reach."""
 _STIFFNESS_PER_LOAD = 0.7
-"""The stiffness of a leg's motors (N m/rad), per torque of the weight at the length of a leg (N m): as the quadruped
-that comes with deepbots has, about."""
+"""The stiffness of a leg's motors (N m/rad), per torque of the weight at the length of a leg (N m): as the
+quadruped that comes with deepbots has, about."""
 _DAMPING_PER_STIFFNESS = 0.015
 """In s. Laikago of pybullet_data shakes at 0.025 in substeps of 5 ms, and stands at 0.015."""
 _STANDING_LEG_SHARE = 0.75

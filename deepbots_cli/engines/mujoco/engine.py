@@ -282,8 +282,8 @@ class MuJoCoEngine:
                 return (vx, vy, vz), frames.rotate((x, y, z, w), (wx, wy, wz))
 
             return read_free
-        # `cvel` is the velocity of the link at the center of mass of its tree; `mj_objectVelocity` begins with
-        # it too, at three times the cost.
+        # `cvel` is the velocity of the link at the center of mass of its tree; `mj_objectVelocity` begins
+        # with it too, at three times the cost.
         of_center, center, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:

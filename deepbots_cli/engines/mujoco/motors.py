@@ -197,11 +197,9 @@ class Motor:
         by_joint = list(zip(acts, [width * act for act in acts], dofs, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
-            wanted = (
-                [(target - now) * rate for target, now in zip(targets, position(), strict=True)]
-                if rate
-                else targets
-            )
+            wanted = targets
+            if rate:
+                wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)]
             gains = velocity_gains(wanted, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:

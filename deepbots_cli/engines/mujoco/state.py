@@ -103,17 +103,8 @@ class MujocoWorld:
         self.armature = model.dof_armature.copy()
         """The armature of the present episode, to which velocity motors add."""
         self.surfaces = np.zeros((model.ngeom, 4))
-        for pool in pools:
-            for body in pool:
-                for link, geoms in body.geoms.items():
-                    rubs = body.model.link(link).friction
-                    lateral = 1.0 if rubs.lateral is None else rubs.lateral
-                    self.surfaces[geoms] = (
-                        lateral,
-                        rubs.spinning or 0.0,
-                        rubs.rolling or 0.0,
-                        rubs.restitution or 0.0,
-                    )
+        for body in (body for pool in pools for body in pool):
+            self._set_surfaces(body)
         self._initial_positions = (
             model.qpos0.copy(),
             np.array(self.data.mocap_pos),
@@ -121,22 +112,7 @@ class MujocoWorld:
         )
         """The positions of joints and of bodies at the beginning of an episode."""
         for body in (body for pool in pools for body in pool):
-            position, (x, y, z, w) = body.initial_pose
-            if body.mocap_index >= 0:
-                self._initial_positions[1][body.mocap_index], self._initial_positions[2][body.mocap_index] = (
-                    position,
-                    (w, x, y, z),
-                )
-            elif body.position_index >= 0:
-                self._initial_positions[0][body.position_index : body.position_index + 7] = (
-                    *position,
-                    w,
-                    x,
-                    y,
-                    z,
-                )
-            for follower, mimic in body.model.followers.items():
-                self._initial_positions[0][model.jnt_qposadr[body.joints[follower]]] = mimic.offset
+            self._set_initial_position(body)
         model.dof_simplenum[:] = (
             0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
         )
@@ -150,6 +126,29 @@ class MujocoWorld:
         self._nominal = [np.array(values) for values in self._varied_arrays]
         self.update_constants()
         self._initial_values = self._copy_values()
+
+    def _set_surfaces(self, body: Body) -> None:
+        """Set the friction and restitution of the geoms of a body, as its model has them."""
+        for link, geoms in body.geoms.items():
+            rubs = body.model.link(link).friction
+            lateral = 1.0 if rubs.lateral is None else rubs.lateral
+            self.surfaces[geoms] = (
+                lateral,
+                rubs.spinning or 0.0,
+                rubs.rolling or 0.0,
+                rubs.restitution or 0.0,
+            )
+
+    def _set_initial_position(self, body: Body) -> None:
+        """Set the position of a body, and of the joints that follow others, at the beginning of an episode."""
+        joints, positions, orientations = self._initial_positions
+        position, (x, y, z, w) = body.initial_pose
+        if body.mocap_index >= 0:
+            positions[body.mocap_index], orientations[body.mocap_index] = position, (w, x, y, z)
+        elif body.position_index >= 0:
+            joints[body.position_index : body.position_index + 7] = (*position, w, x, y, z)
+        for follower, mimic in body.model.followers.items():
+            joints[self.model.jnt_qposadr[body.joints[follower]]] = mimic.offset
 
     # Derived values
 

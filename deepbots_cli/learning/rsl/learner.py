@@ -280,7 +280,8 @@ def _check_spaces(training: Training, observations: spaces.Space[Any], actions: 
         )
     if not (isinstance(actions, spaces.Box) and len(actions.shape) == 1):
         raise UsageError(
-            f"{training.algorithm} acts by ranges, such as `drive: -1 .. 1`; for choices, write `algorithm: PPO`"
+            f"{training.algorithm} acts by ranges, such as `drive: -1 .. 1`; for choices, write"
+            " `algorithm: PPO`"
         )
 
 
@@ -292,8 +293,8 @@ def _check_batches(algorithm: PPO, samples: int) -> None:
     """
     if samples < 2 * algorithm.num_mini_batches:
         raise UsageError(
-            f"a rollout of {samples} steps cannot be divided into {algorithm.num_mini_batches} batches of two or"
-            " more; raise `num_steps_per_env` or lower `num_mini_batches`"
+            f"a rollout of {samples} steps cannot be divided into {algorithm.num_mini_batches} batches of two"
+            " or more; raise `num_steps_per_env` or lower `num_mini_batches`"
         )
 
 

@@ -63,8 +63,8 @@ def create(
     """Create a fresh model for the environment. A model that is not to learn gets no room for experience.
 
     `longest_episode` is in steps; hindsight begins to learn after so many steps, when an episode has ended
-    for sure. `mixin` is a class whose methods go before those of the algorithm. `policy_columns` are those of a
-    policy whose critic sees more.
+    for sure. `mixin` is a class whose methods go before those of the algorithm. `policy_columns` are those of
+    a policy whose critic sees more.
 
     Raises:
         UsageError: The algorithm is unknown, or refuses the settings or the spaces; or there is no such
@@ -350,8 +350,8 @@ def _value(given: Hyperparameter) -> object:
 class DivergenceRate:
     """A learning rate that keeps the KL divergence of an update near a target.
 
-    The rule and its numbers are those of RSL-RL (Schwarke et al., arXiv:2509.10771), applied after each update instead
-    of each batch.
+    The rule and its numbers are those of RSL-RL (Schwarke et al., arXiv:2509.10771), applied after each
+    update instead of each batch.
     """
 
     def __init__(self, settings: AdaptiveRate) -> None:

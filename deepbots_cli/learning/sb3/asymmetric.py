@@ -1,7 +1,8 @@
 """Policies whose critic sees more than they do: `critic` of a scenario.
 
-In the worlds of a training, the observation also has the values of the critic. The networks of the critic take
-all of it, those of the policy only their own columns. An evaluation and an export see these columns alone.
+In the worlds of a training, the observation also has the values of the critic. The networks of the critic
+take all of it, those of the policy only their own columns. An evaluation and an export see these columns
+alone.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _NUMBERS = "observation"
 
 
 class PolicyColumns(BaseFeaturesExtractor):
-    """The features extractor of a policy, which passes on only the columns of the policy, of an observation of
-    shape (rows, numbers).
+    """The features extractor of a policy, which passes on only the columns of the policy, of an observation
+    of shape (rows, numbers).
 
     Attributes:
         inner: The features extractor for an observation of the policy.
@@ -74,8 +75,8 @@ def policy_space(space: gym.Space[Any], columns: Sequence[int]) -> gym.Space[Any
 
 
 def widened(space: gym.Space[Any], columns: Sequence[int], observation: Any) -> Any:
-    """Return an observation of the policy, or rows of them, in the space of a training; the values of the critic
-    are 0. An observation that is in this space already stays as it is."""
+    """Return an observation of the policy, or rows of them, in the space of a training; the values of the
+    critic are 0. An observation that is in this space already stays as it is."""
     if isinstance(space, spaces.Dict):
         some = next(name for name in space.spaces if name != _NUMBERS)
         rows = observation[some].shape[: observation[some].ndim - len(space[some].shape or ())]

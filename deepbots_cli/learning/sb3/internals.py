@@ -87,8 +87,8 @@ class Explorer:
 
 
 class Layers:
-    """A mixin for the policy of an on-policy algorithm: `make_layers` makes its hidden layers, with the layers of
-    the library as a function that it may call."""
+    """A mixin for the policy of an on-policy algorithm: `make_layers` makes its hidden layers, with the
+    layers of the library as a function that it may call."""
 
     make_layers: Callable[[Callable[[], None]], None]
 
@@ -97,7 +97,8 @@ class Layers:
 
 
 def makes_layers(policy: type) -> bool:
-    """Return whether a class of policies has a critic with layers of its own, as on-policy algorithms have."""
+    """Return whether a class of policies has a critic with layers of its own, as on-policy algorithms
+    have."""
     return hasattr(policy, "_build_mlp_extractor")
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from deepbots_cli.program.symmetry import Mirror, Symmetry
+from deepbots_cli.program.task import Mirror, Symmetry
 from deepbots_cli.rollout.worlds import Array
 
 _COPIED = ("rewards", "returns", "episode_starts", "values", "log_probs", "advantages")

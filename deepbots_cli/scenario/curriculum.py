@@ -1,4 +1,4 @@
-"""A curriculum of levels: the difficulty of each world follows from its own episodes."""
+"""The curriculum of a training: stages for all worlds, or a level for each world."""
 
 from __future__ import annotations
 
@@ -6,7 +6,16 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from deepbots_cli.scenario.base import FORMS, Many, Section, Size
-from deepbots_cli.scenario.fields import Bounds, Range, Reference, Scalar, WholeNumber
+from deepbots_cli.scenario.fields import (
+    Bounds,
+    LocalName,
+    Range,
+    Reference,
+    Scalar,
+    Setting,
+    Until,
+    WholeNumber,
+)
 
 MAX_LEVELS = 100
 
@@ -20,6 +29,25 @@ class FirstLevels(Bounds):
 
     noun = "a level or a range of levels"
     example = "0 .. 2"
+
+
+Settings = dict[
+    Annotated[str, Reference("setting")],
+    Annotated[str | int | float | bool | dict[str, object] | list[object], Setting()],
+]
+
+
+class Stage(Section):
+    """A stage of the curriculum."""
+
+    name: LocalName
+    """Name of the stage."""
+    set: Settings = {}
+    """Changes: parameters by name, or other values by path, such as `reset.layout: paper`."""
+    until: Annotated[str, Until()] | None = None
+    """When this stage ends: `success_rate >= 0.7 over 40 episodes` (training episodes), `success_rate >= 0.7
+    in evaluation` (without exploration), or `50_000 steps` (of this stage). `mean_return` can replace
+    `success_rate`."""
 
 
 class Levels(Section):
