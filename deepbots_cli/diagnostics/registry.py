@@ -167,6 +167,12 @@ _CATALOG = (
         "a robot with a free base that topples while nothing is done",
         deep="only",
     ),
+    Rule(
+        "DB325",
+        "shaking-spring",
+        "warning",
+        "a spring that is too strong for a light joint and the engine step",
+    ),
     Rule("DB401", "expression-syntax", "error", "an expression that cannot be read"),
     Rule("DB402", "unknown-name", "error", "an expression names something that does not exist"),
     Rule("DB403", "boolean-number-mix", "error", "a truth value instead of a number, or the reverse"),

@@ -8,7 +8,7 @@ decorator `rule` gives a rule its code; its page is in `rule_pages`, by this cod
 names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
 robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
                                                                                              DB319, DB322, DB324,
-                                                                                             DB615
+                                                                                             DB325, DB615
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
                                                                                              DB323, DB507, DB809,
                                                                                              DB812

@@ -1,11 +1,11 @@
-"""Robots: commands and actuators (DB312 to DB315, DB319), wheels that do not move a robot (DB322), robots
-that topple (DB324), limits in degrees (DB317), and rays that pass over everything (DB615).
+"""Robots: commands and actuators (DB312 to DB315, DB319, DB325), wheels that do not move a robot (DB322),
+robots that topple (DB324), limits in degrees (DB317), and rays that pass over everything (DB615).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import ceil, degrees, hypot, inf, pi, radians
+from math import ceil, degrees, hypot, inf, pi, radians, sqrt
 from typing import TypeGuard
 
 from deepbots_cli import footprint, frames
@@ -14,6 +14,7 @@ from deepbots_cli.analysis.ranges import is_level, range_text, with_unit
 from deepbots_cli.compiler.robots import joint_dimension, joint_moves_link
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.engine_kinds import DEFAULT_ENGINE, ENGINES
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
@@ -48,6 +49,8 @@ _MIN_WHEEL_TURN = pi
 """The angle (rad) that a driven wheel has turned where its robot should have moved."""
 _MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
 """The distance (m) and angle (rad) that a robot that slips moves at most."""
+_STEP_MARGIN = 1.5
+"""The factor by which a suggested engine step is shorter than the longest one that is stable."""
 _TOPPLED = radians(45.0)
 """The tilt (rad) of a robot that has toppled."""
 _ATTITUDE_SENSORS = frozenset(
@@ -278,6 +281,20 @@ def _moved(
 ) -> float:
     """Return how far gravity moves a joint while the other joints are still; 0 if its motor could not hold
     it."""
+    load, inertia = _load_and_inertia(model, where, joint, pull)
+    excess = abs(load) - joint.friction
+    if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
+        return 0.0
+    return min(
+        excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf
+    )
+
+
+def _load_and_inertia(
+    model: RobotModel, where: Mapping[str, Frame], joint: Joint, pull: Triple
+) -> tuple[float, float]:
+    """Return the torque (N m, or force in N) of gravity `pull` (m/s^2) at a joint, and the inertia (kg m^2 or
+    kg) that the joint moves: that of the links behind it, and its armature."""
     pivot, turned = where[joint.child]
     axis = frames.rotate(turned, joint.axis)
     load, inertia = 0.0, joint.armature
@@ -295,12 +312,76 @@ def _moved(
             local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
         )
         load, inertia = load + mass * frames.dot(arm, pull), inertia + mass * frames.dot(arm, arm) + spin
-    excess = abs(load) - joint.friction
-    if excess <= 0.0 or inertia <= 0.0 or (limit is not None and abs(load) > limit):
-        return 0.0
-    return min(
-        excess / inertia * time * time / 2, excess / joint.damping * time if joint.damping > 0.0 else inf
+    return load, inertia
+
+
+@rule("DB325")
+def shaking_spring(context: RuleContext) -> Iterator[Finding]:
+    """Report a spring on a joint that is too light for the engine step: the joint shakes while its link is in
+    the air.
+
+    Engines compute the torque of a spring from the state before each step of h seconds. With the stiffness k,
+    the damping d and the inertia I, the motion is stable for k h^2 + 2 d h < 4 I (Jury's criterion for the
+    semi-implicit Euler method). The damping c of the joint itself is implicit: it adds h c to I.
+    """
+    world = context.program.world
+    step = world.timestep / world.substeps
+    for robot in context.program.robots:
+        model = context.analysis.body(robot.name).model
+        where = link_frames(model, {})
+        for command in robot.commands:
+            motor = command.actuator
+            if not isinstance(motor, Motor) or motor.stiffness is None:
+                continue
+            needed = (motor.stiffness * step**2 + 2.0 * (motor.damping or 0.0) * step) / 4.0
+            inertias = {
+                name: _load_and_inertia(model, where, joint, (0.0, 0.0, 0.0))[1] + step * joint.damping
+                for name, joint in ((name, model.joint(name)) for name in motor.joints)
+            }
+            light = [name for name, inertia in inertias.items() if 0.0 < inertia < needed]
+            if light:
+                yield _shaking(context, robot, motor, light, min(map(inertias.__getitem__, light)), needed)
+
+
+def _shaking(
+    context: RuleContext,
+    robot: Robot,
+    motor: Motor,
+    light: list[str],
+    inertia: float,
+    needed: float,
+) -> Finding:
+    joint = context.analysis.body(robot.name).model.joint(light[0])
+    unit = "kg" if joint.type == "prismatic" else "kg*m^2"
+    names = ", ".join(f"`{name}`" for name in light[:_MAX_NAMES])
+    more = f" and {len(light) - _MAX_NAMES} more" if len(light) > _MAX_NAMES else ""
+    headline = (
+        f"`{motor.name}` shakes {names}{more}: the spring is too strong for an inertia of {inertia:.2g}"
+        f" {unit} and this engine step"
     )
+    longest = _longest_step(motor.stiffness or 0.0, motor.damping or 0.0, inertia)
+    substeps = ceil(context.program.world.timestep / (longest / _STEP_MARGIN))
+    kind = ENGINES.get(context.program.engine or DEFAULT_ENGINE)
+    rotor = (
+        f"add the inertia of the rotors under `joints`, as in `{light[0]}: {{armature:"
+        f" {2.0 * needed:.1g} {unit}}}`; or "
+        if kind is not None and kind.supports("armature")
+        else ""
+    )
+    help = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
+    return Finding(
+        "DB325",
+        context.values.key_span(("robots", robot.name, "actuators", motor.name)),
+        headline,
+        help,
+    )
+
+
+def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
+    """Return the engine step (s) at which the motion of a spring on this inertia ceases to be stable."""
+    if stiffness == 0.0:
+        return 2.0 * inertia / damping
+    return (sqrt(damping**2 + 4.0 * stiffness * inertia) - damping) / stiffness
 
 
 # Measured in a simulation
@@ -837,6 +918,7 @@ STATIC_RULES = (
     command_cut_off,
     joint_driven_twice,
     limp_at_start,
+    shaking_spring,
     unlimited_motor,
     limits_in_degrees,
     rays_meet_nothing,
