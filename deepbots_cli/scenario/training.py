@@ -244,6 +244,12 @@ class _StateDependentExploration(Section):
     """Steps between two draws of the noise of `use_sde`; -1 draws once per rollout."""
 
 
+class _GaussianActions(_StateDependentExploration):
+    init_std: Positive | None = None
+    """Initial standard deviation of the ranges of the action, where a range is from -1 to 1. A smaller value
+    suits robots that fall easily."""
+
+
 class _OffPolicy(Training):
     learning_rate: Schedule | None = None
     """Learning rate: a number, or a schedule such as `3e-4 -> 0`."""
@@ -293,7 +299,7 @@ class _SoftActorCritic(_StateDependentExploration, _Deterministic):
     """Episodes in the moving averages that Stable-Baselines3 logs."""
 
 
-class PPO(_StateDependentExploration, _Proximal):
+class PPO(_GaussianActions, _Proximal):
     """On-policy; choices or ranges. The first to try."""
 
     import_path = "stable_baselines3:PPO"
@@ -302,7 +308,7 @@ class PPO(_StateDependentExploration, _Proximal):
     algorithm: Literal["PPO"]
 
 
-class A2C(_StateDependentExploration, _OnPolicy):
+class A2C(_GaussianActions, _OnPolicy):
     """On-policy; choices or ranges. Simpler than PPO."""
 
     import_path = "stable_baselines3:A2C"
@@ -378,7 +384,7 @@ class MaskablePPO(_Proximal):
     algorithm: Literal["MaskablePPO"]
 
 
-class RecurrentPPO(_StateDependentExploration, _Proximal):
+class RecurrentPPO(_GaussianActions, _Proximal):
     """PPO with a memory (LSTM); choices or ranges."""
 
     import_path = "sb3_contrib:RecurrentPPO"

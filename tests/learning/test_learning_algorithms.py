@@ -41,6 +41,20 @@ def learned(world: Any, tmp_path: Path, training: Training, **settings: Any) -> 
     return train(stand_in.compiled(training=training, **settings), run=tmp_path / "run", build=world)
 
 
+# Exploration
+
+
+@pytest.mark.parametrize("algorithm", ["PPO", "A2C"])
+def test_a_policy_explores_with_the_initial_standard_deviation(algorithm: str) -> None:
+    env = gym.make("Pendulum-v1")
+    training = Training(algorithm, 100, hyperparameters=hyper(init_std=0.3))
+    plain: Any = getattr(stable_baselines3, algorithm)("MlpPolicy", env)
+    policy: Any = algorithms.create(training, plain.get_env(), seed=0, total_timesteps=100).policy
+    torch.manual_seed(0)
+    actions = policy.get_distribution(torch.zeros(4_000, 3)).get_actions()
+    assert actions.std().item() == pytest.approx(0.3, rel=0.05)
+
+
 # Optimizers
 
 

@@ -93,13 +93,14 @@ def create(
     else:
         _without_experience(settings, algorithm)
     memory = settings.pop("lstm", None)
+    std = settings.pop("init_std", 1.0)
     inputs = "MultiInput" if isinstance(env.observation_space, gym.spaces.Dict) else "Mlp"
     policy = f"{inputs}{'' if memory is None else 'Lstm'}Policy"
     settings |= {
         "seed": seed,
         "device": _device(training.device, to_learn=to_learn),
         "verbose": 0,
-        "policy_kwargs": _networks(training, algorithm, memory),
+        "policy_kwargs": _networks(training, algorithm, memory, std),
     }
     models.append(
         _made(algorithm, mixin, training, _policy_class(algorithm, policy, policy_columns), env, settings)
@@ -136,8 +137,9 @@ def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
         settings.pop(name, None)
 
 
-def _networks(training: Training, algorithm: type[Model], memory: int | None) -> Settings:
-    """Return the networks of a policy, with an LSTM of `memory` units, and their optimizer."""
+def _networks(training: Training, algorithm: type[Model], memory: int | None, std: float) -> Settings:
+    """Return the networks of a policy, with an LSTM of `memory` units and the initial standard deviation `std`
+    of the actions, and their optimizer."""
     layers = list(training.network.hidden)
     networks: Settings = {
         "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,
@@ -145,6 +147,8 @@ def _networks(training: Training, algorithm: type[Model], memory: int | None) ->
     }
     if memory is not None:
         networks["lstm_hidden_size"] = memory
+    if std != 1.0:
+        networks["log_std_init"] = math.log(std)
     if algorithm.base() == training.algorithm != "A2C":  # the optimizer of A2C is one of Stable-Baselines3
         epsilon = 1e-5 if algorithm.on_policy else 1e-8  # the defaults of Stable-Baselines3 and of torch
         networks |= {"optimizer_class": Adam, "optimizer_kwargs": {"eps": epsilon}}

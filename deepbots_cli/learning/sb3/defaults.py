@@ -89,6 +89,7 @@ _PPO = {
         "0.003 for layers of up to 32 units, otherwise 0.001",
     ),
 }
+_GAUSSIAN = {"init_std": Default(lambda *_: 1.0, "1.0")}
 _OFF_POLICY = {
     # Hindsight takes goals from episodes that have ended, so learning waits for the first.
     "learning_starts": Default(
@@ -131,19 +132,19 @@ _RSL = {
     "use_clipped_value_loss": Default(
         lambda training, *_: training.normalize is not None, "true with `normalize: reward`, otherwise false"
     ),
-    "init_std": Default(lambda *_: 1.0, "1.0"),
+    **_GAUSSIAN,
     "std_type": Default(lambda *_: "scalar", "scalar"),
     "learn_std": Default(lambda *_: True, "true"),
     "obs_normalization": Default(lambda *_: False, "false"),
 }
 
 DEFAULTS: Mapping[str, Mapping[str, Default]] = {
-    "A2C": {},
+    "A2C": _GAUSSIAN,
     "DDPG": _DETERMINISTIC,
     "DQN": _DQN,
     "MaskablePPO": _PPO,
-    "PPO": _PPO,
-    "RecurrentPPO": _PPO | {"lstm": Default(lambda *_: 64, "64")},
+    "PPO": _PPO | _GAUSSIAN,
+    "RecurrentPPO": _PPO | _GAUSSIAN | {"lstm": Default(lambda *_: 64, "64")},
     "SAC": _ACTOR_CRITIC,
     "TD3": _DETERMINISTIC,
     "TQC": _ACTOR_CRITIC,
