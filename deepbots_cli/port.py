@@ -68,6 +68,7 @@ Pusher = Callable[[Triple, Triple], object]
 """Takes a force (N) and a torque (N m)."""
 ContactReader = Callable[[], bool]
 ForceReader = Callable[[], float]
+VectorReader = Callable[[], Triple]
 ClearanceReader = Callable[[], float]
 RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
@@ -139,6 +140,10 @@ class Bindable(Protocol):
     def contact_force(self, one: Part) -> ForceReader:
         """Return the sum of normal forces (N) on `one` from everything that it touches, in the last engine
         step."""
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        """Return the sum of the contact forces (N, world frame) on `one` from everything else that it
+        touches, friction included, in the last engine step."""
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         """Return the distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
@@ -410,6 +415,7 @@ class EngineProxy:
 
     contact = partialmethod(_reader, "contact", 2)
     contact_force = partialmethod(_reader, "contact_force", 1)
+    contact_force_vector = partialmethod(_reader, "contact_force_vector", 1)
     clearance = partialmethod(_reader, "clearance", 2)
     rays = partialmethod(_reader, "rays", 1)
     camera = partialmethod(_reader, "camera", 1)

@@ -511,6 +511,9 @@ _ENTRIES = (
     Function("contact_force", _OF_WORLD, (_PUSHED,),
              "The sum of the normal forces on a body, from all that it touches.", "contact_force(ball)",
              _always(FORCE), _known(iv.POSITIVE)),
+    Function("contact_force_vector", _OF_WORLD, (_PUSHED,),
+             "The sum of the contact forces on a body, in the world frame: normal forces and friction, from"
+             " all else that it touches.", "contact_force_vector(ball).xy", _always(FORCE), components=SPACE),
     Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a"
                                                      " length.", "joint_position(rover.left_wheel)",
              interval=_first),

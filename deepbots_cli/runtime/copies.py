@@ -158,6 +158,7 @@ class BatchOfCopies:
 
     contact = partialmethod(_reader, "contact")
     contact_force = partialmethod(_reader, "contact_force")
+    contact_force_vector = partialmethod(_reader, "contact_force_vector")
     clearance = partialmethod(_reader, "clearance")
     rays = partialmethod(_reader, "rays")
     joint_states = partialmethod(_reader, "joint_states")

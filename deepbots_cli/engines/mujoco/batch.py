@@ -59,16 +59,15 @@ SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
 
 class Sensor(NamedTuple):
-    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the
-    forces, or the distance of two geoms.
+    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
+    forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, or the distance of two geoms.
 
     Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
     """
 
     one: tuple[int, bool]
     other: tuple[int, bool] | None
-    slots: int = 0
-    of_geoms: bool = False
+    measures: Literal["touch", "forces", "force", "distance"] = "touch"
 
 
 class BatchMember(EngineProxy):
@@ -154,6 +153,7 @@ class BatchMember(EngineProxy):
 
     contact = partialmethod(_of_columns, "contact")
     contact_force = partialmethod(_of_columns, "contact_force")
+    contact_force_vector = partialmethod(_of_columns, "contact_force_vector")
     joint_torques = partialmethod(_of_columns, "joint_torques")
 
     def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
@@ -242,11 +242,14 @@ class MuJoCoBatch:
                 self.rows[name][:] = rows
             for index, armature in self._weighed.items():
                 self._weigh(index, armature)
-        for name in [*self._outputs, *["sensordata" for sensor in self._sensors if sensor.slots][:1]]:
+        for name in [
+            *self._outputs,
+            *["sensordata" for sensor in self._sensors if sensor.measures != "touch"][:1],
+        ]:
             self._output(name)
         self._built = len(self._sensors)
         self._touch_columns = np.array(
-            [column for sensor, column in self._sensors.items() if not sensor.slots], int
+            [column for sensor, column in self._sensors.items() if sensor.measures == "touch"], int
         )
         self._touch_places = np.array([model.sensor_adr[column] for column in self._touch_columns], int)
 
@@ -557,7 +560,7 @@ class MuJoCoBatch:
 
     def contact_force(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force`. Forces are added up in the order of contacts."""
-        numbers = [self._sensor(Sensor(link, None, FORCE_SLOTS)) for link in self._links(one)]
+        numbers = [self._sensor(Sensor(link, None, "forces")) for link in self._links(one)]
 
         def read() -> Column:
             total = np.zeros(self.count)
@@ -581,6 +584,26 @@ class MuJoCoBatch:
             return total
 
         return read
+
+    def contact_force_vector(self, one: Part) -> Callable[[], Column]:
+        """See `Engine.contact_force_vector`."""
+        numbers = [self._sensor(Sensor(link, None, "force")) for link in self._links(one)]
+
+        def read() -> Column:
+            total = np.zeros((3, self.count))
+            for number in numbers:  # the force of the link on the others
+                total -= self._reading(number, 3)
+            return total
+
+        return read
+
+    def _reading(self, number: int, width: int) -> Column:
+        """Return the reading of a sensor in the last step, of shape (width, worlds); 0 before the first one."""
+        if self._built != len(self._sensors):
+            return np.zeros((width, self.count))
+        at = self._batch.model.sensor_adr[number]
+        reading: Column = self._outputs["sensordata"][:, at : at + width].T
+        return reading
 
     def clearance(self, one: Part, other: Part) -> Callable[[], Column]:
         """See `Engine.clearance`."""
@@ -759,7 +782,7 @@ class Observer:
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
         """Return the places in `sensordata` of the distances between geoms."""
-        sensors = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
+        sensors = [Sensor((one, False), (other, False), "distance") for one, other in pairs]
         return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
 
     def read(self, name: str) -> Column:
@@ -1014,6 +1037,16 @@ class TrackingMotor(BatchMotor):
         return aimed
 
 
+_FOUND, _FORCE = mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE
+_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
+    "touch": ((_FOUND,), 0, 1),
+    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
+    "force": ((_FORCE,), 3, 1),
+}
+"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
+world frame), and the number of contacts."""
+
+
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
     """Return a copy of the compiled model with sensors."""
     if not sensors:
@@ -1027,16 +1060,15 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             if part_name is not None:
                 number, whole = part_name
                 link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
-                subjects[kind] = kinds.mjOBJ_GEOM if sensor.of_geoms else link
-                subjects[name] = (model.geom if sensor.of_geoms else model.body)(number).name
-        if sensor.of_geoms:
+                is_geom = sensor.measures == "distance"
+                subjects[kind] = kinds.mjOBJ_GEOM if is_geom else link
+                subjects[name] = (model.geom if is_geom else model.body)(number).name
+        if sensor.measures == "distance":
             spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
         else:
-            fields = (mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE)[
-                : 2 if sensor.slots else 1
-            ]
+            fields, reduced, slots = _CONTACT_SENSORS[sensor.measures]
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
-            added.intprm[:3] = sum(1 << int(field) for field in fields), 0, sensor.slots or 1
+            added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
     compiled = spec.compile()
     compiled.opt.disableflags, compiled.opt.jacobian, compiled.stat.meaninertia = (
         model.opt.disableflags,

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
     )
@@ -320,6 +321,9 @@ class MuJoCoEngine:
 
     def contact_force(self, one: Part) -> ForceReader:
         return surfaces.force(self._world, self._geoms(one))
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        return surfaces.force_vector(self._world, self._geoms(one))
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         near, far = self._pool(one[0]), self._pool(other[0])

@@ -22,6 +22,7 @@ from deepbots_cli.errors import EngineError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.frames import Triple
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
     FloatArray = NDArray[np.float64]
@@ -61,6 +62,8 @@ and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first 
 BOUNCE_IMPEDANCE = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
 ContactForce = tuple[int, int, float]
 """Two geoms that touch, and the normal force between them in N."""
+ForceVector = tuple[int, int, "Triple"]
+"""Two geoms that touch, and the force of the first on the second one in N (world frame)."""
 
 
 class WorldSnapshot(NamedTuple):
@@ -72,6 +75,7 @@ class WorldSnapshot(NamedTuple):
     actuator_forces: FloatArray
     accelerations: FloatArray
     forces: Sequence[ContactForce]
+    force_vectors: Sequence[ForceVector]
     memory: tuple[Any, ...]
 
 
@@ -86,6 +90,7 @@ class MujocoWorld:
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
         self.light = self._nominal_light = world.light
         self._forces: Sequence[ContactForce] | None = ()
+        self._force_vectors: Sequence[ForceVector] | None = ()
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
@@ -171,7 +176,7 @@ class MujocoWorld:
 
     def invalidate_after_step(self) -> None:
         self.has_positions = self.has_velocities = False
-        self._forces = None
+        self._forces = self._force_vectors = None
 
     @property
     def forces(self) -> Sequence[ContactForce]:
@@ -183,6 +188,19 @@ class MujocoWorld:
                 (one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs
             ]
         return self._forces
+
+    @property
+    def force_vectors(self) -> Sequence[ForceVector]:
+        """The contacts of the last engine step, with friction."""
+        if self._force_vectors is None:
+            contact, force = self.data.contact, np.zeros(6)
+            self._force_vectors = vectors = []
+            pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
+            for place, ((one, other), axes) in enumerate(pairs):
+                mj.mj_contactForce(self.model, self.data, place, force)
+                x, y, z = (force[:3] @ axes).tolist()
+                vectors.append((one, other, (x, y, z)))
+        return self._force_vectors
 
     # Course of an episode
 
@@ -196,7 +214,8 @@ class MujocoWorld:
             pool.deactivate()
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._initial_positions
         self.invalidate()
-        self._forces, self.has_pushes = (), False
+        self._forces = self._force_vectors = ()
+        self.has_pushes = False
 
     def update_constants(self) -> None:
         """Compute the values that depend on the values that were set.
@@ -233,7 +252,13 @@ class MujocoWorld:
         memory = (*self.memory(), *(read() for read, _ in self.state_accessors))
         data = self.data
         return WorldSnapshot(
-            state, *self._copy_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory
+            state,
+            *self._copy_values(),
+            data.qfrc_actuator.copy(),
+            data.qacc.copy(),
+            self.forces,
+            self.force_vectors,
+            memory,
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
@@ -246,7 +271,8 @@ class MujocoWorld:
             write(memory)
         self.remember(snapshot.memory[:3])
         self.invalidate()
-        self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
+        self._forces, self._force_vectors = snapshot.forces, snapshot.force_vectors
+        self.has_pushes = bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
         """Return the memory of an episode besides its state and the values of the model: the bodies that are

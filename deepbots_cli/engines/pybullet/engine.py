@@ -53,6 +53,7 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
     )
@@ -237,6 +238,13 @@ class PyBulletEngine:
     def contact_force(self, one: Part) -> ForceReader:
         return self._bound(
             one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY_LINK
+        )
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        return self._bound(
+            one,
+            lambda body, link: surfaces.force_vector(self._client, body.number, link),
+            surfaces.ANY_LINK,
         )
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:

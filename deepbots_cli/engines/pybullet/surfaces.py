@@ -17,7 +17,14 @@ from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.state import Body, ReadCache
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
+    from deepbots_cli.port import (
+        ClearanceReader,
+        ContactReader,
+        ForceReader,
+        PoseReader,
+        RayReader,
+        VectorReader,
+    )
 
 # Contacts and gaps
 
@@ -124,6 +131,21 @@ def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
 def force(client: int, body: int, link: int) -> ForceReader:
     read = partial(p.getContactPoints, body, -1, link, ANY_LINK, client)
     return lambda: sum(point[9] for point in read())
+
+
+def force_vector(client: int, body: int, link: int) -> VectorReader:
+    """Return the sum of the contact forces on a link (N, world frame): along the normal, which points to it,
+    and along two directions of friction."""
+    read = partial(p.getContactPoints, body, -1, link, ANY_LINK, client)
+
+    def total() -> Triple:
+        x = y = z = 0.0
+        for point in read():
+            for along, force in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
+                x, y, z = x + force * along[0], y + force * along[1], z + force * along[2]
+        return x, y, z
+
+    return total
 
 
 def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:

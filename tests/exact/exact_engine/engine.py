@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
     )
@@ -201,6 +202,9 @@ class ExactEngine:
         raise _lacks("contacts")
 
     def contact_force(self, one: Part) -> ForceReader:
+        raise _lacks("contacts")
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
         raise _lacks("contacts")
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
