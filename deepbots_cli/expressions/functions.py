@@ -500,9 +500,8 @@ _ENTRIES = (
                                                      " body.", "visible(rover.eye, ball)",
              _NUMBER, boolean=True),
     Function("contact", _OF_WORLD, (_BODIES, _TOUCHED),
-             "Whether two bodies touched in this timestep. A robot counts with all of its links. It is"
-             " always false for two links of "
-             "the same robot.",
+             "Whether two bodies touched in this timestep. A robot counts with all of its links. Two links of"
+             " one robot touch only with `self_collision: true`.",
              "contact(ball, ground)", _NUMBER, boolean=True),
     Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in"
                                                 " this timestep.",

@@ -163,6 +163,7 @@ class BatchOfCopies:
     rays = partialmethod(_reader, "rays")
     joint_states = partialmethod(_reader, "joint_states")
     joint_torques = partialmethod(_reader, "joint_torques")
+    joint_wrench = partialmethod(_reader, "joint_wrench")
     pose = partialmethod(_reader, "pose")
     velocity = partialmethod(_reader, "velocity")
     motion = partialmethod(_reader, "motion")

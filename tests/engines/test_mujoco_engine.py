@@ -221,9 +221,10 @@ except EngineError as error:
         text=True,
         env=without | {"PYTHONPATH": ":".join(sys.path)},
     )
-    assert "'mimic', 'snapshot', 'torque_curve'] MuJoCo cannot render on this machine" in done.stdout, (
-        done.stderr
-    )
+    assert (
+        "'mimic', 'self_collision', 'snapshot', 'torque_curve'] MuJoCo cannot render on this machine"
+        in done.stdout
+    ), done.stderr
 
 
 def test_drawing_changes_nothing_that_follows(worlds, build):

@@ -60,14 +60,15 @@ SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
 class Sensor(NamedTuple):
     """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
-    forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, or the distance of two geoms.
+    forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, the force or the torque of the
+    joint that carries `one`, or the distance of two geoms.
 
     Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
     """
 
     one: tuple[int, bool]
     other: tuple[int, bool] | None
-    measures: Literal["touch", "forces", "force", "distance"] = "touch"
+    measures: Literal["touch", "forces", "force", "joint_force", "joint_torque", "distance"] = "touch"
 
 
 class BatchMember(EngineProxy):
@@ -155,6 +156,7 @@ class BatchMember(EngineProxy):
     contact_force = partialmethod(_of_columns, "contact_force")
     contact_force_vector = partialmethod(_of_columns, "contact_force_vector")
     joint_torques = partialmethod(_of_columns, "joint_torques")
+    joint_wrench = partialmethod(_of_columns, "joint_wrench")
 
     def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
         return self._batch.motor(kind, *given, **curve, world=self._index).writer(self._index)
@@ -170,7 +172,10 @@ class MuJoCoBatch:
 
     name = "mujoco"
     capabilities: frozenset[Any] = frozenset(
-        {"contacts", "mimic", "armature", "center_of_mass", "torque_curve"}
+        {
+            *("contacts", "mimic"),
+            *("armature", "center_of_mass", "joint_wrench", "self_collision", "torque_curve"),
+        }
     )
 
     def __init__(self, world: WorldModel, count: int) -> None:
@@ -494,6 +499,14 @@ class MuJoCoBatch:
 
         return read
 
+    def joint_wrench(self, part: Part) -> Callable[[], Column]:
+        """See `Engine.joint_wrench`."""
+        link = _link(self.single._pool(part[0]).current, part[1])
+        force, torque = (
+            self._sensor(Sensor((link, False), None, what)) for what in ("joint_force", "joint_torque")
+        )
+        return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
+
     def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
         place = self.form_and_link(body, link)
         if place is None:
@@ -549,11 +562,7 @@ class MuJoCoBatch:
         links = self._links(one)
         met: list[tuple[int, bool] | None] = [None]
         if others is not None or not ground:
-            others = (
-                [(name, None) for name in self._world.pools if name not in (one[0], GROUND)]
-                if others is None
-                else others
-            )
+            others = self.single.others(one[0], ground=False) if others is None else others
             met = [link for part in others for link in self._links(part)]
         places = [self._sensor(Sensor(link, other)) for link in links for other in met]
         return lambda: cast("Column", self.touched[:, places].any(axis=1))
@@ -587,7 +596,11 @@ class MuJoCoBatch:
 
     def contact_force_vector(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force_vector`."""
-        numbers = [self._sensor(Sensor(link, None, "force")) for link in self._links(one)]
+        body = self.single._pool(one[0]).current
+        links = self._links(one)
+        if one[1] is None and body.self_collision:  # forces between its own links then cancel
+            links = [(number, False) for number in body.links.values()]
+        numbers = [self._sensor(Sensor(link, None, "force")) for link in links]
 
         def read() -> Column:
             total = np.zeros((3, self.count))
@@ -1046,13 +1059,15 @@ _CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
 """The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
 world frame), and the number of contacts."""
 
+_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
+
 
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
     """Return a copy of the compiled model with sensors."""
     if not sensors:
         return copy(model)
     spec, kinds = builder._spec.copy(), mj.mjtObj
-    for sensor in sensors:
+    for place, sensor in enumerate(sensors):
         subjects = {}
         for (kind, name), part_name in zip(
             (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
@@ -1065,6 +1080,9 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
                 subjects[name] = (model.geom if is_geom else model.body)(number).name
         if sensor.measures == "distance":
             spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
+        elif sensor.measures in _SITE_SENSORS:
+            site = spec.body(subjects["objname"]).add_site(name=f"s{place}")
+            spec.add_sensor(type=_SITE_SENSORS[sensor.measures], objtype=kinds.mjOBJ_SITE, objname=site.name)
         else:
             fields, reduced, slots = _CONTACT_SENSORS[sensor.measures]
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)

@@ -48,6 +48,7 @@ class Body:
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
+        self.self_collision = False
         self.suspended = False
         self.number = number
         self.model = model

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         VectorReader,
         VelocityReader,
         View,
+        WrenchReader,
     )
     from deepbots_cli.program.world import EngineParameter, RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
@@ -206,6 +207,9 @@ class ExactEngine:
 
     def contact_force_vector(self, one: Part) -> VectorReader:
         raise _lacks("contacts")
+
+    def joint_wrench(self, part: Part) -> WrenchReader:
+        raise _lacks("wrenches in joints")
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         raise _lacks("surfaces")
