@@ -175,6 +175,10 @@ class Bindable(Protocol):
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 
+    def angular_momentum(self, robot: str) -> VectorReader:
+        """Return the angular momentum (N m s, world frame) of a robot about its center of mass, with the masses
+        of the episode. The base of a robot with a fixed base counts as a link at rest."""
+
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         """Return a reader of pose and velocity in one call, which takes half the time of two calls if the
         link is not the root."""
@@ -435,6 +439,7 @@ class EngineProxy:
     joint_wrench = partialmethod(_reader, "joint_wrench", 1)
     pose = partialmethod(_reader, "pose", 1)
     velocity = partialmethod(_reader, "velocity", 1)
+    angular_momentum = partialmethod(_reader, "angular_momentum", 1)
     motion = partialmethod(_reader, "motion", 1)
 
     velocity_motor = partialmethod(_pass, "velocity_motor", 1)

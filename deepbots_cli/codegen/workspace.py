@@ -35,7 +35,7 @@ ReaderKeys = dict[ReaderKey, None]
 _KINDS = ("joints", "torques", "pose", "velocity")
 _OF_COLUMNS = (
     *(*_KINDS, "clearance", "contact", "contacts", "collided"),
-    *("contact_force", "contact_force_vector"),
+    *("contact_force", "contact_force_vector", "angular_momentum"),
 )
 """The kinds of readers that engines with batches give as columns."""
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
@@ -65,7 +65,10 @@ _SCALAR_READERS = {
 }
 """The facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
 world."""
-_VECTOR_READERS = {"contact_force_vector": "engine.contact_force_vector({0})"}
+_VECTOR_READERS = {
+    "contact_force_vector": "engine.contact_force_vector({0})",
+    "angular_momentum": "engine.angular_momentum({robot})",
+}
 """The facts that are vectors x y z, and the reader of each."""
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, *_VECTOR_READERS, "line")
 
@@ -226,7 +229,9 @@ class Readers:
                     robot=generated.robot(robot), sensor=quoted(sensor), body=quoted(parts[1])
                 )
             case _:
-                return (_SCALAR_READERS | _VECTOR_READERS)[kind].format(*map(_part, parts))
+                return (_SCALAR_READERS | _VECTOR_READERS)[kind].format(
+                    *map(_part, parts), robot=quoted(body)
+                )
 
 
 def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:

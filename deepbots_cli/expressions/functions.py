@@ -368,7 +368,7 @@ _JOINT = _subject("joint", Kind.JOINT, Kind.JOINTS)
 _LINE = _subject("line", Kind.LINE)
 _SEEN = _subject("body", Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.WALL, Kind.WALLS)
 _CAMERA = _subject("camera", Kind.CAMERA)
-_EMITTER = _subject("robot", Kind.ROBOT)
+_ROBOT = _subject("robot", Kind.ROBOT)
 _SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
 
 _ENTRIES = (
@@ -445,6 +445,9 @@ _ENTRIES = (
     Function("angular_velocity", _OF_WORLD, (_LINKS,), "The angular velocity of a body or link, in the world"
                                                       " frame.",
              "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
+    Function("angular_momentum", _OF_WORLD, (_ROBOT,), "The angular momentum of a robot about its center of mass,"
+                                                       " in the world frame.",
+             "norm(angular_momentum(rover))", _always(TORQUE * TIME), components=SPACE),
     Function("orientation", _OF_WORLD, (_LINKS,), "The orientation of a body or link in the world as a"
                                                  " quaternion (x, y, z, w).",
              "orientation(rover)",
@@ -532,7 +535,7 @@ _ENTRIES = (
              "The age of the newest values that arrived from a robot or a sensor: the time since they were"
              " measured.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
-    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message from the robot arrived in"
+    Function("message_received", Family.MESSAGE, (_ROBOT,), "Whether a message from the robot arrived in"
                                                               " this timestep.",
              "message_received(rover)", _NUMBER, boolean=True),
     Function("delta", _STATEFUL, (_X, _START),

@@ -166,6 +166,7 @@ class BatchOfCopies:
     joint_wrench = partialmethod(_reader, "joint_wrench")
     pose = partialmethod(_reader, "pose")
     velocity = partialmethod(_reader, "velocity")
+    angular_momentum = partialmethod(_reader, "angular_momentum")
     motion = partialmethod(_reader, "motion")
 
     def _motor(self, kind: str, *of: Any, **curve: Any) -> MotorWriter:

@@ -30,7 +30,7 @@ from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
-from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
+from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import EngineProxy
@@ -548,6 +548,24 @@ class MuJoCoBatch:
             wx, wy, wz, vx, vy, vz = self._observed("cvel", number)
             px, py, pz = self._observed("xpos", number) - self._observed("subtree_com", root)
             return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
+
+        return read
+
+    def angular_momentum(self, robot: str) -> Callable[[], Column]:
+        """See `Engine.angular_momentum`."""
+        body = self.single._pool(robot).current
+        links = list(body.links.values())
+
+        def read() -> Column:
+            weights = (
+                self.rows[name][:, links] if name in self.rows else getattr(self.nominal, name)[None, links]
+                for name in ("body_mass", "body_inertia")
+            )
+            velocities = self._observer.read("cvel")[:, links]
+            places, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
+            origins = self._observer.read("subtree_com")[:, body.root_id]
+            momentum: Column = LinkMotions(*weights, places, axes, velocities, origins).angular_momentum()
+            return momentum.T
 
         return read
 

@@ -13,7 +13,7 @@ from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
-from deepbots_cli.engines.mujoco.state import MujocoWorld, WorldSnapshot
+from deepbots_cli.engines.mujoco.state import LinkMotions, MujocoWorld, WorldSnapshot
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
@@ -245,6 +245,21 @@ class MuJoCoEngine:
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
+
+    def angular_momentum(self, robot: str) -> VectorReader:
+        world, body = self._world, self._pool(robot).current
+        model, data, links = world.model, world.data, list(body.links.values())
+
+        def read() -> Triple:
+            world.update_velocities()
+            parts = (model.body_mass, model.body_inertia, data.xipos, data.ximat, data.cvel)
+            motions = LinkMotions(
+                *(part[None, links] for part in parts), origins=data.subtree_com[None, body.root_id]
+            )
+            ((x, y, z),) = motions.angular_momentum().tolist()
+            return x, y, z
+
+        return read
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         pose, velocity = self.pose(body, link), self.velocity(body, link)

@@ -449,6 +449,33 @@ class MujocoWorld:
                     raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
 
 
+class LinkMotions(NamedTuple):
+    """Masses (kg), principal moments (kg m^2) and motions of the links of a robot in many worlds.
+
+    The shapes are (worlds, links, ...): `places` and `axes` are those of the inertia, `velocities` those of
+    MuJoCo's `cvel` at `origins`, of shape (worlds, 3).
+    """
+
+    masses: FloatArray
+    moments: FloatArray
+    places: FloatArray
+    axes: FloatArray
+    velocities: FloatArray
+    origins: FloatArray
+
+    def angular_momentum(self) -> FloatArray:
+        """Return the angular momentum about the center of mass of all links, of shape (worlds, 3)."""
+        masses, turning = self.masses[..., None], self.velocities[..., :3]
+        axes = self.axes.reshape(*self.places.shape, 3)
+        speeds = self.velocities[..., 3:] + np.cross(turning, self.places - self.origins[:, None])
+        arms = self.places - self.places[:, :1]
+        spins = np.einsum("wlij,wlj,wlkj,wlk->wli", axes, self.moments, axes, turning)
+        about_root = (spins + masses * np.cross(arms, speeds)).sum(axis=1)
+        first, flow = ((masses * part).sum(axis=1) for part in (arms, speeds))
+        momentum: FloatArray = about_root - np.cross(first, flow) / masses.sum(axis=1)
+        return momentum
+
+
 def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
     """Return stiffness and damping of a contact, per mass and negative as MuJoCo takes them, which give this
     share of the speed back.

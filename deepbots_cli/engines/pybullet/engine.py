@@ -352,6 +352,9 @@ class PyBulletEngine:
             (body, link), lambda owner, index: state.motion(self._client, owner, index, self._cache)
         )
 
+    def angular_momentum(self, robot: str) -> VectorReader:
+        return state.angular_momentum(self._client, self._pool(robot).current, self._cache)
+
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)
 

@@ -211,6 +211,9 @@ class ExactEngine:
     def joint_wrench(self, part: Part) -> WrenchReader:
         raise _lacks("wrenches in joints")
 
+    def angular_momentum(self, robot: str) -> VectorReader:
+        raise _lacks("angular momenta")
+
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         raise _lacks("surfaces")
 
