@@ -90,7 +90,8 @@ class MujocoWorld:
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
         self.light = self._nominal_light = world.light
         self._forces: Sequence[ContactForce] | None = ()
-        self._force_vectors: Sequence[ForceVector] | None = ()
+        self.force_vectors: Sequence[ForceVector] | None = ()
+        """The forces of contacts in the last engine step; None until `force_vectors` computes them."""
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
@@ -176,7 +177,7 @@ class MujocoWorld:
 
     def invalidate_after_step(self) -> None:
         self.has_positions = self.has_velocities = False
-        self._forces = self._force_vectors = None
+        self._forces = self.force_vectors = None
 
     @property
     def forces(self) -> Sequence[ContactForce]:
@@ -188,19 +189,6 @@ class MujocoWorld:
                 (one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs
             ]
         return self._forces
-
-    @property
-    def force_vectors(self) -> Sequence[ForceVector]:
-        """The contacts of the last engine step, with friction."""
-        if self._force_vectors is None:
-            contact, force = self.data.contact, np.zeros(6)
-            self._force_vectors = vectors = []
-            pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
-            for place, ((one, other), axes) in enumerate(pairs):
-                mj.mj_contactForce(self.model, self.data, place, force)
-                x, y, z = (force[:3] @ axes).tolist()
-                vectors.append((one, other, (x, y, z)))
-        return self._force_vectors
 
     # Course of an episode
 
@@ -214,7 +202,7 @@ class MujocoWorld:
             pool.deactivate()
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._initial_positions
         self.invalidate()
-        self._forces = self._force_vectors = ()
+        self._forces = self.force_vectors = ()
         self.has_pushes = False
 
     def update_constants(self) -> None:
@@ -257,7 +245,7 @@ class MujocoWorld:
             data.qfrc_actuator.copy(),
             data.qacc.copy(),
             self.forces,
-            self.force_vectors,
+            force_vectors(self),
             memory,
         )
 
@@ -271,7 +259,7 @@ class MujocoWorld:
             write(memory)
         self.remember(snapshot.memory[:3])
         self.invalidate()
-        self._forces, self._force_vectors = snapshot.forces, snapshot.force_vectors
+        self._forces, self.force_vectors = snapshot.forces, snapshot.force_vectors
         self.has_pushes = bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
@@ -447,6 +435,19 @@ class MujocoWorld:
             for what, values in states:
                 if not np.isfinite(values).all():
                     raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
+
+
+def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
+    """Return the forces of contacts in the last engine step, with friction."""
+    if world.force_vectors is None:
+        contact, force = world.data.contact, np.zeros(6)
+        world.force_vectors = vectors = []
+        pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
+        for place, ((one, other), axes) in enumerate(pairs):
+            mj.mj_contactForce(world.model, world.data, place, force)
+            x, y, z = (force[:3] @ axes).tolist()
+            vectors.append((one, other, (x, y, z)))
+    return world.force_vectors
 
 
 class LinkMotions(NamedTuple):

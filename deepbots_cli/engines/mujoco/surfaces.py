@@ -11,6 +11,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
+from deepbots_cli.engines.mujoco.state import force_vectors
 from deepbots_cli.port import ZERO_VECTOR
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
 
     def read() -> Triple:
         total = ZERO_VECTOR
-        for one, other, force in world.force_vectors:
+        for one, other, force in force_vectors(world):
             if (one in own) != (other in own):
                 total = (frames.add if other in own else frames.subtract)(total, force)
         return total
