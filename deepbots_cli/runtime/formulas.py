@@ -328,11 +328,11 @@ class Accumulate(Memory):
 class Duration(Memory):
     """The time (s) for which the condition has held without a break."""
 
-    def begin(self, condition: bool) -> Any:
+    def begin(self, condition: Any) -> Any:
         self.kept = 0.0
         return 0.0
 
-    def advance(self, condition: bool) -> Any:
+    def advance(self, condition: Any) -> Any:
         self.kept = self.kept + self.timestep if condition else 0.0
         return self.kept
 

@@ -116,10 +116,9 @@ def cost(what: str, texts: tuple[str, str], bar: float, worlds: int, steps: int,
         shape = environments[0].action_space.shape
         actions = list(np.random.default_rng(0).uniform(-0.3, 0.3, (steps, *shape)).astype(np.float32))
         rewards: list[list[Any]] = [[], []]
-        found = pairs(
-            *(timed(each, actions, seen) for each, seen in zip(environments, rewards, strict=True)), count
-        )
-        np.testing.assert_allclose(*map(np.array, rewards), rtol=1e-9, atol=1e-9)
+        sides = [timed(each, actions, seen) for each, seen in zip(environments, rewards, strict=True)]
+        found = pairs(sides[0], sides[1], count)
+        np.testing.assert_allclose(np.array(rewards[0]), np.array(rewards[1]), rtol=1e-9, atol=1e-9)
     first, second = (1e6 * np.median(side) for side in zip(*found, strict=True))
     return Row(f"{what} ({first:.0f} us / {second:.0f} us)", ratio(found), "", bar)
 

@@ -557,15 +557,15 @@ class MuJoCoBatch:
         links = list(body.links.values())
 
         def read() -> Column:
-            weights = (
+            masses, moments = (
                 self.rows[name][:, links] if name in self.rows else getattr(self.nominal, name)[None, links]
                 for name in ("body_mass", "body_inertia")
             )
             velocities = self._observer.read("cvel")[:, links]
             places, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
             origins = self._observer.read("subtree_com")[:, body.root_id]
-            momentum: Column = LinkMotions(*weights, places, axes, velocities, origins).angular_momentum()
-            return momentum.T
+            motions = LinkMotions(masses, moments, places, axes, velocities, origins)
+            return motions.angular_momentum().T
 
         return read
 

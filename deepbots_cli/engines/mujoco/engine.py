@@ -252,9 +252,13 @@ class MuJoCoEngine:
 
         def read() -> Triple:
             world.update_velocities()
-            parts = (model.body_mass, model.body_inertia, data.xipos, data.ximat, data.cvel)
             motions = LinkMotions(
-                *(part[None, links] for part in parts), origins=data.subtree_com[None, body.root_id]
+                model.body_mass[None, links],
+                model.body_inertia[None, links],
+                data.xipos[None, links],
+                data.ximat[None, links],
+                data.cvel[None, links],
+                data.subtree_com[None, body.root_id],
             )
             ((x, y, z),) = motions.angular_momentum().tolist()
             return x, y, z
