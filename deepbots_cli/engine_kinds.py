@@ -27,7 +27,7 @@ class Limitation(NamedTuple):
     help: str
 
 
-Feature = Literal["armature", "center_of_mass", "torque_curve"]
+Feature = Literal["armature", "center_of_mass", "joint_wrench", "self_collision", "torque_curve"]
 """A capability of an engine that a scenario may need."""
 _LIMITATIONS: Mapping[Feature, Limitation] = {
     "armature": Limitation(
@@ -37,6 +37,14 @@ _LIMITATIONS: Mapping[Feature, Limitation] = {
     "center_of_mass": Limitation(
         "the center of mass of a link cannot be drawn in {engine}",
         "write a fixed `com`, or use the engine `mujoco`",
+    ),
+    "joint_wrench": Limitation(
+        "the force and the torque in a joint cannot be measured in {engine}",
+        "use `joint_torque` or `force`, or the engine `pybullet` or `mujoco`",
+    ),
+    "self_collision": Limitation(
+        "links of one robot cannot touch each other in {engine}",
+        "remove `self_collision`, or use the engine `pybullet` or `mujoco`",
     ),
     "torque_curve": Limitation(
         "the torque of a motor cannot fall with its speed in {engine}",

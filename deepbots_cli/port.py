@@ -38,7 +38,7 @@ SERVO_TIME = 0.02
 Capability = Literal["contacts", "mimic", "rendering", "snapshot", Feature]
 """A feature that an engine may lack: contacts between bodies, joints that follow others, pictures, an exact
 `snapshot` of the world; the armature of joints, a center of mass that an episode moves, motors whose torque
-falls with their speed."""
+falls with their speed, the wrench in a joint, links of one robot that touch each other."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
 JointStates = Sequence[Sequence[float]]
@@ -68,6 +68,9 @@ Pusher = Callable[[Triple, Triple], object]
 """Takes a force (N) and a torque (N m)."""
 ContactReader = Callable[[], bool]
 ForceReader = Callable[[], float]
+VectorReader = Callable[[], Triple]
+WrenchReader = Callable[[], tuple[Triple, Triple]]
+"""A force (N) and a torque (N m)."""
 ClearanceReader = Callable[[], float]
 RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
@@ -133,12 +136,17 @@ class Bindable(Protocol):
         """Return whether `one` touched one of `others` in any engine step of the last `step`; false after a
         reset.
 
-        If `others` is None, all other bodies are meant. `ground` includes plane and terrain.
+        If `others` is None, all other bodies are meant, and other links of a robot with `self_collision`.
+        `ground` includes plane and terrain.
         """
 
     def contact_force(self, one: Part) -> ForceReader:
         """Return the sum of normal forces (N) on `one` from everything that it touches, in the last engine
         step."""
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        """Return the sum of the contact forces (N, world frame) on `one` from everything else that it
+        touches, friction included, in the last engine step."""
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         """Return the distance between two surfaces, m: 0 if they touch, infinite if a body is absent."""
@@ -155,10 +163,21 @@ class Bindable(Protocol):
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader: ...
 
+    def joint_wrench(self, part: Part) -> WrenchReader:
+        """Return the force and the torque that a link got from the joint that carries it, in the last engine
+        step: at the origin of the link, in its axes; 0 after a reset.
+
+        The link is not the root link. Callers need an engine with the capability `joint_wrench`.
+        """
+
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         """Return a reader of the pose of a link, or of the root link of a robot or object."""
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
+
+    def angular_momentum(self, robot: str) -> VectorReader:
+        """Return the angular momentum (N m s, world frame) of a robot about its center of mass, with the masses
+        of the episode. The base of a robot with a fixed base counts as a link at rest."""
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         """Return a reader of pose and velocity in one call, which takes half the time of two calls if the
@@ -317,7 +336,7 @@ class Engine(Bindable, Protocol):
 
     def overlaps(self) -> Sequence[Overlap]:
         """Return the overlaps in the present state of the world: the deepest pair of links of every two
-        bodies; deepest first.
+        bodies, and within a robot with `self_collision`; deepest first.
 
         At least one of the two can move; the ground is one of the bodies. The call may change later contacts
         by rounding errors.
@@ -410,14 +429,17 @@ class EngineProxy:
 
     contact = partialmethod(_reader, "contact", 2)
     contact_force = partialmethod(_reader, "contact_force", 1)
+    contact_force_vector = partialmethod(_reader, "contact_force_vector", 1)
     clearance = partialmethod(_reader, "clearance", 2)
     rays = partialmethod(_reader, "rays", 1)
     camera = partialmethod(_reader, "camera", 1)
     inverse_kinematics = partialmethod(_reader, "inverse_kinematics", 1)
     joint_states = partialmethod(_reader, "joint_states", 1)
     joint_torques = partialmethod(_reader, "joint_torques", 1)
+    joint_wrench = partialmethod(_reader, "joint_wrench", 1)
     pose = partialmethod(_reader, "pose", 1)
     velocity = partialmethod(_reader, "velocity", 1)
+    angular_momentum = partialmethod(_reader, "angular_momentum", 1)
     motion = partialmethod(_reader, "motion", 1)
 
     velocity_motor = partialmethod(_pass, "velocity_motor", 1)

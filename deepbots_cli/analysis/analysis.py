@@ -301,8 +301,7 @@ class Analysis:
     # Bodies
 
     def own_contacts(self, node: Scalar) -> list[str]:
-        """Return the contacts between links of one robot, which are never true: links of one robot do not
-        touch each other."""
+        """Return the contacts between links of one robot without `self_collision`, which are never true."""
         contacts = [
             part
             for part in self.walk_definitions(node)
@@ -310,7 +309,8 @@ class Analysis:
         ]
         owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in contacts]
         copies = self.program.agent.copies
-        robots = self._robots.keys() - {copies.robot if copies else ""}  # a copy may touch another one
+        robots = {body.name for body in self.program.world.robots if not body.self_collision}
+        robots -= {copies.robot if copies else ""}  # a copy may touch another one
         return sorted(
             {f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots}
         )

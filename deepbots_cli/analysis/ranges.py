@@ -123,7 +123,10 @@ class Ranges:
             node.subjects
         ):
             return NEVER
-        if node.function == "contact_force" and not self.analysis.intangible.isdisjoint(node.subjects):
+        if node.function in (
+            "contact_force",
+            "contact_force_vector",
+        ) and not self.analysis.intangible.isdisjoint(node.subjects):
             return iv.single(0.0)
         function = FUNCTIONS.get(node.function)
         return TRUTH if function is None or function.boolean else function.interval()

@@ -42,6 +42,8 @@ _VECTOR_FUNCTIONS = {
 """The function that an operation on many arguments of the same form is printed as, by target; it takes one
 vector."""
 _MIN_LOOP_ITEMS = 4
+_MAX_SUMMANDS = 4
+"""The length of a sum of numbers that is printed term by term: four terms take 0.3 us instead of 0.7 us."""
 _NEUTRAL_VALUES = {"add": 0.0, "sub": 0.0, "mul": 1.0}
 
 
@@ -238,7 +240,14 @@ class Printer:
         column = self._column(tree.args)
         try:
             loop = _Loop(self)
-            code = column.elements if column is not None else loop.code(loop.body(tree.args).text)
+            if column is None:
+                body = loop.body(tree.args)
+                items = loop.items(body, len(tree.args))
+                if tree.op == "add" and self.on_floats and items and len(items) <= _MAX_SUMMANDS:
+                    return operation_code("add", items, tree.args)
+                code = loop.code(body.text)
+            else:
+                code = column.elements
         except _DifferentShapesError:
             return None
         lazy = tree.op in ("or", "and") and code.startswith("[")
@@ -340,6 +349,8 @@ class _Loop:
     def __init__(self, printer: Printer) -> None:
         self._printer = printer
         self._columns: dict[str, str] = {}
+        self._literals: dict[str, Sequence[str]] = {}
+        """The items of the columns that are written out."""
 
     def variable(self, column: Column) -> str:
         """Return the code of an item of the column."""
@@ -365,8 +376,29 @@ class _Loop:
 
     def code(self, body: str) -> str:
         """Return the vector as a comprehension."""
+        only = next(iter(self._columns), "")
+        if only in self._literals and body == self._columns[only]:
+            return f"[{', '.join(self._literals[only])}]"
         variables, columns = ", ".join(self._columns.values()), ", ".join(self._columns)
         return f"[{body} for {variables} in {columns if len(self._columns) == 1 else f'zip({columns})'}]"
+
+    def items(self, body: Code, count: int) -> list[Code]:
+        """Return the code of each item; nothing where a column has no items with a short code."""
+        names = {variable: column for column, variable in self._columns.items()}
+        if '"' in body.text or not all(
+            column in self._literals or column.replace(".", "").isidentifier() for column in names.values()
+        ):
+            return []
+
+        def item(variable: str, index: int) -> str:
+            column = names[variable]
+            return self._literals[column][index] if column in self._literals else f"{column}[{index}]"
+
+        pattern = re.compile(rf"\b[{''.join(names) or '_'}]\b")
+        return [
+            Code(pattern.sub(lambda name, at=at: item(name[0], at), body.text), body.precedence)  # type: ignore[misc]
+            for at in range(count)
+        ]
 
     def body(self, trees: Sequence[Scalar]) -> Code:
         """Return the code of one of the trees.
@@ -383,7 +415,9 @@ class _Loop:
             isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree))
             for tree in trees
         ):
-            return Code(self.variable(Column(self._printer.tuple(trees))))
+            values = [self._printer.value(tree) for tree in trees]
+            self._literals[code := tuple_code(values)] = values
+            return Code(self.variable(Column(code)))
         if all(
             isinstance(tree, Draw) and tree.distribution == first.distribution
             for tree in trees

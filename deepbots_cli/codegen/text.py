@@ -305,20 +305,19 @@ def wrap_line(line: str) -> list[str]:
         return _at_brackets(pad, code)
     if list(_places(body, ", ")):
         return [head, *_one_each(pad, _split(body, ", ")), tail]
-    operators = next(
-        (group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None
-    )
+    operators = _loosest_operators(body)
     fits = len(pad) + 4 + len(body) <= WIDTH
     room = 0 if fits else WIDTH - len(pad) - start
     if operators is None or _ends_in_long_brackets(body, operators, room):
         return _at_brackets(pad, code)
     if fits:
         return [head, f"{pad}    {body}", tail]
-    return [
-        head,
-        *(piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")),
-        tail,
-    ]
+    return [head, *_one_operand_each(pad, body, operators), tail]
+
+
+def _loosest_operators(body: str) -> tuple[str, ...] | None:
+    """Return the operators at which a line is broken first, outside of brackets."""
+    return next((group for group in _OPERATORS if any(list(_places(body, sign)) for sign in group)), None)
 
 
 def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) -> bool:
@@ -352,8 +351,15 @@ def _at_brackets(pad: str, code: str) -> list[str]:
         ]
     items = _split(inner.removesuffix(","), ", ")
     if len(items) == 1 and not inner.endswith(","):  # a comma would make a tuple of a mere group
-        return [head, *wrap_line(f"{pad}    {inner}"), tail]
+        operators = _loosest_operators(inner)
+        if operators is None or _ends_in_long_brackets(inner, operators, WIDTH - len(pad) - 4):
+            return [head, *wrap_line(f"{pad}    {inner}"), tail]
+        return [head, *_one_operand_each(pad, inner, operators), tail]
     return [head, *_one_each(pad, items), tail]
+
+
+def _one_operand_each(pad: str, body: str, operators: tuple[str, ...]) -> list[str]:
+    return [piece for part in _broken(body, operators) for piece in wrap_line(f"{pad}    {part}")]
 
 
 def _one_each(pad: str, items: list[str]) -> list[str]:

@@ -33,7 +33,10 @@ ReaderKeys = dict[ReaderKey, None]
 """The readers that a method calls, in order of first use."""
 
 _KINDS = ("joints", "torques", "pose", "velocity")
-_OF_COLUMNS = (*_KINDS, "clearance", "contact", "contacts", "collided", "contact_force")
+_OF_COLUMNS = (
+    *(*_KINDS, "clearance", "contact", "contacts", "collided"),
+    *("contact_force", "contact_force_vector", "angular_momentum"),
+)
 """The kinds of readers that engines with batches give as columns."""
 _POSES = {"position": "pose", "orientation": "pose", "velocity": "velocity", "angular_velocity": "velocity"}
 _RESULT_INDEX = {
@@ -62,7 +65,12 @@ _SCALAR_READERS = {
 }
 """The facts that are one number or truth value each, and the reader of each; {0} and {1} are parts of the
 world."""
-_READER_ORDER = (*_KINDS, *_SCALAR_READERS, "line")
+_VECTOR_READERS = {
+    "contact_force_vector": "engine.contact_force_vector({0})",
+    "angular_momentum": "engine.angular_momentum({robot})",
+}
+"""The facts that are vectors x y z, and the reader of each."""
+_READER_ORDER = (*_KINDS, *_SCALAR_READERS, *_VECTOR_READERS, "line")
 
 
 class Readers:
@@ -93,6 +101,8 @@ class Readers:
             return f"{self._need(_POSES[what], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if what in _SCALAR_READERS:
             return self._need(what, leaf.subjects, needs)
+        if what in _VECTOR_READERS:
+            return f"{self._need(what, leaf.subjects, needs)}[{_XYZ.index(leaf.component or 'x')}]"
         if what in ("cross_track_error", "arc_length"):
             self.pose(leaf.subjects[0], needs)
             return f"{self._need('line', leaf.subjects, needs)}[{item}]"
@@ -109,14 +119,12 @@ class Readers:
         what, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
         if any(leaf.function != what for leaf in leaves):
             return None
-        if what in _POSES:
+        if what in _POSES or what in _VECTOR_READERS:
             parts = "".join(leaf.component or "" for leaf in leaves)
-            whole = len(set(subjects)) == 1 and parts == _XYZ[: 4 if what == "orientation" else 3]
-            return (
-                (f"{self._need(_POSES[what], leaves[0].subjects[:1], needs)}[{_RESULT_INDEX[what]}]", "")
-                if whole
-                else None
-            )
+            if len(set(subjects)) > 1 or parts != _XYZ[: 4 if what == "orientation" else 3]:
+                return None
+            code = self._need(_POSES.get(what, what), leaves[0].subjects[:1], needs)
+            return f"{code}[{_RESULT_INDEX[what]}]" if what in _POSES else code, ""
         if what in ("joint_position", "joint_velocity", "joint_torque"):
             robot, names = subjects[0][0].partition(".")[0], [one.partition(".")[2] for (one,) in subjects]
             if any(one.partition(".")[0] != robot for (one,) in subjects) or len(names) < 2:
@@ -221,7 +229,9 @@ class Readers:
                     robot=generated.robot(robot), sensor=quoted(sensor), body=quoted(parts[1])
                 )
             case _:
-                return _SCALAR_READERS[kind].format(*map(_part, parts))
+                return (_SCALAR_READERS | _VECTOR_READERS)[kind].format(
+                    *map(_part, parts), robot=quoted(body)
+                )
 
 
 def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:

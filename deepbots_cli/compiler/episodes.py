@@ -353,7 +353,7 @@ def _start_value(
 # Before the first step nothing has touched or acted, and no picture was taken.
 _HELP_BEFORE_FIRST_STEP = {
     **dict.fromkeys(
-        ("contact", "collided", "contact_force"),
+        ("contact", "collided", "contact_force", "contact_force_vector"),
         "contacts are not known before the first step; use `clearance(...) > 1 cm`",
     ),
     "joint_torque": "remove it: no motor has exerted a torque before the first step",

@@ -36,6 +36,7 @@ from deepbots_cli.scenario.sensors import (
     LinkSensor,
     RayScan,
     RaySensor,
+    ReactionSensor,
     Touch,
 )
 from deepbots_cli.scenario.sensors import CalibrationTable as TableSpec
@@ -128,7 +129,7 @@ class SensorsCompiler(NamespaceReader):
                 if isinstance(spec, Touch) and spec.against is not None:
                     more["against"] = self._against(spec)
             case LinkSensor():
-                subjects = self._robot.links_of(spec, self._values)
+                subjects = self._carrier_of(spec)
                 more["mount"] = _frame(self._namespace, spec.pose)
                 if isinstance(spec, RayScan):
                     scan = _scan(self._namespace, spec)
@@ -157,6 +158,15 @@ class SensorsCompiler(NamespaceReader):
         return sensor, Type(
             dimension, components or None, boolean=spec.boolean, known=Known.STEP
         ).with_intervals(intervals)
+
+    def _carrier_of(self, spec: LinkSensor) -> tuple[str, ...]:
+        """Return the link on which a sensor is mounted; none after a finding."""
+        links = self._robot.links_of(spec, self._values)
+        if isinstance(spec, ReactionSensor) and self._robot.model.root in links:
+            headline = f"no joint carries `{spec.link}`, the root link of `{self._robot.name}`"
+            self._values.add("DB105", (*spec.path, "link"), headline, "name a link that a joint carries")
+            return ()
+        return links
 
     def _with_ray_reach(self, sensor: Sensor, spec: RayScan, faults: NoiseModel | None) -> Sensor:
         """Return the sensor with rays to the end of its range; the rays of a height scan begin at the

@@ -616,7 +616,15 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
         spec.substeps,
         ground=_ground(spec.ground, namespace) if spec.terrain is None else None,
         arena=None if spec.arena is None else _arena(spec.arena, namespace),
-        robots=tuple(RobotBody(robot.name, robot.model, robot.spec.base == "fixed") for robot in robots),
+        robots=tuple(
+            RobotBody(
+                robot.name,
+                robot.model,
+                robot.spec.base == "fixed",
+                self_collision=robot.spec.self_collision,
+            )
+            for robot in robots
+        ),
         objects=(*pieces, *objects),
         terrain=terrain(spec.terrain, namespace) if spec.terrain is not None else None,
         lines=painted,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Generic, ParamSpec, Protocol, TypeVar
 
 from deepbots_cli import frames
@@ -104,6 +105,20 @@ def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
                 members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
                 waiting.append(joint.child)
     return members
+
+
+def self_collision_pairs(model: RobotModel) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of links of a robot that may touch each other: no rigid group has both, and no joint
+    joins their groups."""
+    group = {link.name: link.name for link in model.links}
+    for joint in model.joints:
+        if not joint.moves:
+            members = rigid_group(model, group[joint.parent])
+            group |= dict.fromkeys(members, group[joint.parent])
+    joined = {frozenset((group[joint.parent], group[joint.child])) for joint in model.joints}
+    for one, other in combinations(group, 2):
+        if group[one] != group[other] and frozenset((group[one], group[other])) not in joined:
+            yield one, other
 
 
 def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:

@@ -368,7 +368,7 @@ _JOINT = _subject("joint", Kind.JOINT, Kind.JOINTS)
 _LINE = _subject("line", Kind.LINE)
 _SEEN = _subject("body", Kind.ROBOT, Kind.OBJECT, Kind.OBJECTS, Kind.WALL, Kind.WALLS)
 _CAMERA = _subject("camera", Kind.CAMERA)
-_EMITTER = _subject("robot", Kind.ROBOT)
+_ROBOT = _subject("robot", Kind.ROBOT)
 _SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
 
 _ENTRIES = (
@@ -445,6 +445,9 @@ _ENTRIES = (
     Function("angular_velocity", _OF_WORLD, (_LINKS,), "The angular velocity of a body or link, in the world"
                                                       " frame.",
              "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
+    Function("angular_momentum", _OF_WORLD, (_ROBOT,), "The angular momentum of a robot about its center of mass,"
+                                                       " in the world frame.",
+             "norm(angular_momentum(rover))", _always(TORQUE * TIME), components=SPACE),
     Function("orientation", _OF_WORLD, (_LINKS,), "The orientation of a body or link in the world as a"
                                                  " quaternion (x, y, z, w).",
              "orientation(rover)",
@@ -500,9 +503,8 @@ _ENTRIES = (
                                                      " body.", "visible(rover.eye, ball)",
              _NUMBER, boolean=True),
     Function("contact", _OF_WORLD, (_BODIES, _TOUCHED),
-             "Whether two bodies touched in this timestep. A robot counts with all of its links. It is"
-             " always false for two links of "
-             "the same robot.",
+             "Whether two bodies touched in this timestep. A robot counts with all of its links. Two links of"
+             " one robot touch only with `self_collision: true`.",
              "contact(ball, ground)", _NUMBER, boolean=True),
     Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in"
                                                 " this timestep.",
@@ -511,6 +513,9 @@ _ENTRIES = (
     Function("contact_force", _OF_WORLD, (_PUSHED,),
              "The sum of the normal forces on a body, from all that it touches.", "contact_force(ball)",
              _always(FORCE), _known(iv.POSITIVE)),
+    Function("contact_force_vector", _OF_WORLD, (_PUSHED,),
+             "The sum of the contact forces on a body, in the world frame: normal forces and friction, from"
+             " all else that it touches.", "contact_force_vector(ball).xy", _always(FORCE), components=SPACE),
     Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a"
                                                      " length.", "joint_position(rover.left_wheel)",
              interval=_first),
@@ -530,7 +535,7 @@ _ENTRIES = (
              "The age of the newest values that arrived from a robot or a sensor: the time since they were"
              " measured.", "age(rover)",
              _TIME, _known(iv.POSITIVE)),
-    Function("message_received", Family.MESSAGE, (_EMITTER,), "Whether a message from the robot arrived in"
+    Function("message_received", Family.MESSAGE, (_ROBOT,), "Whether a message from the robot arrived in"
                                                               " this timestep.",
              "message_received(rover)", _NUMBER, boolean=True),
     Function("delta", _STATEFUL, (_X, _START),

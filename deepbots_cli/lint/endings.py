@@ -62,7 +62,8 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
                 "DB801",
                 ending.span,
                 headline,
-                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`",
+                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
+                " `self_collision: true` under the robot",
             )
 
 

@@ -246,7 +246,8 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
                 "DB704",
                 term.span,
                 headline,
-                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`",
+                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
+                " `self_collision: true` under the robot",
             )
             continue
         if all(term.name in names for names in inactive) and not _is_turned_off(term.typed, context.analysis):

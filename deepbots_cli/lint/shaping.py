@@ -32,7 +32,7 @@ _MAX_SHOWN = 60
 """The number of characters of an expression in a help text."""
 _EDGE_SHARE = 0.1
 """Near the middle, and near the failure, as a share of the way between both."""
-_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity"})
+_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "angular_momentum"})
 """The facts that do not depend on the place of a body."""
 
 

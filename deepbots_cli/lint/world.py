@@ -132,6 +132,12 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
             if isinstance(actuator, Motor) and actuator.no_load_speed is not None:
                 place = ("robots", robot.name, "actuators", actuator.name, "no_load_speed")
                 yield "torque_curve", context.values.span(place)
+        for sensor in robot.sensors:
+            if sensor.kind in ("reaction_force", "reaction_torque"):
+                yield (
+                    "joint_wrench",
+                    context.values.span(("robots", robot.name, "sensors", sensor.name, "type")),
+                )
     geared = {
         robot.name
         for robot in context.program.world.robots
@@ -139,6 +145,8 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
     }
     robots = context.checked.spec.robots if context.checked.spec is not None else {}
     for name, robot_spec in robots.items():
+        if robot_spec.self_collision:
+            yield "self_collision", context.values.span((*robot_spec.path, "self_collision"))
         for change in robot_spec.joints.values():
             if name in geared and change.armature is not None:
                 yield "armature", context.values.span((*change.path, "armature"))
@@ -512,6 +520,10 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
         also = (
             (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
         )
+    elif one[0] == other[0]:
+        headline = f"links `{one[1]}` and `{other[1]}` of `{first}` overlap by {depth} at the start"
+        help = "make their <collision> shapes in the robot file smaller, or remove `self_collision`"
+        also = ()
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
         help = "place them farther apart, or use a `region`, where deepbots finds free positions"

@@ -158,12 +158,15 @@ class BatchOfCopies:
 
     contact = partialmethod(_reader, "contact")
     contact_force = partialmethod(_reader, "contact_force")
+    contact_force_vector = partialmethod(_reader, "contact_force_vector")
     clearance = partialmethod(_reader, "clearance")
     rays = partialmethod(_reader, "rays")
     joint_states = partialmethod(_reader, "joint_states")
     joint_torques = partialmethod(_reader, "joint_torques")
+    joint_wrench = partialmethod(_reader, "joint_wrench")
     pose = partialmethod(_reader, "pose")
     velocity = partialmethod(_reader, "velocity")
+    angular_momentum = partialmethod(_reader, "angular_momentum")
     motion = partialmethod(_reader, "motion")
 
     def _motor(self, kind: str, *of: Any, **curve: Any) -> MotorWriter:

@@ -328,11 +328,11 @@ class Accumulate(Memory):
 class Duration(Memory):
     """The time (s) for which the condition has held without a break."""
 
-    def begin(self, condition: bool) -> Any:
+    def begin(self, condition: Any) -> Any:
         self.kept = 0.0
         return 0.0
 
-    def advance(self, condition: bool) -> Any:
+    def advance(self, condition: Any) -> Any:
         self.kept = self.kept + self.timestep if condition else 0.0
         return self.kept
 
@@ -395,8 +395,23 @@ class RisingEdgeOfVector(VectorMemory, RisingEdge):
         return list(map(operator.gt, condition, before))
 
 
+class DurationOfVector(VectorMemory, Duration):
+    """The time (s) for which the condition of each component has held without a break."""
+
+    component = Duration
+
+    def begin(self, condition: Sequence[bool]) -> Any:
+        self.kept = [0.0] * self.count
+        return self.kept
+
+    def advance(self, condition: Sequence[bool]) -> Any:
+        step = self.timestep
+        self.kept = [time + step if holds else 0.0 for time, holds in zip(self.kept, condition, strict=True)]
+        return self.kept
+
+
 _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
-    kind.component: kind for kind in (DeltaOfVector, PreviousOfVector, RisingEdgeOfVector)
+    kind.component: kind for kind in (DeltaOfVector, PreviousOfVector, RisingEdgeOfVector, DurationOfVector)
 }
 
 

@@ -235,6 +235,25 @@ def _part(name: str) -> Part:
     return body, link or None
 
 
+def reaction_force(site: Site) -> Instrument:
+    """Measure the force of the joint that carries the link, along the axes of the sensor, in N."""
+    read, back = site.engine.joint_wrench((site.robot, site.link)), frames.inverse(site.mount[1])
+    return Instrument(lambda: frames.rotate(back, read()[0]))
+
+
+def reaction_torque(site: Site) -> Instrument:
+    """Measure the torque of the joint that carries the link, about the origin of the sensor and along its
+    axes, in N m."""
+    read, (arm, turned) = site.engine.joint_wrench((site.robot, site.link)), site.mount
+    back = frames.inverse(turned)
+
+    def torque() -> Triple:
+        force, about_link = read()
+        return frames.rotate(back, frames.add(about_link, frames.cross(force, arm)))
+
+    return Instrument(torque)
+
+
 # Rays
 
 
@@ -404,6 +423,8 @@ ON_COLUMNS = frozenset(
         projected_gravity,
         touch,
         force,
+        reaction_force,
+        reaction_torque,
         ranging,
     }
 )

@@ -113,6 +113,8 @@ class Robot(Section):
     robot, or `package://name/path`."""
     base: Literal["free", "fixed"] = "free"
     """Whether the root link moves or is fixed to the world."""
+    self_collision: bool = False
+    """Whether links of the robot touch each other. Links that a joint joins never do."""
     pose: Pose = Field(default_factory=Pose)
     """Start pose of the robot, unless `reset` places it."""
     count: RandomizableCount = 1

@@ -3,7 +3,7 @@
 A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the
 dimension, components and interval of readings, and the `reader` that takes readings in a running world.
 Validation, JSON Schema, completion, hover, reference and runtime use it. The bases are `JointSensor`,
-`LinkSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
+`LinkSensor`, `ReactionSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
 
 Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its
 `type`. Its own fields reach its reader as SI numbers and words.
@@ -256,6 +256,32 @@ class AngularVelocity(LinkSensor):
     type: Literal["angular_velocity"]
 
 
+class ReactionSensor(LinkSensor):
+    """Measures in the joint that carries a link."""
+
+    components = SPACE
+
+
+class ReactionForce(ReactionSensor):
+    """Force of the joint that carries a link on this link in the last physics step, along the axes of the
+    sensor, x y z."""
+
+    dimension = FORCE
+    reader = f"{_READERS}:reaction_force"
+
+    type: Literal["reaction_force"]
+
+
+class ReactionTorque(ReactionSensor):
+    """Torque of the joint that carries a link on this link in the last physics step, about the origin of the
+    sensor and along its axes, x y z."""
+
+    dimension = TORQUE
+    reader = f"{_READERS}:reaction_torque"
+
+    type: Literal["reaction_torque"]
+
+
 class ContactSensor(Sensor):
     """Measures contacts of one link, or of several links by name."""
 
@@ -409,7 +435,10 @@ class Camera(LinkSensor):
     """Content of a pixel."""
 
 
-BASES = (Sensor, JointSensor, LinkSensor, ContactSensor, Touch, RayScan, GridScan, RaySensor, Camera)
+BASES = (
+    *(Sensor, JointSensor, LinkSensor, ReactionSensor, ContactSensor, Touch),
+    *(RayScan, GridScan, RaySensor, Camera),
+)
 """Classes whose parameters the compiler reads; it passes the parameters of other classes to the reader."""
 
 
@@ -429,6 +458,7 @@ def _read(name: str, kind: Any) -> Iterator[tuple[str, type[Sensor]]]:
 _KINDS = (
     *(JointPosition, JointVelocity, JointTorque),
     *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
+    *(ReactionForce, ReactionTorque),
     *(Touch, Force, Infrared, Sonar, Laser, Lidar, HeightScan, Reflectance, Camera),
 )
 SENSORS: PluginTable[type[Sensor]] = PluginTable(

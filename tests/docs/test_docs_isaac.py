@@ -54,9 +54,9 @@ def cells(line: str) -> list[str]:
     return [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", line.strip())[1:-1]]
 
 
-def rows() -> Iterator[Row]:
-    """The rows of all tables with a column `under`."""
-    for table in re.findall(r"^\| \w+ \| under .*\n\|[-|]+\n((?:\|.*\n)+)", TEXT, re.MULTILINE):
+def rows(text: str = TEXT) -> Iterator[Row]:
+    """The rows of all tables of a text with a column `under`."""
+    for table in re.findall(r"^\| \w+ \| under .*\n\|[-|]+\n((?:\|.*\n)+)", text, re.MULTILINE):
         names: tuple[str, ...] = ()
         lines: list[Line] = []
         reason = ""
@@ -142,6 +142,21 @@ def test_the_numbers_of_the_page_are_those_of_its_tables() -> None:
         f"Of {sum(counts.values())} terms and settings, {counts['line']} have a line, "
         f"{counts['Not needed']} need none, {counts['Not yet']} have none yet, "
         f"and {counts['Left out']} are left out."
+    ) in TEXT
+
+
+def test_the_terms_of_isaac_lab_alone_are_counted_without_base_classes_and_planners() -> None:
+    terms = TEXT[: TEXT.index("## Entries of velocity_env_cfg")]
+    counts = Counter(
+        row.kind
+        for row in rows(terms)
+        for _ in row.names
+        if row.kind != "Left out" and "base classes" not in row.reason
+    )
+    assert (
+        f"Of the {sum(counts.values())} terms of `isaaclab.envs.mdp` and of its velocity task alone, without "
+        f"base classes and planners of manipulation, {counts['line']} have a line, "
+        f"{counts['Not needed']} need none, and {counts['Not yet']} have none yet."
     ) in TEXT
 
 

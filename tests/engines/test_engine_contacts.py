@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf, pi, sqrt
+from math import cos, inf, pi, sqrt, tan
 
 import pytest
 
@@ -100,6 +100,37 @@ def test_the_force_on_the_ground_is_the_weight_of_what_stands_on_it(engine_name,
         engine.step(4)
     expected = {"ground": 3.5 * 9.81, "crate": 4.0 * 9.81, "ball": 0.5 * 9.81}
     assert {name: read() for name, read in forces.items()} == pytest.approx(expected, rel=0.01)
+
+
+def test_the_force_on_a_body_is_the_sum_of_those_from_above_and_below(engine_name, build):
+    heavy, light = (
+        ObjectBody(name, Box((0.2, 0.2, 0.1)), Pose((0, 0, height)), mass)
+        for name, height, mass in (("heavy", 0.05, 3.0), ("light", 0.15, 0.5))
+    )
+    engine = build(engine_name, things(heavy, light))
+    forces = {name: engine.contact_force_vector((name, None)) for name in ("ground", "heavy", "light")}
+    assert {name: read() for name, read in forces.items()} == dict.fromkeys(forces, (0.0, 0.0, 0.0))
+    for _ in range(100):
+        engine.step(4)
+    expected = {"ground": -3.5 * 9.81, "heavy": 3.0 * 9.81, "light": 0.5 * 9.81}
+    for name, read in forces.items():
+        assert read() == pytest.approx((0.0, 0.0, expected[name]), rel=0.01, abs=0.02)
+
+
+@pytest.mark.parametrize(("angle", "friction"), [(0.3, 0.6), (0.5, 0.2)])
+def test_friction_is_part_of_the_force_on_a_crate_on_a_slope(engine_name, worlds, angle, friction, build):
+    """It holds the crate at rest, or else is the normal force times its coefficient."""
+    engine = build(engine_name, worlds.slope(angle, friction))
+    read, normal = engine.contact_force_vector(("crate", None)), engine.contact_force(("crate", None))
+    forces = []
+    for _ in range(30):
+        engine.step(4)
+        forces.append(read())
+        assert forces[-1][2] == pytest.approx(normal(), rel=1e-6)
+    for x, y, z in forces[10:]:
+        assert x == pytest.approx(-min(tan(angle), friction) * z, rel=0.02, abs=0.05)
+        assert y == pytest.approx(0.0, abs=0.3)
+    assert max(z for *_, z in forces) > 9.81 * cos(angle) - 0.1
 
 
 def test_watching_contacts_changes_nothing(engine_name, worlds, build):

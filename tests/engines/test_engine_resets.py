@@ -130,7 +130,9 @@ def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engin
         engine.joint_torques("dog", LEGS),
     ]
     readers += [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")] + [
-        engine.contact_force(("ground", None))
+        engine.contact_force(("ground", None)),
+        engine.contact_force_vector(("ground", None)),
+        engine.joint_wrench(("dog", "FR_toe")),
     ]
 
     def follow() -> list[object]:

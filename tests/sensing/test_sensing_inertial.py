@@ -189,3 +189,19 @@ def test_readings_after_a_reset_are_those_of_a_fresh_world(scene: Build) -> None
     first = episode()
     world.tick(7)
     assert episode() == first
+
+
+def test_the_wrench_in_a_joint_is_about_the_origin_of_the_sensor_and_along_its_axes(scene: Build) -> None:
+    """The joint holds 1 kg at 0.25 m; a sensor there feels its weight and no torque."""
+    world = scene(arm(), fixed=True)
+    turned = Pose((0.25, 0, 0), (90 * DEGREE, 0, 0))  # its y axis points up
+    force, torque = (
+        world.sensor(on(f"reaction_{what}", "arm", mount=turned)) for what in ("force", "torque")
+    )
+    at_joint = world.sensor(on("reaction_torque", "arm"))
+    world.begin()
+    assert force.reading == (0, 0, 0)
+    world.tick()
+    assert force.reading == pytest.approx((0, G, 0), abs=1e-6)
+    assert torque.reading == pytest.approx((0, 0, 0), abs=1e-6)
+    assert at_joint.reading == pytest.approx((0, -0.25 * G, 0), abs=1e-6)

@@ -30,7 +30,7 @@ from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
-from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
+from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import EngineProxy
@@ -59,16 +59,16 @@ SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
 
 class Sensor(NamedTuple):
-    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), in `slots` the
-    forces, or the distance of two geoms.
+    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
+    forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, the force or the torque of the
+    joint that carries `one`, or the distance of two geoms.
 
     Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
     """
 
     one: tuple[int, bool]
     other: tuple[int, bool] | None
-    slots: int = 0
-    of_geoms: bool = False
+    measures: Literal["touch", "forces", "force", "joint_force", "joint_torque", "distance"] = "touch"
 
 
 class BatchMember(EngineProxy):
@@ -154,7 +154,9 @@ class BatchMember(EngineProxy):
 
     contact = partialmethod(_of_columns, "contact")
     contact_force = partialmethod(_of_columns, "contact_force")
+    contact_force_vector = partialmethod(_of_columns, "contact_force_vector")
     joint_torques = partialmethod(_of_columns, "joint_torques")
+    joint_wrench = partialmethod(_of_columns, "joint_wrench")
 
     def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
         return self._batch.motor(kind, *given, **curve, world=self._index).writer(self._index)
@@ -170,7 +172,10 @@ class MuJoCoBatch:
 
     name = "mujoco"
     capabilities: frozenset[Any] = frozenset(
-        {"contacts", "mimic", "armature", "center_of_mass", "torque_curve"}
+        {
+            *("contacts", "mimic"),
+            *("armature", "center_of_mass", "joint_wrench", "self_collision", "torque_curve"),
+        }
     )
 
     def __init__(self, world: WorldModel, count: int) -> None:
@@ -242,11 +247,14 @@ class MuJoCoBatch:
                 self.rows[name][:] = rows
             for index, armature in self._weighed.items():
                 self._weigh(index, armature)
-        for name in [*self._outputs, *["sensordata" for sensor in self._sensors if sensor.slots][:1]]:
+        for name in [
+            *self._outputs,
+            *["sensordata" for sensor in self._sensors if sensor.measures != "touch"][:1],
+        ]:
             self._output(name)
         self._built = len(self._sensors)
         self._touch_columns = np.array(
-            [column for sensor, column in self._sensors.items() if not sensor.slots], int
+            [column for sensor, column in self._sensors.items() if sensor.measures == "touch"], int
         )
         self._touch_places = np.array([model.sensor_adr[column] for column in self._touch_columns], int)
 
@@ -491,6 +499,14 @@ class MuJoCoBatch:
 
         return read
 
+    def joint_wrench(self, part: Part) -> Callable[[], Column]:
+        """See `Engine.joint_wrench`."""
+        link = _link(self.single._pool(part[0]).current, part[1])
+        force, torque = (
+            self._sensor(Sensor((link, False), None, what)) for what in ("joint_force", "joint_torque")
+        )
+        return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
+
     def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
         place = self.form_and_link(body, link)
         if place is None:
@@ -535,6 +551,24 @@ class MuJoCoBatch:
 
         return read
 
+    def angular_momentum(self, robot: str) -> Callable[[], Column]:
+        """See `Engine.angular_momentum`."""
+        body = self.single._pool(robot).current
+        links = list(body.links.values())
+
+        def read() -> Column:
+            masses, moments = (
+                self.rows[name][:, links] if name in self.rows else getattr(self.nominal, name)[None, links]
+                for name in ("body_mass", "body_inertia")
+            )
+            velocities = self._observer.read("cvel")[:, links]
+            places, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
+            origins = self._observer.read("subtree_com")[:, body.root_id]
+            motions = LinkMotions(masses, moments, places, axes, velocities, origins)
+            return motions.angular_momentum().T
+
+        return read
+
     def motion(self, body: str, link: str | None = None) -> Callable[[], Any]:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
         return lambda: (pose(), velocity())
@@ -546,18 +580,14 @@ class MuJoCoBatch:
         links = self._links(one)
         met: list[tuple[int, bool] | None] = [None]
         if others is not None or not ground:
-            others = (
-                [(name, None) for name in self._world.pools if name not in (one[0], GROUND)]
-                if others is None
-                else others
-            )
+            others = self.single.others(one[0], ground=False) if others is None else others
             met = [link for part in others for link in self._links(part)]
         places = [self._sensor(Sensor(link, other)) for link in links for other in met]
         return lambda: cast("Column", self.touched[:, places].any(axis=1))
 
     def contact_force(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force`. Forces are added up in the order of contacts."""
-        numbers = [self._sensor(Sensor(link, None, FORCE_SLOTS)) for link in self._links(one)]
+        numbers = [self._sensor(Sensor(link, None, "forces")) for link in self._links(one)]
 
         def read() -> Column:
             total = np.zeros(self.count)
@@ -581,6 +611,30 @@ class MuJoCoBatch:
             return total
 
         return read
+
+    def contact_force_vector(self, one: Part) -> Callable[[], Column]:
+        """See `Engine.contact_force_vector`."""
+        body = self.single._pool(one[0]).current
+        links = self._links(one)
+        if one[1] is None and body.self_collision:  # forces between its own links then cancel
+            links = [(number, False) for number in body.links.values()]
+        numbers = [self._sensor(Sensor(link, None, "force")) for link in links]
+
+        def read() -> Column:
+            total = np.zeros((3, self.count))
+            for number in numbers:  # the force of the link on the others
+                total -= self._reading(number, 3)
+            return total
+
+        return read
+
+    def _reading(self, number: int, width: int) -> Column:
+        """Return the reading of a sensor in the last step, of shape (width, worlds); 0 before the first one."""
+        if self._built != len(self._sensors):
+            return np.zeros((width, self.count))
+        at = self._batch.model.sensor_adr[number]
+        reading: Column = self._outputs["sensordata"][:, at : at + width].T
+        return reading
 
     def clearance(self, one: Part, other: Part) -> Callable[[], Column]:
         """See `Engine.clearance`."""
@@ -759,7 +813,7 @@ class Observer:
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
         """Return the places in `sensordata` of the distances between geoms."""
-        sensors = [Sensor((one, False), (other, False), of_geoms=True) for one, other in pairs]
+        sensors = [Sensor((one, False), (other, False), "distance") for one, other in pairs]
         return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
 
     def read(self, name: str) -> Column:
@@ -1014,12 +1068,24 @@ class TrackingMotor(BatchMotor):
         return aimed
 
 
+_FOUND, _FORCE = mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE
+_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
+    "touch": ((_FOUND,), 0, 1),
+    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
+    "force": ((_FORCE,), 3, 1),
+}
+"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
+world frame), and the number of contacts."""
+
+_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
+
+
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
     """Return a copy of the compiled model with sensors."""
     if not sensors:
         return copy(model)
     spec, kinds = builder._spec.copy(), mj.mjtObj
-    for sensor in sensors:
+    for place, sensor in enumerate(sensors):
         subjects = {}
         for (kind, name), part_name in zip(
             (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
@@ -1027,16 +1093,18 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             if part_name is not None:
                 number, whole = part_name
                 link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
-                subjects[kind] = kinds.mjOBJ_GEOM if sensor.of_geoms else link
-                subjects[name] = (model.geom if sensor.of_geoms else model.body)(number).name
-        if sensor.of_geoms:
+                is_geom = sensor.measures == "distance"
+                subjects[kind] = kinds.mjOBJ_GEOM if is_geom else link
+                subjects[name] = (model.geom if is_geom else model.body)(number).name
+        if sensor.measures == "distance":
             spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
+        elif sensor.measures in _SITE_SENSORS:
+            site = spec.body(subjects["objname"]).add_site(name=f"s{place}")
+            spec.add_sensor(type=_SITE_SENSORS[sensor.measures], objtype=kinds.mjOBJ_SITE, objname=site.name)
         else:
-            fields = (mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE)[
-                : 2 if sensor.slots else 1
-            ]
+            fields, reduced, slots = _CONTACT_SENSORS[sensor.measures]
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
-            added.intprm[:3] = sum(1 << int(field) for field in fields), 0, sensor.slots or 1
+            added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
     compiled = spec.compile()
     compiled.opt.disableflags, compiled.opt.jacobian, compiled.stat.meaninertia = (
         model.opt.disableflags,

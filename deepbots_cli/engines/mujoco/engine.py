@@ -13,7 +13,7 @@ from deepbots_cli.engines.kinematics import Chain
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
-from deepbots_cli.engines.mujoco.state import MujocoWorld, WorldSnapshot
+from deepbots_cli.engines.mujoco.state import LinkMotions, MujocoWorld, WorldSnapshot
 from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
@@ -39,8 +39,10 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
+        WrenchReader,
     )
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
@@ -55,12 +57,13 @@ class MuJoCoEngine:
         self._world = MujocoWorld(built.compile(), world, built.pools)
         self._motors = motors.Motors(self._world)
         self._contact_monitor: surfaces.ContactMonitor | None = None
+        self._wrench_monitor: motors.WrenchMonitor | None = None
         self._substep_callbacks: list[Callable[[], object]] = []
         self._renderer = cameras.WorldRenderer(world, self._world)
         drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
         self.capabilities: frozenset[Capability] = drawing | {
             *("contacts", "mimic", "snapshot"),
-            *("armature", "center_of_mass", "torque_curve"),
+            *("armature", "center_of_mass", "joint_wrench", "self_collision", "torque_curve"),
         }
         self.reset()
 
@@ -71,6 +74,8 @@ class MuJoCoEngine:
         self._motors.restore({}, {})
         if self._contact_monitor is not None:
             self._contact_monitor.reset()
+        if self._wrench_monitor is not None:
+            self._wrench_monitor.reset()
 
     def step(self, substeps: int) -> None:
         world = self._world
@@ -79,13 +84,14 @@ class MuJoCoEngine:
         model = world.model
         data = world.data
         touches = self._contact_monitor
+        advance = mj.mj_step if self._wrench_monitor is None else self._wrench_monitor.step
         acts = self._substep_callbacks
         renewed = self._motors.gain_updates
-        if not (acts or renewed or world.has_pushes):
+        if not (acts or renewed or world.has_pushes or self._wrench_monitor):
             if touches is None:
                 mj.mj_step(model, data, substeps)
             else:
-                advance, look = mj.mj_step, touches.update
+                look = touches.update
                 touches.reset()
                 for _ in range(substeps):
                     advance(model, data)
@@ -99,7 +105,7 @@ class MuJoCoEngine:
                 act()
             for renew in renewed.values():
                 renew()
-            mj.mj_step(model, data)
+            advance(model, data)
             world.invalidate_after_step()
             if world.has_pushes:
                 data.xfrc_applied[:] = 0.0
@@ -229,11 +235,35 @@ class MuJoCoEngine:
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         return self._motors.torques(self._joints(robot, joints))
 
+    def joint_wrench(self, part: Part) -> WrenchReader:
+        if self._wrench_monitor is None:
+            self._wrench_monitor = motors.WrenchMonitor(self._world)
+        return self._wrench_monitor.reader(_link(self._pool(part[0]).current, part[1]))
+
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         return self._pool(body).bind_current(lambda form: self._pose(form, _link(form, link)))
 
     def velocity(self, body: str, link: str | None = None) -> VelocityReader:
         return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
+
+    def angular_momentum(self, robot: str) -> VectorReader:
+        world, body = self._world, self._pool(robot).current
+        model, data, links = world.model, world.data, list(body.links.values())
+
+        def read() -> Triple:
+            world.update_velocities()
+            motions = LinkMotions(
+                model.body_mass[None, links],
+                model.body_inertia[None, links],
+                data.xipos[None, links],
+                data.ximat[None, links],
+                data.cvel[None, links],
+                data.subtree_com[None, body.root_id],
+            )
+            ((x, y, z),) = motions.angular_momentum().tolist()
+            return x, y, z
+
+        return read
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         pose, velocity = self.pose(body, link), self.velocity(body, link)
@@ -311,15 +341,23 @@ class MuJoCoEngine:
     ) -> ContactReader:
         own = self._geoms(one)
         if others is None:
-            pools = self._world.pools
-            others = [(name, None) for name in pools if name != one[0] and (ground or name != GROUND)]
+            others = self.others(one[0], ground=ground)
         met = [geom for part in others for geom in self._geoms(part)]
         if self._contact_monitor is None:
             self._contact_monitor = surfaces.ContactMonitor(self._world)
         return self._contact_monitor.reader(own, met)
 
+    def others(self, body: str, *, ground: bool) -> list[Part]:
+        """Return the bodies that a body may touch: a robot with `self_collision` is one of its own."""
+        left_out = {body} if not self._pool(body).current.self_collision else set()
+        left_out |= set() if ground else {GROUND}
+        return [(name, None) for name in self._world.pools if name not in left_out]
+
     def contact_force(self, one: Part) -> ForceReader:
         return surfaces.force(self._world, self._geoms(one))
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        return surfaces.force_vector(self._world, self._geoms(one))
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         near, far = self._pool(one[0]), self._pool(other[0])

@@ -24,6 +24,7 @@ from deepbots_cli.engines.objects import (
     forms_of,
     is_movable,
     rigid_group,
+    self_collision_pairs,
     with_explicit_masses,
 )
 from deepbots_cli.errors import EngineError
@@ -100,6 +101,7 @@ class Body:
     model: RobotModel
     fixed: bool
     initial_pose: Frame
+    self_collision: bool = False
     links: dict[str, int] = field(default_factory=dict)
     joints: dict[str, int] = field(default_factory=dict)
     geoms: dict[str, list[int]] = field(default_factory=dict)
@@ -161,7 +163,9 @@ class ModelBuilder:
             self.pools.append(Pool(thing.name, variants, thing.pooled))
         for robot in world.robots:
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
-            body = self._add(Body(robot.name, model, robot.fixed_base, frames.frame(robot.pose)))
+            body = self._add(
+                Body(robot.name, model, robot.fixed_base, frames.frame(robot.pose), robot.self_collision)
+            )
             self.pools.append(Pool(robot.name, [(robot.name, body)], pooled=False))
 
     def compile(self) -> MjObject:
@@ -575,24 +579,31 @@ class ModelBuilder:
     # Pairs
 
     def _add_pairs(self) -> None:
-        """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves."""
+        """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves, or of
+        two links of a robot with `self_collision`."""
         surfaces = [list(self._surfaces(pool)) for pool in self.pools]
         for one, other in combinations(surfaces, 2):
             for first, stays in one:
                 for second, stays_too in other:
-                    if not (stays and stays_too) and self._meet(first, second) and self._meet(second, first):
-                        self._spec.add_pair(
-                            geomname1=first.name,
-                            geomname2=second.name,
-                            condim=3,
-                            margin=0.0,
-                            gap=0.0,
-                            solref=self._response,
-                            solreffriction=(0.0, 0.0),
-                            solimp=TIRE_IMPEDANCE
-                            if self._tires & {first.name, second.name}
-                            else CONTACT_IMPEDANCE,
-                        )
+                    if not (stays and stays_too):
+                        self._add_pair(first, second)
+        for body, _, _, geoms in self._made:
+            for link, other_link in self_collision_pairs(body.model) if body.self_collision else ():
+                for first, second in product(geoms[link], geoms[other_link]):
+                    self._add_pair(first, second)
+
+    def _add_pair(self, first: MjObject, second: MjObject) -> None:
+        if self._meet(first, second) and self._meet(second, first):
+            self._spec.add_pair(
+                geomname1=first.name,
+                geomname2=second.name,
+                condim=3,
+                margin=0.0,
+                gap=0.0,
+                solref=self._response,
+                solreffriction=(0.0, 0.0),
+                solimp=TIRE_IMPEDANCE if self._tires & {first.name, second.name} else CONTACT_IMPEDANCE,
+            )
 
     def _meet(self, surface: MjObject, other: MjObject) -> bool:
         """Return whether a surface may touch another: a wheel touches flat ground with its tire, and anything

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import finite_limit
 from deepbots_cli.port import SERVO_TIME, ZERO_VECTOR
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.curves import TorqueCurve
     from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Triple
-    from deepbots_cli.port import MotorWriter, Pusher, TorqueReader
+    from deepbots_cli.port import MotorWriter, Pusher, TorqueReader, WrenchReader
 
 MAX_GAIN = 1000.0
 """Largest gain of a velocity motor, in inertias of its joint per engine step."""
@@ -78,6 +79,45 @@ class Motors:
         accelerations = world.data.qacc
         usual = world.armature
         return lambda: (exerted[dofs] - (armature[dofs] - usual[dofs]) * accelerations[dofs]).tolist()
+
+
+class WrenchMonitor:
+    """Computes the wrenches in joints in every engine step, for all of their readers in a world."""
+
+    def __init__(self, world: MujocoWorld) -> None:
+        self._world = world
+        self._links: list[int] = []
+        self._wrenches: list[tuple[Triple, Triple]] = []
+        world.state_accessors.append((lambda: list(self._wrenches), self._restore))
+
+    def reset(self) -> None:
+        self._wrenches[:] = [(ZERO_VECTOR, ZERO_VECTOR)] * len(self._links)
+
+    def _restore(self, wrenches: list[tuple[Triple, Triple]]) -> None:
+        self._wrenches[: len(wrenches)] = wrenches
+
+    def step(self, model: Any, data: Any) -> None:
+        """Advance by one engine step, and compute its wrenches: with the velocities at its begin, to which the
+        positions and accelerations of MuJoCo belong."""
+        before = data.qvel.copy()
+        mj.mj_step(model, data)
+        after = data.qvel.copy()
+        data.qvel[:] = before
+        mj.mj_rnePostConstraint(model, data)
+        data.qvel[:] = after
+        for place, link in enumerate(self._links):
+            tx, ty, tz, fx, fy, fz = data.cfrc_int[link].tolist()  # at the center of mass of the tree
+            arm = (data.subtree_com[model.body_rootid[link]] - data.xpos[link]).tolist()
+            w, x, y, z = data.xquat[link].tolist()
+            force, turned = (fx, fy, fz), (x, y, z, w)
+            torque = frames.add((tx, ty, tz), frames.cross(arm, force))
+            self._wrenches[place] = frames.rotate_back(turned, force), frames.rotate_back(turned, torque)
+
+    def reader(self, link: int) -> WrenchReader:
+        place, wrenches = len(self._links), self._wrenches
+        self._links.append(link)
+        wrenches.append((ZERO_VECTOR, ZERO_VECTOR))
+        return lambda: wrenches[place]
 
 
 class Motor:

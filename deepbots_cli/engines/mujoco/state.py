@@ -22,6 +22,7 @@ from deepbots_cli.errors import EngineError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.frames import Triple
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
     FloatArray = NDArray[np.float64]
@@ -61,6 +62,8 @@ and 0.77 to 0.85 at 4 ms and at 16 ms, by how far a ball sinks before the first 
 BOUNCE_IMPEDANCE = 0.99  # the impedance of a bounce: the share of its spring that the solver applies
 ContactForce = tuple[int, int, float]
 """Two geoms that touch, and the normal force between them in N."""
+ForceVector = tuple[int, int, "Triple"]
+"""Two geoms that touch, and the force of the first on the second one in N (world frame)."""
 
 
 class WorldSnapshot(NamedTuple):
@@ -72,6 +75,7 @@ class WorldSnapshot(NamedTuple):
     actuator_forces: FloatArray
     accelerations: FloatArray
     forces: Sequence[ContactForce]
+    force_vectors: Sequence[ForceVector]
     memory: tuple[Any, ...]
 
 
@@ -86,6 +90,8 @@ class MujocoWorld:
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
         self.light = self._nominal_light = world.light
         self._forces: Sequence[ContactForce] | None = ()
+        self.force_vectors: Sequence[ForceVector] | None = ()
+        """The forces of contacts in the last engine step; None until `force_vectors` computes them."""
         self._mass_changed = self._friction_changed = True
         self.is_stale = True
         self.state_accessors: list[tuple[Callable[[], object], Callable[[Any], object]]] = []
@@ -171,7 +177,7 @@ class MujocoWorld:
 
     def invalidate_after_step(self) -> None:
         self.has_positions = self.has_velocities = False
-        self._forces = None
+        self._forces = self.force_vectors = None
 
     @property
     def forces(self) -> Sequence[ContactForce]:
@@ -196,7 +202,8 @@ class MujocoWorld:
             pool.deactivate()
         data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = self._initial_positions
         self.invalidate()
-        self._forces, self.has_pushes = (), False
+        self._forces = self.force_vectors = ()
+        self.has_pushes = False
 
     def update_constants(self) -> None:
         """Compute the values that depend on the values that were set.
@@ -233,7 +240,13 @@ class MujocoWorld:
         memory = (*self.memory(), *(read() for read, _ in self.state_accessors))
         data = self.data
         return WorldSnapshot(
-            state, *self._copy_values(), data.qfrc_actuator.copy(), data.qacc.copy(), self.forces, memory
+            state,
+            *self._copy_values(),
+            data.qfrc_actuator.copy(),
+            data.qacc.copy(),
+            self.forces,
+            force_vectors(self),
+            memory,
         )
 
     def restore(self, snapshot: WorldSnapshot) -> None:
@@ -246,7 +259,8 @@ class MujocoWorld:
             write(memory)
         self.remember(snapshot.memory[:3])
         self.invalidate()
-        self._forces, self.has_pushes = snapshot.forces, bool(self.data.xfrc_applied.any())
+        self._forces, self.force_vectors = snapshot.forces, snapshot.force_vectors
+        self.has_pushes = bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
         """Return the memory of an episode besides its state and the values of the model: the bodies that are
@@ -421,6 +435,46 @@ class MujocoWorld:
             for what, values in states:
                 if not np.isfinite(values).all():
                     raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
+
+
+def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
+    """Return the forces of contacts in the last engine step, with friction."""
+    if world.force_vectors is None:
+        contact, force = world.data.contact, np.zeros(6)
+        world.force_vectors = vectors = []
+        pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
+        for place, ((one, other), axes) in enumerate(pairs):
+            mj.mj_contactForce(world.model, world.data, place, force)
+            x, y, z = (force[:3] @ axes).tolist()
+            vectors.append((one, other, (x, y, z)))
+    return world.force_vectors
+
+
+class LinkMotions(NamedTuple):
+    """Masses (kg), principal moments (kg m^2) and motions of the links of a robot in many worlds.
+
+    The shapes are (worlds, links, ...): `places` and `axes` are those of the inertia, `velocities` those of
+    MuJoCo's `cvel` at `origins`, of shape (worlds, 3).
+    """
+
+    masses: FloatArray
+    moments: FloatArray
+    places: FloatArray
+    axes: FloatArray
+    velocities: FloatArray
+    origins: FloatArray
+
+    def angular_momentum(self) -> FloatArray:
+        """Return the angular momentum about the center of mass of all links, of shape (worlds, 3)."""
+        masses, turning = self.masses[..., None], self.velocities[..., :3]
+        axes = self.axes.reshape(*self.places.shape, 3)
+        speeds = self.velocities[..., 3:] + np.cross(turning, self.places - self.origins[:, None])
+        arms = self.places - self.places[:, :1]
+        spins = np.einsum("wlij,wlj,wlkj,wlk->wli", axes, self.moments, axes, turning)
+        about_root = (spins + masses * np.cross(arms, speeds)).sum(axis=1)
+        first, flow = ((masses * part).sum(axis=1) for part in (arms, speeds))
+        momentum: FloatArray = about_root - np.cross(first, flow) / masses.sum(axis=1)
+        return momentum
 
 
 def bounce_spring(restitution: float, step: float) -> tuple[float, float]:

@@ -11,14 +11,16 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
+from deepbots_cli.engines.mujoco.state import force_vectors
+from deepbots_cli.port import ZERO_VECTOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.engines.mujoco.model import Body
     from deepbots_cli.engines.mujoco.state import MujocoWorld
-    from deepbots_cli.frames import Frame
-    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader, VectorReader
 
     FloatArray = NDArray[np.float64]
 
@@ -75,6 +77,20 @@ def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
     """Return the sum of normal forces on geoms."""
     own = frozenset(geoms)
     return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
+
+
+def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
+    """Return the sum of the forces of other geoms on geoms (N, world frame)."""
+    own = frozenset(geoms)
+
+    def read() -> Triple:
+        total = ZERO_VECTOR
+        for one, other, force in force_vectors(world):
+            if (one in own) != (other in own):
+                total = (frames.add if other in own else frames.subtract)(total, force)
+        return total
+
+    return read
 
 
 def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:

@@ -53,8 +53,10 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
+        WrenchReader,
     )
     from deepbots_cli.program.world import EngineParameter, WorldModel
 
@@ -105,7 +107,9 @@ class PyBulletEngine:
     """One world: about 29 MB until it is closed or dropped, and its readers and writers with it."""
 
     name = "pybullet"
-    capabilities: frozenset[Capability] = frozenset({"contacts", "mimic", "rendering", "torque_curve"})
+    capabilities: frozenset[Capability] = frozenset(
+        {"contacts", "mimic", "rendering", "joint_wrench", "self_collision", "torque_curve"}
+    )
 
     def __init__(self, world: WorldModel) -> None:
         self._client = loading.create_client(world)
@@ -117,6 +121,7 @@ class PyBulletEngine:
         self._floor = Floor(world.ground.color, world.lines) if world.ground and not world.terrain else None
         self._springs: dict[tuple[int, tuple[int, ...]], motors.Springs] = {}
         self._contact_monitors: dict[int, surfaces.ContactMonitor] = {}
+        self._wrench_monitors: dict[tuple[int, int], motors.WrenchMonitor] = {}
         self._rays: surfaces.Rays | None = None
         self._backdrop: tuple[object, Image] | None = None
         try:
@@ -143,6 +148,8 @@ class PyBulletEngine:
             springs.reset()
         for watch in self._contact_monitors.values():
             watch.reset()
+        for wrench in self._wrench_monitors.values():
+            wrench.reset()
         for pool in self._pools.values():
             pool.deactivate()
         for row, body in enumerate(self._moving, start=1):
@@ -236,7 +243,14 @@ class PyBulletEngine:
 
     def contact_force(self, one: Part) -> ForceReader:
         return self._bound(
-            one, lambda body, link: surfaces.force(self._client, body.number, link), surfaces.ANY_LINK
+            one, lambda body, link: surfaces.force(self._client, body, link), surfaces.ANY_LINK
+        )
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        return self._bound(
+            one,
+            lambda body, link: surfaces.force_vector(self._client, body, link),
+            surfaces.ANY_LINK,
         )
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
@@ -290,7 +304,7 @@ class PyBulletEngine:
 
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
-            watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body.number)
+            watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body)
             self._substeps.begins.append(watch.reset)
             self._substeps.looks.append(watch.update)
         return self._contact_monitors[body.number]
@@ -315,6 +329,14 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         return motors.torques(self.joint_states(robot, joints), body, indices, self._springs)
 
+    def joint_wrench(self, part: Part) -> WrenchReader:
+        body = self._pool(part[0]).current
+        key = body.number, _index(body, part[1])
+        if key not in self._wrench_monitors:
+            self._wrench_monitors[key] = motors.WrenchMonitor(self._client, body, key[1])
+            self._substeps.looks.append(self._wrench_monitors[key].update)
+        return self._wrench_monitors[key].read
+
     def pose(self, body: str, link: str | None = None) -> PoseReader:
         return self._bound(
             (body, link), lambda owner, index: state.pose(self._client, owner, index, self._cache)
@@ -329,6 +351,9 @@ class PyBulletEngine:
         return self._bound(
             (body, link), lambda owner, index: state.motion(self._client, owner, index, self._cache)
         )
+
+    def angular_momentum(self, robot: str) -> VectorReader:
+        return state.angular_momentum(self._client, self._pool(robot).current, self._cache)
 
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         return motors.velocity_motor(self._client, *self._joints(robot, joints), max_torque)

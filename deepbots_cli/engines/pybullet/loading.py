@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from deepbots_cli.engines.objects import (
     as_robot,
     forms_of,
     is_movable,
+    self_collision_pairs,
     with_explicit_masses,
 )
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
@@ -155,7 +157,9 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
                     " including fixed joints"
                 )
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
-            body = _load(client, robot.name, model, robot.fixed_base, file)
+            body = _load(
+                client, robot.name, model, robot.fixed_base, file, self_collision=robot.self_collision
+            )
             body.initial_pose = body.center_pose(*frames.frame(robot.pose))
             yield Pool(robot.name, [(robot.name, body)], pooled=False)
 
@@ -192,10 +196,17 @@ def _object(client: int, thing: ObjectBody, file: Path) -> Body:
 
 
 def _load(
-    client: int, name: str, model: RobotModel, fixed: bool, file: Path, inertia_known: bool = True
+    client: int,
+    name: str,
+    model: RobotModel,
+    fixed: bool,
+    file: Path,
+    inertia_known: bool = True,
+    self_collision: bool = False,
 ) -> Body:
     file.write_text(to_urdf(for_loader(model, file.parent)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
+    flags |= p.URDF_USE_SELF_COLLISION if self_collision else 0
     with capture_native_output() as said:
         try:
             number = p.loadURDF(str(file), useFixedBase=int(fixed), flags=flags, physicsClientId=client)
@@ -203,6 +214,8 @@ def _load(
             raise EngineError(f"PyBullet cannot load '{name}': {said() or error}") from error
     body = Body(name, number, model, fixed, client)
     _make_contact(client, body)
+    if self_collision:
+        _collide_with_itself(client, body)
     for follower, mimic in model.followers.items():
         _follow(client, number, body.joints[follower], body.joints[mimic.joint], mimic)
     for setting in (
@@ -213,6 +226,15 @@ def _load(
     ):
         p.changeDynamics(number, BASE_LINK, **setting, physicsClientId=client)
     return body
+
+
+def _collide_with_itself(client: int, body: Body) -> None:
+    """Let links touch each other that no joint joins."""
+    body.self_collision = True
+    pairs = set(self_collision_pairs(body.model))
+    for one, other in combinations((link.name for link in body.model.links), 2):
+        numbers = (body.number, body.number, body.links[one], body.links[other])
+        p.setCollisionFilterPair(*numbers, int((one, other) in pairs), client)
 
 
 def _follow(client: int, number: int, follower: int, leader: int, mimic: Mimic) -> None:

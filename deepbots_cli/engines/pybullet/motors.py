@@ -211,6 +211,41 @@ def torques(
     return read_torques
 
 
+class WrenchMonitor:
+    """Reads the wrench in the joint that carries a link; 0 until an engine step after a reset.
+
+    PyBullet gives it at the center of mass in the axes of the inertia, without what the motor of the joint
+    exerts along its axis, which is added here, and without what a limit or a leader of the joint exerts.
+    """
+
+    def __init__(self, client: int, owner: Body, index: int) -> None:
+        p.enableJointForceTorqueSensor(owner.number, index, True, client)
+        self._read = partial(p.getJointState, owner.number, index, client)
+        self._center, self._principal = owner.dynamics(index).inertia_frame
+        link = owner.link(index).name
+        joint = next(joint for joint in owner.model.joints if joint.child == link)
+        self._axis, self._slides = joint.axis, joint.type == "prismatic"
+        self._has_stepped = False
+
+    def reset(self) -> None:
+        self._has_stepped = False
+
+    def update(self) -> None:
+        self._has_stepped = True
+
+    def read(self) -> tuple[Triple, Triple]:
+        if not self._has_stepped:
+            return ZERO_VECTOR, ZERO_VECTOR
+        _, _, (fx, fy, fz, tx, ty, tz), exerted = self._read()
+        force, torque = (frames.rotate(self._principal, part) for part in ((fx, fy, fz), (tx, ty, tz)))
+        along = frames.scaled(self._axis, exerted)
+        if self._slides:
+            force = frames.add(force, along)
+        else:
+            torque = frames.add(torque, along)
+        return force, frames.add(torque, frames.cross(self._center, force))
+
+
 def pusher(client: int, owner: Body, index: int, frame: Literal["world", "link"]) -> Pusher:
     """Return a function that pushes a link. PyBullet's own frame of a link is that of its inertia, and it
     uses the pose of a link before its last move; both are corrected here."""

@@ -23,7 +23,14 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.objects import Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.port import JointReader, Motion, MotionReader, PoseReader, VelocityReader
+    from deepbots_cli.port import (
+        JointReader,
+        Motion,
+        MotionReader,
+        PoseReader,
+        VectorReader,
+        VelocityReader,
+    )
     from deepbots_cli.program.world import Color, EngineParameter, WorldModel
     from deepbots_cli.robots.model import Friction, Link, RobotModel
 
@@ -48,6 +55,7 @@ class Body:
 
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
+        self.self_collision = False
         self.suspended = False
         self.number = number
         self.model = model
@@ -236,6 +244,35 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
         return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], center))), angular)
 
     return read_cache.cached(("motion", number, index), of_origin)
+
+
+def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
+    """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed base
+    no mass; it counts with that of the model."""
+    number, below = owner.number, tuple(index for index in owner.links.values() if index != BASE_LINK)
+    root = owner.model.link(owner.model.root).inertial
+    base_mass = root.mass if owner.fixed and root is not None else None
+
+    def read() -> Triple:
+        base, turned = p.getBasePositionAndOrientation(number, client)
+        states = p.getLinkStates(number, below, 1, 1, client) if below else ()
+        motions = [
+            (base, turned, *p.getBaseVelocity(number, client)),
+            *((*link[:2], *link[6:8]) for link in states),
+        ]
+        total, momentum, first, flow = 0.0, ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR
+        for index, (place, turned, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
+            mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
+            mass = base_mass if base_mass is not None and index == BASE_LINK else mass
+            arm, (x, y, z) = frames.subtract(place, base), frames.rotate_back(turned, turning)
+            spin = frames.rotate(turned, (ix * x, iy * y, iz * z))
+            momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
+            first = frames.add(first, frames.scaled(arm, mass))
+            flow = frames.add(flow, frames.scaled(speed, mass))
+            total += mass
+        return frames.subtract(momentum, frames.scaled(frames.cross(first, flow), 1.0 / total))
+
+    return read_cache.cached(("angular momentum", number), read)
 
 
 def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[], tuple[Triple, Frame]]:

@@ -17,7 +17,14 @@ from deepbots_cli.robots.model import Capsule, Cylinder, Sphere
 if TYPE_CHECKING:
     from deepbots_cli.engines.pybullet.state import Body, ReadCache
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, PoseReader, RayReader
+    from deepbots_cli.port import (
+        ClearanceReader,
+        ContactReader,
+        ForceReader,
+        PoseReader,
+        RayReader,
+        VectorReader,
+    )
 
 # Contacts and gaps
 
@@ -51,7 +58,7 @@ class ContactMonitor:
     and 0.7 in each further one.
     """
 
-    def __init__(self, client: int, body: int) -> None:
+    def __init__(self, client: int, body: Body) -> None:
         self._body, self._client = body, client
         self._flags: list[ContactFlag] = []
         self._open_flags: list[ContactFlag] = []
@@ -83,10 +90,7 @@ class ContactMonitor:
         links = {mark.link for mark in marks}
         if ANY_LINK in links or len(links) > MAX_LINK_QUERIES:
             links = {ANY_LINK}
-        return [
-            partial(p.getContactPoints, self._body, -1, link, ANY_LINK, self._client)
-            for link in sorted(links)
-        ]
+        return [_contact_points(self._client, self._body, link) for link in sorted(links)]
 
     def _flag(self, link: int, accepts: Callable[[int, int], bool]) -> ContactReader:
         mark = ContactFlag(link, accepts)
@@ -116,14 +120,50 @@ def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
     for point in p.getContactPoints(physicsClientId=client):
         _, one, other, link, other_link = point[:5]
         pair = ((one, link), (other, other_link))
-        if one != other and point[8] < 0.0:
+        if point[8] < 0.0:
             depths[pair] = max(depths.get(pair, 0.0), -point[8])
     return depths
 
 
-def force(client: int, body: int, link: int) -> ForceReader:
-    read = partial(p.getContactPoints, body, -1, link, ANY_LINK, client)
+def _contact_points(client: int, body: Body, link: int) -> ContactQuery:
+    """Return a reader of the contact points of a link, with the body itself as the first body of each; a point
+    between two of its links is listed from either side."""
+    read = partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
+    if not body.self_collision:
+        return read
+    read_own = partial(p.getContactPoints, body.number, body.number, ANY_LINK, link, client)
+    return lambda: [*read(), *map(_from_other_side, read_own())]
+
+
+def _from_other_side(point: Any) -> tuple[Any, ...]:
+    flag, one, other, link, other_link, place, other_place, normal, distance, force = point[:10]
+    first, along, second, across = point[10:14]
+    normal, along, across = (frames.scaled(axis, -1.0) for axis in (normal, along, across))
+    ends = (other, one, other_link, link, other_place, place)
+    return (flag, *ends, normal, distance, force, first, along, second, across)
+
+
+def force(client: int, body: Body, link: int) -> ForceReader:
+    if link == ANY_LINK:  # a contact of two of its links counts once
+        read: ContactQuery = partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
+    else:
+        read = _contact_points(client, body, link)
     return lambda: sum(point[9] for point in read())
+
+
+def force_vector(client: int, body: Body, link: int) -> VectorReader:
+    """Return the sum of the contact forces on a link (N, world frame): along the normal, which points to it,
+    and along two directions of friction."""
+    read = _contact_points(client, body, link)
+
+    def total() -> Triple:
+        x = y = z = 0.0
+        for point in read():
+            for along, force in ((point[7], point[9]), (point[11], point[10]), (point[13], point[12])):
+                x, y, z = x + force * along[0], y + force * along[1], z + force * along[2]
+        return x, y, z
+
+    return total
 
 
 def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:

@@ -43,8 +43,10 @@ if TYPE_CHECKING:
         Pusher,
         RayReader,
         TorqueReader,
+        VectorReader,
         VelocityReader,
         View,
+        WrenchReader,
     )
     from deepbots_cli.program.world import EngineParameter, RobotBody, WorldModel
     from deepbots_cli.robots.model import RobotModel
@@ -202,6 +204,15 @@ class ExactEngine:
 
     def contact_force(self, one: Part) -> ForceReader:
         raise _lacks("contacts")
+
+    def contact_force_vector(self, one: Part) -> VectorReader:
+        raise _lacks("contacts")
+
+    def joint_wrench(self, part: Part) -> WrenchReader:
+        raise _lacks("wrenches in joints")
+
+    def angular_momentum(self, robot: str) -> VectorReader:
+        raise _lacks("angular momenta")
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
         raise _lacks("surfaces")
