@@ -181,7 +181,8 @@ class Build:
         box = _box(self.model.link(link), ((0.0, 0.0, 0.0), turn))
         if box is None:
             return 0.0
-        return max(frames.dot(corner, down) for corner in product(*zip(*box, strict=True)))
+        xs, ys, zs = zip(*box, strict=True)
+        return max(frames.dot(corner, down) for corner in product(xs, ys, zs))
 
     @cached_property
     def size(self) -> float:
