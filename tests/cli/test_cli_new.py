@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import re
 import resource
+from contextlib import closing
 from pathlib import PurePosixPath
 
+import numpy as np
 import pytest
 import yaml
 
@@ -166,6 +168,47 @@ def test_a_legged_robot_begins_with_springs_a_gait_and_a_batch_of_worlds(deepbot
     if robot == "a1":
         stood = deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json")
         assert json.loads(stood.out)["summary"]["mean_length"] > 100
+
+
+@pytest.mark.parametrize("robot", ["a1/a1", "laikago/laikago_toes_limits", "laikago/laikago_toes_zup"])
+def test_a_legged_robot_stands_on_feet_below_its_hips(deepbots, tmp_path, robot):
+    pytest.importorskip("pybullet_data")
+    pytest.importorskip("mujoco")
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
+    scenario = tmp_path / "first.yaml"
+    assert "the feet are below the hips" in scenario.read_text(encoding="utf-8")
+    with closing(api.make(scenario)) as environment:
+        environment.reset(seed=0)
+        read = environment.engine.pose("robot")
+        upright = read()[1]
+        for _ in range(50):
+            _, _, terminated, _, _ = environment.step(np.zeros(environment.action_space.shape, np.float32))
+        assert not terminated
+        assert abs(np.dot(read()[1], upright)) > np.cos(np.radians(15.0) / 2.0)
+
+
+def test_feet_without_links_of_their_own_are_not_said_to_be_below_the_hips(deepbots, tmp_path):
+    pytest.importorskip("pybullet_data")
+    deepbots("new", "first", "--urdf", "package://pybullet_data/quadruped/minitaur.urdf", "--json")
+    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert "the feet are below the hips" not in text
+    assert "# Its feet are not links of their own" in text
+
+
+@pytest.mark.parametrize(("robot", "roll"), [("a1/a1", 90), ("laikago/laikago_toes", 0)])
+def test_a_legged_robot_on_its_side_falls_before_it_is_low(deepbots, tmp_path, robot, roll):
+    pytest.importorskip("pybullet_data")
+    pytest.importorskip("mujoco")
+    deepbots("new", "first", "--urdf", f"package://pybullet_data/{robot}.urdf", "--json")
+    lying = [f"reset.place.robot.roll={roll} deg", "reset.place.robot.z=3 m"]
+    with closing(api.make(tmp_path / "first.yaml", overrides=lying)) as environment:
+        environment.reset(seed=0)
+        for _ in range(15):
+            _, _, terminated, _, _ = environment.step(np.zeros(environment.action_space.shape, np.float32))
+            if terminated:
+                break
+        assert terminated
+        assert environment.engine.pose("robot")()[0][2] > 1.0
 
 
 def test_every_shipped_robot_is_among_those_that_are_tried():

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import atan2, dist, hypot, inf, pi
 
 from deepbots_cli import frames
@@ -173,6 +174,15 @@ class Build:
         placed = link_frames(self.model, positions)
         boxes = [_box(link, frames.compose(tilted, placed[link.name])) for link in self.model.links]
         return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
+
+    def depth(self, link: str, positions: Positions, down: Triple) -> float:
+        """Return how far the lowest point of a link is below its origin, along the unit vector `down`."""
+        _, turn = link_frames(self.model, positions)[link]
+        box = _box(self.model.link(link), ((0.0, 0.0, 0.0), turn))
+        if box is None:
+            return 0.0
+        xs, ys, zs = zip(*box, strict=True)
+        return max(frames.dot(corner, down) for corner in product(xs, ys, zs))
 
     @cached_property
     def size(self) -> float:

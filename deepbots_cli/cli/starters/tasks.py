@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from math import atan2, degrees, hypot, inf, radians, sqrt
+from math import atan2, cos, degrees, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
@@ -23,8 +23,17 @@ _STIFFNESS_PER_LOAD = 0.7
 quadruped that comes with deepbots has, about."""
 _DAMPING_PER_STIFFNESS = 0.015
 """In s. Laikago of pybullet_data shakes at 0.025 in substeps of 5 ms, and stands at 0.015."""
-_STANDING_LEG_SHARE = 0.75
-"""The length of a standing leg, as a fraction of its reach."""
+_STANDING_LEG_SHARES = (0.75, 0.7, 0.8, 0.65, 0.85, 0.6, 0.9)
+"""The lengths of a standing leg, as fractions of its reach, in the order in which they are tried."""
+_STANCE_TOLERANCE = 0.05
+"""The largest distance of a foot from the place below its hip, as a fraction of the reach of the leg."""
+_LARGEST_FOOT_SHIFT = 0.35
+"""The largest distance of a foot to the side of its hip, as a fraction of the reach of the leg."""
+_FOOT_SHARE = 0.25
+"""The largest distance from the origin of a foot to its lowest point, as a fraction of the reach of the
+leg."""
+_FALLEN_TILT = 60.0
+"""The tilt at which a robot on legs has fallen, in deg."""
 
 
 def drive(draft: Draft) -> dict[str, object]:
@@ -147,9 +156,12 @@ def walk(draft: Draft) -> dict[str, object]:
     roll, pitch = _upright(build)
     tilt = quaternion(radians(roll), radians(pitch), 0.0)
     positions: dict[str, float] = {}
+    off = 0.0
     down = frames.rotate_back(tilt, (0.0, 0.0, -1.0))
     for limb in build.limbs:
-        positions |= _standing(build, limb, down)
+        stance, missing = _standing(build, limb, down)
+        positions |= stance
+        off = max(off, missing / (limb.reach or 1.0))
     joints = [joint for limb in build.limbs for joint in limb.joints if joint in build.driven]
     group = draft.group("legs", joints)
     draft.start(group, "stand", positions, joints)
@@ -178,11 +190,44 @@ def walk(draft: Draft) -> dict[str, object]:
         "place": place,
         "feet": feet,
         "tips": [*first, *second],
+        "stance": _stance_remark(off),
+        "fallen": _fallen(build, down),
         "lift": 0.18 * reach,
         "beat": 0.5 * sqrt(reach / 0.4),
         "load": load / 4,
         "engine": "mujoco" if ENGINES["mujoco"].is_installed else "",
     }
+
+
+def _stance_remark(off: float) -> str:
+    """Return what the head of a scenario says about feet that are `off` from the places below their hips, as
+    a fraction of the reach of their legs."""
+    if off < _STANCE_TOLERANCE:
+        return (
+            "Its legs were bent so that the feet are below the hips; a better posture is worth more than a"
+            " longer training."
+        )
+    if off == inf:
+        return (
+            "Its feet are not links of their own, so they may not be below the hips. Look at the robot with"
+            " `deepbots view`, and change the pose until it stands."
+        )
+    return (
+        f"A foot is {short_number(round(100 * off))} % of the length of its leg away from the place below"
+        " its hip. Look at the robot with `deepbots view`, and change the pose until it stands."
+    )
+
+
+def _fallen(build: Build, down: Triple) -> str:
+    """Return the condition that a robot is tilted too far: by its frame if that is upright, else by the
+    direction of gravity in the frame of its chassis."""
+    if down[2] < -0.9:
+        return f"tilt(robot) > {short_number(_FALLEN_TILT)} deg"
+    gravity = frames.rotate_back(build.frames[build.chassis][1], down)
+    axis = max(range(3), key=lambda number: abs(gravity[number]))
+    share = short_number(cos(radians(_FALLEN_TILT)))
+    component = f"robot.down.{'xyz'[axis]}"
+    return f"{component} < {share}" if gravity[axis] > 0 else f"{component} > -{share}"
 
 
 def _gait(build: Build, tilt: Quaternion) -> tuple[list[str], list[str]]:
@@ -402,12 +447,35 @@ def _upright(build: Build) -> tuple[float, float]:
     return 0.0, 90.0 if x > 0 else -90.0
 
 
-def _standing(build: Build, limb: Limb, down: Triple) -> dict[str, float]:
-    """Return joint positions with the foot of a leg below its hip and the leg somewhat bent."""
+def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float], float]:
+    """Return joint positions with the foot of a leg below its hip and the leg bent, and how far (m) the foot
+    is from this place.
+
+    A foot stays beside its hip as far as the joints that bend the leg cannot move it: along their axis. The
+    lengths of the leg are tried in turn, because the limits of its joints may exclude the first ones. The
+    distance is infinite if the last link of the leg has its origin far above its lowest point, so that the
+    position of the foot is unknown.
+    """
     hip = build.frames[limb.joints[0].child][0]
     leg = frames.subtract(build.frames[limb.tip][0], hip)
-    aside = frames.subtract(leg, frames.scaled(down, frames.dot(leg, down)))
-    kept = aside if hypot(*aside) < 0.35 * limb.reach else (0.0, 0.0, 0.0)
-    return limb.positions_for(
-        frames.add(hip, frames.add(kept, frames.scaled(down, _STANDING_LEG_SHARE * limb.reach)))
-    )[0]
+    axis = _bending_axis(build, limb)
+    level = frames.subtract(axis, frames.scaled(down, frames.dot(axis, down)))
+    kept = frames.scaled(level, frames.dot(leg, level))
+    if hypot(*kept) > _LARGEST_FOOT_SHIFT * limb.reach:
+        kept = (0.0, 0.0, 0.0)
+    solutions = []
+    for share in _STANDING_LEG_SHARES:
+        foot = frames.add(hip, frames.add(kept, frames.scaled(down, share * limb.reach)))
+        positions, missing = limb.positions_for(foot)
+        solutions.append((missing, positions))
+        if missing < _TIP_TOLERANCE * limb.reach:
+            break
+    missing, positions = min(solutions, key=lambda solution: solution[0])
+    is_known = build.depth(limb.tip, positions, down) <= _FOOT_SHARE * limb.reach
+    return positions, missing if is_known else inf
+
+
+def _bending_axis(build: Build, limb: Limb) -> Triple:
+    """Return the axis to which most joints of a leg are parallel: of its plane."""
+    axes = [build.axis(joint) for joint in limb.joints]
+    return max(axes, key=lambda axis: sum(abs(frames.dot(axis, other)) > 0.9 for other in axes))
