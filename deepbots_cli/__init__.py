@@ -20,9 +20,9 @@ display.py    the progress that a command shows
 plugins.py    plug-ins of other packages     message_formats.py  the formats of messages
 processes.py  further processes of Python
 
-The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`, `train`,
-`resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so that importing this
-package costs nothing.
+The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,
+`parallel_env`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so
+that importing this package costs nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deepbots_cli.api import compile, load, make, make_vec
+    from deepbots_cli.api import compile, load, make, make_vec, parallel_env
     from deepbots_cli.document import Permissions
     from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
     from deepbots_cli.scenario import Scenario
@@ -47,6 +47,7 @@ __all__ = [
     "load_policy",
     "make",
     "make_vec",
+    "parallel_env",
     "resume",
     "train",
 ]
@@ -58,6 +59,7 @@ _HOMES = {
     "load": "deepbots_cli.api",
     "make": "deepbots_cli.api",
     "make_vec": "deepbots_cli.api",
+    "parallel_env": "deepbots_cli.api",
     "train": "deepbots_cli.learning",
     "resume": "deepbots_cli.learning",
     "evaluate": "deepbots_cli.learning",

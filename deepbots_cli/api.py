@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from deepbots_cli import engine_kinds
 from deepbots_cli.analysis.shown_units import ShownUnits
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
 
 
@@ -229,6 +230,36 @@ def make(
     return build(source, engine=engine, render_mode=render_mode, permissions=permissions)
 
 
+def parallel_env(
+    source: str | Path | Scenario | CheckedScenario | Compiled,
+    *,
+    overrides: Sequence[str] = (),
+    permissions: Permissions = Permissions(),
+    engine: str | None = None,
+    render_mode: str | None = None,
+) -> ParallelEnvironment:
+    """Return a scenario with several agents as a `pettingzoo.ParallelEnv`, which steps them together.
+
+    Args:
+        engine, render_mode: As for `make`.
+
+    Raises:
+        ScenarioError: The scenario has findings at error level.
+        UsageError: The scenario has only one agent; use `make`.
+        MissingExtraError: PettingZoo is not installed.
+    """
+    compiled = compile(source, overrides=overrides, permissions=permissions)
+    if not compiled.program.members:
+        raise UsageError(f"{compiled.program.name} has only one agent; use deepbots_cli.make")
+    try:
+        from deepbots_cli.runtime.parallel import ParallelEnvironment
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("agents", "an environment of PettingZoo") from error
+    return ParallelEnvironment(
+        make(compiled, permissions=permissions, engine=engine, render_mode=render_mode)
+    )
+
+
 def make_vec(
     source: str | Path | Scenario | CheckedScenario | Compiled | Program,
     num_envs: int = 256,
@@ -352,6 +383,24 @@ def build(
     from deepbots_cli.codegen.text import class_name
     from deepbots_cli.program.identity import digest
 
+    if program.others is not None:
+        from deepbots_cli.program.members import world_of
+        from deepbots_cli.runtime.agents import AgentEnvironment
+
+        world = build(
+            world_of(program, program.others),
+            engine=engine,
+            render_mode=render_mode,
+            permissions=permissions,
+            fixed=fixed,
+            wrap=wrap,
+        )
+        builder = Builder(program, permissions, fixed)
+        # It has the interface of a supervisor, for one agent.
+        return cast(
+            "Supervisor",
+            AgentEnvironment(world, program, partial(builder, engine=engine, render_mode=render_mode)),
+        )
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(

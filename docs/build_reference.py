@@ -29,6 +29,7 @@ from deepbots_cli.expressions.functions import ALLOWED_FAMILIES, FUNCTIONS, Fami
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.learning.sb3.defaults import DEFAULTS, library_defaults, library_of
 from deepbots_cli.lint.pages import RulePage, every_page
+from deepbots_cli.scenario.agent import PythonTerm
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -44,7 +45,7 @@ from deepbots_cli.scenario.base import (
     unit_of,
 )
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
-from deepbots_cli.scenario.scenario import PythonTerm, Scenario
+from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
 
 FOLDER = Path(__file__).parent / "reference"

@@ -365,8 +365,65 @@ def _command(name: str) -> Any:
     module, _, function = COMMANDS[name][0].partition(".")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
     run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
-    app.command(name, cls=Command, help=help_text(name))(_with_permission_options(run))
+    app.command(name, cls=Command, help=help_text(name))(
+        _with_permission_options(_with_role_options(run) if name in _WITH_ROLES else run)
+    )
     return typer.main.get_command(app)
+
+
+_WITH_ROLES = frozenset(
+    {"bench", "compile", "inspect", "lint", "play", "render", "test", "train", "try", "view"}
+)
+"""The commands of a scenario, of which one of several agents may be named."""
+Role = Annotated[
+    str | None,
+    option(
+        "--agent NAME",
+        "Of several agents, the one that is trained, evaluated or driven; by default all.",
+        SCENARIO,
+    ),
+]
+Against = Annotated[
+    list[str] | None,
+    option(
+        "--against AGENT=DRIVER",
+        "With --agent: who acts for another agent, a script of it, `random` or `zero`; may be repeated.",
+        SCENARIO,
+    ),
+]
+
+
+def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command with the options --agent and --against, which set the `role` of the scenario."""
+    signature = inspect.signature(command, eval_str=True)
+
+    @wraps(command)
+    def call(*, agent: Role, against: Against, **given: Any) -> None:
+        settings = [f"role.agent={agent}"] if agent is not None else []
+        for word in against or ():
+            other, equals, driver = word.partition("=")
+            if agent is None or not equals:
+                raise typer.BadParameter(
+                    f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
+                )
+            settings.append(f"role.others.{other.strip()}={driver.strip()}")
+        command(**given | {"overrides": [*(given["overrides"] or ()), *settings] or None})
+
+    parameters = list(signature.parameters.values())
+    after = next(place for place, each in enumerate(parameters) if each.name == "overrides") + 1
+    added = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
+        for name, kind in (("agent", Role), ("against", Against))
+    ]
+    if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
+        parameters = [
+            each.replace(kind=inspect.Parameter.KEYWORD_ONLY) if place >= after - 1 else each
+            for place, each in enumerate(parameters)
+        ]
+    vars(call)["__signature__"] = signature.replace(
+        parameters=[*parameters[:after], *added, *parameters[after:]]
+    )
+    return call
 
 
 class Commands(TyperGroup):

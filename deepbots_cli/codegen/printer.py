@@ -250,7 +250,7 @@ class Printer:
                 code = column.elements
         except _DifferentShapesError:
             return None
-        lazy = tree.op in ("or", "and") and code.startswith("[")
+        lazy = tree.op in ("or", "and") and code.startswith("[") and " for " in code
         if joined in ("minimum", "maximum"):
             code = f"*{code}"
         return Code(f"{joined}({code[1:-1] if lazy else code})")

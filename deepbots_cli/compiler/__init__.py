@@ -10,6 +10,7 @@ robots.py       robot files and their changes, patterns and groups, quantities o
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
+agents.py       several agents: a scenario for each; joint.py their programs as one
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
@@ -28,6 +29,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from deepbots_cli.compiler.agents import (
+    among_others,
+    divide,
+    has_several_agents,
+    joined_findings,
+    joined_program,
+    played_agent,
+    report_role_alone,
+    report_unsupported,
+    with_sections,
+)
 from deepbots_cli.compiler.controllers import RobotBuilder, commanded
 from deepbots_cli.compiler.episodes import (
     Parameters,
@@ -87,7 +99,8 @@ class CheckedScenario:
     `variants` are the results for the scenario under the settings of each case and stage. `tests` are the
     tests of the file, each compiled under its own case or stage. `search` is the search space of each key
     under `tune`. `learner` are the reasons for the learner that deepbots chose where the scenario names no
-    algorithm; the document has it under `train`.
+    algorithm; the document has it under `train`. `agents` are the results for each of several agents, which
+    `spec` and `namespace` have no results for; they are those of the first one.
     """
 
     document: Document
@@ -100,6 +113,7 @@ class CheckedScenario:
     tests: tuple[ScenarioTest, ...] = ()
     search: Mapping[str, SearchSpace] = field(default_factory=dict)
     learner: tuple[str, ...] = ()
+    agents: Mapping[str, CheckedScenario] = field(default_factory=dict)
 
     @property
     def inputs(self) -> Inputs:
@@ -114,9 +128,10 @@ class CheckedScenario:
         to each other, and would be left to Python's search for garbage, which took a fifth of the time of
         linting a folder.
         """
-        for checked in (self, *self.variants):
-            if checked.namespace is not None:
-                checked.namespace.release()
+        checked = [self, *self.variants, *(inner for variant in self.variants for inner in variant.variants)]
+        for namespace in {id(each.namespace): each.namespace for each in checked}.values():
+            if namespace is not None:
+                namespace.release()
 
 
 def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
@@ -125,6 +140,8 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
     `to_train` chooses the learner of a scenario without `train` too.
     """
     try:
+        if has_several_agents(document):
+            return _check_agents(document, to_train=to_train)
         checked = _check(document)
         train = checked.spec.train if checked.spec is not None else None
         if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
@@ -159,6 +176,37 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         return CheckedScenario(document, document.findings)
 
 
+def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
+    """Check the scenario of each agent, and join their programs.
+
+    The result is that of all agents, or with a `role` that of this agent beside the others.
+    """
+    divided = divide(document)
+    if divided is None:
+        return CheckedScenario(document, document.findings)
+    agents = {name: check(own, to_train=to_train) for name, own in divided.documents.items()}
+    joined_findings(document.findings, (checked.findings for checked in agents.values()))
+    programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
+    report_unsupported(document, programs)
+    is_sound = not document.findings.errors and len(programs) == len(agents)
+    program = joined_program(divided, programs) if is_sound else None
+    played = played_agent(document)
+    if program is not None and played is not None:
+        program = among_others(document, program, played)
+    shown = agents[played] if played in agents else next(iter(agents.values()))
+    return CheckedScenario(
+        with_sections(document, {name: checked.document for name, checked in agents.items()}),
+        document.findings,
+        shown.spec,
+        program,
+        {name: robot for checked in agents.values() for name, robot in (checked.robots or {}).items()},
+        shown.namespace,
+        variants=tuple(agents.values()),
+        learner=shown.learner if played is not None else (),
+        agents={} if played is not None else agents,
+    )
+
+
 def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedScenario:
     """Like `check`, but without cases and stages. Robots send the fields `sent`, whether the supervisor uses
     them or not."""
@@ -166,6 +214,7 @@ def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedSce
     spec = validate(document.root, findings) if document.root is not None else None
     if document.root is None or spec is None:
         return CheckedScenario(document, findings)
+    report_role_alone(document)
     invalid = invalid_names(document.root, spec.pruned, (finding.span for finding in findings.errors))
     namespace = Namespace(
         ValueReader(document.root, findings, {path: kind for path, kind, _ in visit_values(spec)}, invalid),

@@ -45,9 +45,10 @@ from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
+from deepbots_cli.scenario.agent import Measured, PythonTerm
 from deepbots_cli.scenario.fields import Quantity, choices_help, read_until
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
-from deepbots_cli.scenario.scenario import JointState, Measured, PythonTerm
+from deepbots_cli.scenario.scenario import JointState
 from deepbots_cli.scenario.scenario import Route as RouteSpec
 
 

@@ -54,9 +54,10 @@ from deepbots_cli.program.task import (
     Truncation,
 )
 from deepbots_cli.program.values import Expression
+from deepbots_cli.scenario.agent import DiscreteAction
 from deepbots_cli.scenario.fields import read_schedule, read_until
 from deepbots_cli.scenario.keys import listed
-from deepbots_cli.scenario.scenario import DiscreteAction, Expectation, Scenario
+from deepbots_cli.scenario.scenario import Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
 from deepbots_cli.scenario.training import ALGORITHMS, Auto
 from deepbots_cli.scenario.training import ActionNoise as ActionNoiseSpec

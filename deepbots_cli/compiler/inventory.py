@@ -13,9 +13,10 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import MappingNode, NodePath, descend
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.agent import DiscreteAction
 from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
-from deepbots_cli.scenario.scenario import DiscreteAction, Scenario
+from deepbots_cli.scenario.scenario import Scenario
 
 _OF_ROBOTS = {
     "joint": ("joints",),

@@ -10,7 +10,7 @@ No two kinds are equal: they differ in the number of members, or in the type of 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 
@@ -123,3 +123,19 @@ def walk(scalar: Scalar) -> Iterator[Scalar]:
     for child in children(scalar):
         yield from walk(child)
     yield scalar
+
+
+def renamed(
+    scalar: Scalar, name: Callable[[Name], Name], slot: Callable[[str], str] = lambda slot: slot
+) -> Scalar:
+    """Return the tree with other names, and other names of memories and streams (`slot`)."""
+    if isinstance(scalar, Name):
+        return name(scalar)
+    if not isinstance(scalar, (Op, State, Draw)):
+        return scalar
+    args = tuple(renamed(arg, name, slot) for arg in scalar.args)
+    if isinstance(scalar, State):
+        return scalar._replace(args=args, slot=slot(scalar.slot))
+    if isinstance(scalar, Draw):
+        return scalar._replace(args=args, stream=slot(scalar.stream))
+    return scalar._replace(args=args)

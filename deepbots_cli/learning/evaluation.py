@@ -35,8 +35,9 @@ from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED
 from deepbots_cli.learning.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.program import identity
+from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Episode, Start, play
-from deepbots_cli.rollout.drivers import RANDOM, ZERO, named_driver
+from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, in_order
 from deepbots_cli.rollout.source import RECORD_NAME

@@ -364,6 +364,7 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     # The log would fail only after the run was half created.
     if find_spec("tensorboard") is None:
         raise MissingExtraError("train", "training")
+    require_one_agent(program)
     if program.agent.training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
     training = (
@@ -384,6 +385,20 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         )
     algorithms.check_memory(training.environments)
     return training
+
+
+def require_one_agent(program: Program) -> None:
+    """Check that a policy plays one agent.
+
+    Raises:
+        UsageError: The scenario is that of several agents.
+    """
+    if program.members:
+        names = ", ".join(program.members)
+        raise UsageError(
+            f"{program.name} has the agents {names}; name the one to train: deepbots train SCENARIO --agent"
+            f" {next(iter(program.members))}"
+        )
 
 
 def _validate_setup(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -40,11 +40,17 @@ _CAUSES = frozenset({"DB315"})
 
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
-    """Yield the findings of all static rules; none for a scenario with errors.
+    """Yield the findings of all static rules; none for a scenario with errors. With several agents, each rule
+    applies to the scenario of each agent.
 
     A rule that raises an exception is reported as DB903, and the other rules run.
     """
     if checked.findings.errors or checked.program is None or checked.namespace is None:
+        return
+    if checked.agents:
+        yield from _of_agents(
+            [list(static_findings(own, preview=preview)) for own in checked.agents.values()]
+        )
         return
     context = RuleContext(checked, checked.program, checked.namespace)
     cascade = CascadeFilter(checked)
@@ -61,6 +67,19 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         if preview or not RULES[code].preview:
             finder = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
             yield from (finding for finding in finder if not cascade.is_consequence(finding))
+
+
+_UNUSED = "DB205"
+
+
+def _of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
+    """Yield the findings of several agents, each once. What only some agents do not use is used."""
+    used = [{finding.sort_key for finding in findings if finding.code == _UNUSED} for findings in of_each]
+    unused_by_all = set.intersection(*used)
+    unique = {finding.sort_key: finding for findings in of_each for finding in findings}
+    for key, finding in unique.items():
+        if finding.code != _UNUSED or key in unused_by_all:
+            yield finding
 
 
 def _found(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:

@@ -24,9 +24,10 @@ from deepbots_cli.lint.report import Activity, DrivenEpisode, DriverKind, Entry,
 from deepbots_cli.lint.rollouts import episode_result
 from deepbots_cli.lint.simulation import work_per_step
 from deepbots_cli.program import Program
+from deepbots_cli.program.members import RANDOM
 from deepbots_cli.program.task import ActionPart, Choices, idle_action
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.drivers import RANDOM, named_driver
+from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime import Supervisor
 
 _STARTS = 3

@@ -18,6 +18,7 @@ world.py         the input of an engine
 robots.py        sensors, actuators, messages, controllers
 task.py          agents, endings, training, evaluation
 levels.py        levels of a curriculum, and how a world changes its own
+members.py       several agents, and the places of each in the program of all
 resets.py        placements, randomized parameters
 identity.py      canonical JSON, digests, interfaces
 draws.py         the draws of a reset, by name
@@ -43,6 +44,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.levels import Levels
+from deepbots_cli.program.members import Member, Others, members_of
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Direction, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
@@ -71,6 +73,9 @@ class Program:
     adds those whose conditions the generated code computes. `supplied_by` has the supplier of each reading of
     the world for a real robot. `ros` has the topics of sensors and commands that the scenario names. `levels`
     is the curriculum of a level for each world, None without one.
+
+    If the scenario has several agents, `members` has them by name, and `agent` has the actions, observations
+    and rewards of all of them in a row. The program of one of them has the `others`, who act by themselves.
     """
 
     name: str
@@ -97,11 +102,15 @@ class Program:
     tests: tuple[ScenarioTest, ...] = ()
     ros: Mapping[str, Topic] = field(default_factory=dict)
     levels: Levels | None = None
+    members: Mapping[str, Member] = field(default_factory=dict)
+    others: Others | None = None
 
     def digest_fields(self) -> dict[str, object]:
         left_out = {"ros", "stored_signals", "supplied_by", "tests"}
         left_out |= {"engine"} if self.engine in (None, DEFAULT_ENGINE) else set()
         left_out |= {"levels"} if self.levels is None else set()
+        left_out |= set() if self.members else {"members"}
+        left_out |= {"others"} if self.others is None else set()
         return {
             name: value
             for name, value in vars(self).items()
@@ -124,7 +133,11 @@ class Program:
         end."""
         if not self.agent.critic:
             return self
-        return replace(self, agents={name: agent.with_critic for name, agent in self.agents.items()})
+        agents = {name: agent.with_critic for name, agent in self.agents.items()}
+        programs = {name: member.program.with_critic for name, member in self.members.items()}
+        names = {name: member.names for name, member in self.members.items()}
+        (agent,) = agents.values()
+        return replace(self, agents=agents, members=members_of(programs, names, agent))
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
+from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver
 
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
 
-RANDOM, ZERO, HAND, POLICY, RECORDED, ROBOT = "random", "zero", "you", "policy", "recording", "robot"
+HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
 """The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
 option of each choice."""
 

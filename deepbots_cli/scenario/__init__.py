@@ -10,6 +10,7 @@ sensors.py      the sections of sensors
 actuators.py    the sections of actuators
 curriculum.py   the sections of a curriculum: stages, levels
 training.py     the sections of training
+agent.py        what an agent does, sees and is rewarded for; several agents
 scenario.py     Scenario, the whole file: robots, messages, the task
 synonyms.py     words that people write instead of a word of the language: the table synonyms.yaml
 keys.py         the texts of findings about a key, and about an unknown one

@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.document import shipped
+from deepbots_cli.scenario.agent import AgentOfSeveral
 from deepbots_cli.scenario.base import (
     Forms,
     Kinds,
@@ -153,7 +154,12 @@ def json_schema(known: ScenarioNames | None = None) -> Json:
         "$ref": f"#/$defs/{Scenario.__name__}",
         "if": {"not": {"anyOf": [{"required": ["extends"]}, {"required": ["include"]}]}},
         "then": {
-            "required": _required(Scenario),
+            "required": [name for name in _required(Scenario) if name not in AgentOfSeveral.model_fields],
+            # With several agents, each has the sections of the only agent.
+            "if": {"not": {"required": ["agents"]}},
+            "then": {
+                "required": [name for name in _required(Scenario) if name in AgentOfSeveral.model_fields]
+            },
             # The YAML language server would offer keys under `properties` a second time.
             "patternProperties": {
                 f"^{name}$": {"if": {"not": {"required": ["include"]}}, "then": {"required": required}}

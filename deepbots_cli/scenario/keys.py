@@ -35,7 +35,6 @@ from deepbots_cli.scenario.fields import FieldType, Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
-_RESERVED = {"agents": "competing agents are not supported yet"}
 _MAX_EXAMPLE_CHARACTERS = 120
 _MAX_LINE_CHARACTERS = 120
 _MAX_VALUE_CHARACTERS = 400
@@ -96,8 +95,6 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if not isinstance(section, type):
         return Suggestion(about_key(data, path))
     near = replacement_for(data, path)
-    if len(path) == 1 and key in _RESERVED:
-        return Suggestion(_RESERVED[key])
     if renamed := key_instead_of(section, key):
         return _renamed(root, data, path, section, renamed)
     if issubclass(section, Training) and key in SET_ELSEWHERE_HELP:

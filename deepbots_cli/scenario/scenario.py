@@ -8,6 +8,20 @@ from pydantic import Field, PrivateAttr
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
+from deepbots_cli.scenario.agent import (
+    Action,
+    Agent,
+    AgentOfSeveral,
+    Augmentation,
+    Choice,
+    Condition,
+    Ending,
+    Goal,
+    Observation,
+    Reward,
+    Role,
+    Script,
+)
 from deepbots_cli.scenario.base import FORMS, KeyCount, Many, Section, Size, visit_values
 from deepbots_cli.scenario.curriculum import EndingNames, Levels, Settings, Stage
 from deepbots_cli.scenario.fields import (
@@ -33,7 +47,6 @@ from deepbots_cli.scenario.fields import (
     Share,
     SharedName,
     Signal,
-    SmallInt,
     Solved,
     Text,
     Thickness,
@@ -200,91 +213,6 @@ ROS_TYPES = (
 """The types that `PARTS` of `deepbots_robot.topics` describes: the language has them also where
 deepbots-robot is not installed."""
 ROS_TOPIC = Text("a topic of ROS 2", r"/[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*", "/joint_states")
-PYTHON_PATH = Text(
-    "a function as `package.module:function`",
-    r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*",
-    "package.module:function",
-)
-Choice = Annotated[Scalar, Quantity("any")]
-Noise = Annotated[Scalar, Quantity("any", known="episode", relative=True, minimum=0)]
-
-
-class PythonTerm(Section):
-    """A term that a Python function of an installed package computes. deepbots runs it only with
-    `--allow-code` (`Permissions(code=True)`)."""
-
-    python: Annotated[str, PYTHON_PATH]
-    """The function, `package.module:function`."""
-
-
-class ContinuousAction(Section):
-    """Numbers in [-1, 1] that the policy chooses and deepbots maps to a range."""
-
-    range: Annotated[str, Range("any")]
-    """The range of the action, such as `0.25 .. 1`: -1 is mapped to its lower end, 1 to its upper end."""
-    each: Annotated[str, Reference("group")] | None = None
-    """A group or an actuator: the action has one number for each of its members."""
-
-
-class DiscreteAction(Section):
-    """A choice of one of several options."""
-
-    identifying_keys: ClassVar[frozenset[str]] = frozenset({"choices", "forbid"})
-
-    choices: Annotated[
-        dict[LocalName, Annotated[dict[SharedName, Choice] | Choice, FORMS]], Size(2, "choice")
-    ]
-    """The options by name. Each option has a number, or sets several variables: `{ahead: {left: 1, right: 1},
-    stop: {left: 0, right: 0}}`."""
-    forbid: dict[Annotated[str, Reference("choice")], Annotated[str, Expression("forbid", boolean=True)]] = {}
-    """Conditions by option: while its condition is true, the policy must not choose the option."""
-
-
-Action = Annotated[DiscreteAction | ContinuousAction | Annotated[str, Range("any")], FORMS]
-
-
-class Agent(Section):
-    """How the policy acts in the scenario."""
-
-    action_repeat: SmallInt = 1
-    """Number of timesteps for which the environment applies each action."""
-    frame_stack: SmallInt = 1
-    """Number of consecutive observations that the policy gets at once."""
-    each: Annotated[str, Reference("robot")] | None = None
-    """A robot with several copies: one shared policy controls each copy separately."""
-
-
-class Observed(Section):
-    """One entry of the observation, with further settings besides its range."""
-
-    range: Annotated[str, Range("any", auto=True, vector=True)]
-    """The range that deepbots maps to [-1, 1], such as `-0.4 .. 0.4 m`. `auto` uses the range that deepbots
-    derives, for example from joint limits."""
-    history: SmallInt = 1
-    """Number of consecutive values that the policy gets at once, newest last."""
-    noise: Noise = 0
-    """Standard deviation of added noise, such as `0.01 rad`, or `2 %` of the value."""
-    clip: Bool = True
-    """Whether values outside the range are clipped to it."""
-
-
-class Goal(Section):
-    """The goal of an episode, for hindsight experience replay."""
-
-    achieved: Annotated[Scalar, Expression("goal", boolean=False)]
-    """The value that the agent has reached."""
-    desired: Annotated[Scalar, Expression("goal", boolean=False)]
-    """The value to reach."""
-    tolerance: Annotated[Scalar, Quantity("any", minimum=0)]
-    """Largest distance between `achieved` and `desired` at which the goal is reached."""
-    range: Annotated[str, Range("any", vector=True)]
-    """Range of `achieved` and `desired`, which is mapped to [-1, 1] in the observation."""
-    noise: Noise = 0
-    """Standard deviation of the noise on `achieved`: in the unit of `achieved`, such as `5 mm`, or as `2 %`
-    of the value."""
-
-
-Condition = Annotated[PythonTerm | Annotated[str, Expression("ending", boolean=True)], FORMS]
 
 
 class Termination(Section):
@@ -306,17 +234,6 @@ class Truncation(Section):
     """Maximum number of steps of the agent."""
     max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
     """Maximum simulated time, such as `60 s`."""
-
-
-Decision = Annotated[
-    Annotated[
-        dict[Annotated[str, Reference("choice")], Annotated[Scalar | bool, Expression("script")]],
-        Size(1, "option"),
-    ]
-    | Annotated[Scalar, Expression("script", boolean=False)],
-    FORMS,
-]
-Script = Annotated[dict[Annotated[str, Reference("action")], Decision], Size(1, "action")]
 
 
 class Case(Section):
@@ -424,16 +341,6 @@ class ScenarioTest(Section):
     """Expected result."""
 
 
-class Measured(Section):
-    """A value that the supervisor measures with noise. Every expression that uses the name reads the same
-    noisy value."""
-
-    value: Signal
-    """The exact value."""
-    noise: Noise = 0
-    """Standard deviation of the noise: in the unit of the value, such as `2 mm`, or as `2 %` of the value."""
-
-
 class Deploy(Section):
     """What a real robot needs that has no supervisor; `deepbots export` writes it into the bundle."""
 
@@ -453,18 +360,6 @@ class RosTopic(Section):
     part: PlainText | None = None
     """Part of the message, such as `velocity` or `linear.x`. Default: the part whose unit and number of
     values fit."""
-
-
-Augmentation = Annotated[
-    Many[Annotated[str, Reference("parameter or signal")]]
-    | dict[SharedName, Annotated[Measured | Signal, FORMS]],
-    FORMS,
-]
-Reward = dict[LocalName, Annotated[PythonTerm | Annotated[Scalar, Expression("reward")], FORMS]]
-Observation = dict[
-    Annotated[str, Reference("value")],
-    Annotated[Observed | Annotated[str, Range("any", auto=True, vector=True)], FORMS],
-]
 
 
 # The beginning of an episode
@@ -682,6 +577,14 @@ class Scenario(Section):
     a topic for each of them; it is used where there is no entry."""
     tests: dict[LocalName, ScenarioTest] = {}
     """Tests for `deepbots test`, each under a name that you choose: who acts, and the expected result."""
+    agents: Annotated[dict[SharedName, AgentOfSeveral], Size(2, "agent")] | None = None
+    """Several agents, each with a policy of its own, in place of `action`, `observation`, `reward` and the
+    like at the top level."""
+    endings: dict[SharedName, Ending] = {}
+    """Endings of the task of several agents, each under a name that you choose, in place of `termination`."""
+    role: Role | None = None
+    """Which of several agents a policy plays, and who acts for the others. Without it, the scenario is that of
+    all agents."""
 
     _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 

@@ -12,8 +12,9 @@ import numpy as np
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
+from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Driver, Start
-from deepbots_cli.rollout.drivers import HAND, POLICY, RANDOM, ZERO, action_from_values
+from deepbots_cli.rollout.drivers import HAND, POLICY, action_from_values
 from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array

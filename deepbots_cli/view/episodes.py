@@ -20,17 +20,9 @@ from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.port import View
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Driver, Start, Step, steps
-from deepbots_cli.rollout.drivers import (
-    HAND,
-    POLICY,
-    RANDOM,
-    RECORDED,
-    ROBOT,
-    ZERO,
-    action_from_values,
-    named_driver,
-)
+from deepbots_cli.rollout.drivers import HAND, POLICY, RECORDED, ROBOT, action_from_values, named_driver
 from deepbots_cli.rollout.robot_logs import RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime import Supervisor

@@ -19,7 +19,8 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.frames import add, scaled
 from deepbots_cli.port import ZERO_VECTOR
-from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
+from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
 from deepbots_cli.view import panel_html, server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState

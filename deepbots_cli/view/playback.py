@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
-from deepbots_cli.rollout.drivers import HAND, ZERO, sequence_driver
+from deepbots_cli.program.members import ZERO
+from deepbots_cli.rollout.drivers import HAND, sequence_driver
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.view.batch import BatchPlayer
 from deepbots_cli.view.episodes import Player

@@ -12,8 +12,8 @@ from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
+from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.drivers import ZERO
 from deepbots_cli.view import panel_html
 from deepbots_cli.view.episodes import Player, Showing
 

@@ -11,7 +11,8 @@ import pytest
 import deepbots_cli
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.errors import UsageError
-from deepbots_cli.rollout.drivers import HAND, RANDOM, ZERO
+from deepbots_cli.program.members import RANDOM, ZERO
+from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, action_fields, observation_fields
 from deepbots_cli.view.players import open_player

@@ -33,8 +33,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Driver, Episode
-from deepbots_cli.rollout.drivers import POLICY, RANDOM, named_driver
+from deepbots_cli.rollout.drivers import POLICY, named_driver
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.sources import OpenedSource

@@ -1,0 +1,504 @@
+"""Several agents: the section `agents` divided into a scenario for each agent.
+
+The scenario of an agent is the file with the keys of the agent at the top level, `endings` as successes and
+failures of the agent, and the robots of other agents without controllers. It is checked like any scenario
+with one agent, so every rule about action, observation and reward applies to each agent; nodes keep their
+places in the file. `joint.py` joins the programs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from deepbots_cli.compiler.joint import joint_program
+from deepbots_cli.diagnostics import Findings, Label, Span
+from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode
+from deepbots_cli.document.load import TESTS
+from deepbots_cli.document.nodes import entries_at, node_at
+from deepbots_cli.expressions.scalar import names_in
+from deepbots_cli.program import Program
+from deepbots_cli.program.members import RANDOM, ZERO, Others
+from deepbots_cli.scenario.agent import AgentOfSeveral
+from deepbots_cli.scenario.fields import choices_help
+from deepbots_cli.scenario.validate import validate
+
+AGENTS, ENDINGS, ROLE = "agents", "endings", "role"
+_OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
+_CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
+_SIGNALS = "signals"
+_KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {"like", "robots", "frame_stack", _SIGNALS}
+_NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
+_REQUIRED = ("action", "observation", "reward")
+_ALL = "all"
+
+
+def has_several_agents(document: Document) -> bool:
+    return document.root is not None and AGENTS in document.root.entries
+
+
+@dataclass(frozen=True)
+class AgentDocuments:
+    """The scenario of each agent, the agent that drives each robot, and the section of each agent."""
+
+    documents: Mapping[str, Document]
+    drivers: Mapping[str, str]
+    sections: Mapping[str, AgentOfSeveral]
+
+
+def divide(document: Document) -> AgentDocuments | None:
+    """Return the scenarios of the agents; None after a finding that leaves none."""
+    root = document.root
+    assert root is not None
+    if (tests := root.entries.get(TESTS)) is not None:
+        headline = "`tests` together with several agents are not supported yet"
+        document.findings.add("DB108", tests.key.span, headline, _NOT_YET)
+    agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
+    if document.findings.errors or not _are_complete(document, agents):
+        return None
+    sections = _sections(document, agents)
+    if sections is None:
+        return None
+    drivers = _drivers(document, agents, sections)
+    documents = {
+        name: replace(
+            document,
+            root=_root_of(root, name, agents[name], drivers, _outcomes(document, name, list(sections))),
+            findings=Findings(document.findings.limit),
+        )
+        for name in sections
+    }
+    return None if document.findings.errors else AgentDocuments(documents, drivers, sections)
+
+
+def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str, AgentOfSeveral] | None:
+    """Return the validated sections of the agents."""
+    root = document.root
+    assert root is not None
+    first = next(iter(agents.values()), None)
+    own = (
+        {} if first is None else {key: entry for key, entry in first.entries.items() if key in _KEYS_OF_AGENT}
+    )
+    for key in _KEYS_OF_AGENT & root.entries.keys():
+        document.findings.add(
+            "DB101",
+            root.entries[key].key.span,
+            f"`{key}` at the top level cannot be combined with `agents`",
+            f"move `{key}` into the section of each agent",
+        )
+    resolved = {
+        name: Entry(root_entry.key, agents.get(name, root_entry.value))
+        for name, root_entry in entries_at(root, AGENTS).items()
+    }
+    section = node_at(root, AGENTS)
+    whole = replace(
+        root,
+        entries={
+            **own,
+            **root.entries,
+            **(
+                {AGENTS: Entry(root.entries[AGENTS].key, replace(section, entries=resolved))}
+                if isinstance(section, MappingNode)
+                else {}
+            ),
+        },
+    )
+    spec = validate(whole, document.findings)
+    if spec is None or spec.agents is None or document.findings.errors:
+        return None
+    return dict(spec.agents)
+
+
+def _are_complete(document: Document, agents: Mapping[str, MappingNode]) -> bool:
+    """Return whether each agent has the keys that it needs; report those that lack."""
+    for name, section in agents.items():
+        lacking = [f"`{key}`" for key in _REQUIRED if key not in section.entries]
+        if lacking:
+            key = entries_at(document.root, AGENTS)[name].key if document.root is not None else None
+            assert key is not None
+            document.findings.add(
+                "DB102",
+                key.span,
+                f"the agent `{name}` has no {' and no '.join(lacking)}",
+                "write them as at the top level of a scenario with one agent; or mirror another agent with"
+                " `like`",
+            )
+    return not document.findings.errors
+
+
+# Agents that mirror another one
+
+
+class _Mirrors:
+    """Resolves `like`."""
+
+    def __init__(self, document: Document, written: Mapping[str, Entry]) -> None:
+        self._document, self._written = document, written
+        self._robots = list(entries_at(document.root, "robots"))
+        self._resolved: dict[str, MappingNode] = {}
+        self._reported: set[str] = set()
+
+    def resolved(self) -> dict[str, MappingNode]:
+        """Return the section of each agent, without `like`; an agent with a finding is left out."""
+        for name in self._written:
+            self._resolve(name, ())
+        return {name: self._resolved[name] for name in self._written if name in self._resolved}
+
+    def _resolve(self, name: str, above: tuple[str, ...]) -> MappingNode | None:
+        section = self._written[name].value
+        if name in self._resolved or name in self._reported or not isinstance(section, MappingNode):
+            return self._resolved.get(name)
+        like = section.get("like")
+        if not isinstance(like, ScalarNode):
+            self._resolved[name] = section
+            return section
+        if like.text in (*above, name):
+            cycle = " -> ".join((*above, name, like.text))
+            self._reported |= {*above, name}
+            self._document.findings.add(
+                "DB207",
+                like.span,
+                f"`{name}` mirrors itself",
+                "write the keys of one of these agents",
+                notes=(f"the cycle is {cycle}",),
+            )
+            return None
+        if like.text not in self._written:
+            _report_unknown(self._document.findings, like, like.text, "agent", [*self._written])
+            return None
+        model = self._resolve(like.text, (*above, name))
+        if model is None:
+            return None
+        swap = Swap(self._pairs(name, section, like.text, model))
+        mirrored = swap.mapping(model)
+        own = {key: entry for key, entry in section.entries.items() if key != "like"}
+        self._resolved[name] = replace(mirrored, span=section.span, entries={**mirrored.entries, **own})
+        return self._resolved[name]
+
+    def _pairs(
+        self, name: str, section: MappingNode, model_name: str, model: MappingNode
+    ) -> list[tuple[str, str]]:
+        """Return the names that change places: of the agents, and of their robots in order."""
+        first, second = _texts(model.get("robots")), _texts(section.get("robots"))
+        return [(model_name, name), *zip(first, second, strict=False)]
+
+
+class Swap:
+    """Exchanges names in keys and texts. A name ends at `_`, at `.` and at the ends of a word."""
+
+    def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
+        self._other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+        names = "|".join(sorted(map(re.escape, self._other), key=len, reverse=True))
+        self._names = re.compile(rf"(?<![A-Za-z0-9])(?:{names})(?![A-Za-z0-9])")
+
+    def mapping(self, node: MappingNode) -> MappingNode:
+        entries = {}
+        for entry in node.entries.values():
+            key = self._scalar(entry.key)
+            entries[key.text] = Entry(key, self.node(entry.value))
+        return replace(node, entries=entries)
+
+    def node(self, node: Node) -> Node:
+        """Return the tree with exchanged names; each text keeps its place in the file."""
+        match node:
+            case ScalarNode():
+                return self._scalar(node)
+            case SequenceNode():
+                return replace(node, items=tuple(map(self.node, node.items)))
+            case MappingNode():
+                return self.mapping(node)
+
+    def text(self, text: str) -> str:
+        return self._names.sub(lambda match: self._other[match[0]], text)
+
+    def _scalar(self, node: ScalarNode) -> ScalarNode:
+        """Return the text with exchanged names; all letters of a name have the place of the first one."""
+        if not isinstance(node.value, str) or not self._names.search(node.text):
+            return node
+        place: Callable[[int], int] = (
+            node.span.start.__add__ if node.offsets is None else node.offsets.__getitem__
+        )
+        offsets: list[int] = []
+        done = 0
+        for match in self._names.finditer(node.text):
+            offsets += map(place, range(done, match.start()))
+            offsets += [place(match.start())] * len(self._other[match[0]])
+            done = match.end()
+        offsets += map(place, range(done, len(node.text) + 1))
+        text = self.text(node.text)
+        return node._replace(text=text, value=text, offsets=offsets)
+
+
+def _texts(node: Node | None) -> list[str]:
+    return (
+        [item.text for item in node.items if isinstance(item, ScalarNode)]
+        if isinstance(node, SequenceNode)
+        else []
+    )
+
+
+# Robots and endings
+
+
+def _drivers(
+    document: Document, agents: Mapping[str, MappingNode], sections: Mapping[str, AgentOfSeveral]
+) -> dict[str, str]:
+    """Return the agent that drives each robot."""
+    root = document.root
+    assert root is not None
+    robots, drivers = list(entries_at(root, "robots")), dict[str, str]()
+    places: dict[str, Span] = {}
+    for agent, section in sections.items():
+        node = agents[agent].get("robots")
+        items = node.items if isinstance(node, SequenceNode) else ()
+        for robot, item in zip(section.robots, items, strict=False):
+            span = item.span
+            if robot not in robots:
+                if isinstance(item, ScalarNode):
+                    _report_unknown(document.findings, item, robot, "robot", robots)
+            elif robot in drivers:
+                document.findings.add(
+                    "DB202",
+                    span,
+                    f"`{agent}` drives the robot `{robot}`, which `{drivers[robot]}` drives too",
+                    "give each robot to one agent",
+                    labels=(Label(places[robot], "driven here"),),
+                )
+            else:
+                drivers[robot], places[robot] = agent, span
+        if not section.robots:
+            key = entries_at(root, AGENTS)[agent].key
+            document.findings.add(
+                "DB102",
+                key.span,
+                f"`{agent}` has no robots",
+                "list the robots that it drives: `robots: [...]`",
+            )
+    return drivers
+
+
+def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode | None:
+    """Return `termination` as it is for an agent."""
+    root = document.root
+    section = node_at(root, ENDINGS)
+    if not isinstance(section, MappingNode):
+        return None
+    outcomes: dict[str, dict[str, Entry]] = {"success": {}, "failure": {}}
+    for name, entry in section.entries.items():
+        ending = entry.value
+        when = ending.get("when") if isinstance(ending, MappingNode) else None
+        if not isinstance(ending, MappingNode) or when is None:
+            continue
+        named = {outcome: _named_agents(ending.get(outcome), agents) for outcome in outcomes}
+        for names in named.values():
+            for other in names:
+                if other.text not in (*agents, _ALL):
+                    _report_unknown(document.findings, other, other.text, "agent", [*agents, _ALL])
+        texts = {outcome: {each.text for each in names} for outcome, names in named.items()}
+        of_agent = [outcome for outcome in outcomes if texts[outcome] & {agent, _ALL}]
+        if len(of_agent) != 1 and not document.findings.errors:
+            _report_outcome(document.findings, entry.key, agent, is_both=bool(of_agent))
+        for outcome in of_agent[:1]:
+            outcomes[outcome][name] = Entry(entry.key, when)
+    entries = {
+        outcome: Entry(ScalarNode(section.span, outcome, outcome), replace(section, entries=conditions))
+        for outcome, conditions in outcomes.items()
+        if conditions
+    }
+    return replace(section, entries=entries)
+
+
+def _report_outcome(findings: Findings, key: ScalarNode, agent: str, *, is_both: bool) -> None:
+    if is_both:
+        findings.add(
+            "DB202",
+            key.span,
+            f"`{key.text}` is a success and a failure of `{agent}`",
+            f"name `{agent}` under `success` or under `failure`",
+        )
+        return
+    findings.add(
+        "DB102",
+        key.span,
+        f"`{key.text}` does not say what it is for the agent `{agent}`",
+        f"name `{agent}` under `success` or `failure`; `all` names all agents",
+    )
+
+
+def _named_agents(node: Node | None, agents: list[str]) -> list[ScalarNode]:
+    match node:
+        case ScalarNode():
+            return [node]
+        case SequenceNode():
+            return [item for item in node.items if isinstance(item, ScalarNode)]
+        case _:
+            return []
+
+
+def _report_unknown(findings: Findings, node: ScalarNode, name: str, what: str, names: list[str]) -> None:
+    findings.add("DB201", node.span, f"there is no {what} `{name}`", choices_help(name, names))
+
+
+# The scenario of one agent
+
+
+def _root_of(
+    root: MappingNode,
+    agent: str,
+    section: MappingNode,
+    drivers: Mapping[str, str],
+    termination: MappingNode | None,
+) -> MappingNode:
+    entries = {key: entry for key, entry in root.entries.items() if key not in _OF_ALL}
+    entries |= {key: entry for key, entry in section.entries.items() if key in _KEYS_OF_AGENT}
+    if (own_signals := section.entries.get(_SIGNALS)) is not None:
+        entries[_SIGNALS] = _with_entries(entries.get(_SIGNALS), own_signals)
+    if termination is not None:
+        key = ScalarNode(root.entries[ENDINGS].key.span, "termination", "termination")
+        entries["termination"] = Entry(key, termination)
+    if (stack := section.entries.get("frame_stack")) is not None:
+        settings = Entry(stack.key, replace(section, entries={"frame_stack": stack}))
+        entries["agent"] = _with_entries(entries.get("agent"), settings)
+    robots = entries.get("robots")
+    if robots is not None and isinstance(robots.value, MappingNode):
+        bodies = {
+            name: entry
+            if drivers.get(name, agent) == agent
+            else Entry(entry.key, _without_controller(entry.value))
+            for name, entry in robots.value.entries.items()
+        }
+        entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
+    return replace(root, entries=entries)
+
+
+def _with_entries(shared: Entry | None, own: Entry) -> Entry:
+    """Return the section of an agent with the entries that all agents share before its own."""
+    if shared is None or not isinstance(shared.value, MappingNode) or not isinstance(own.value, MappingNode):
+        return own
+    return Entry(own.key, replace(own.value, entries={**shared.value.entries, **own.value.entries}))
+
+
+def _without_controller(robot: Node) -> Node:
+    if not isinstance(robot, MappingNode):
+        return robot
+    kept = {key: entry for key, entry in robot.entries.items() if key not in _CONTROLLER_KEYS}
+    return replace(robot, entries=kept)
+
+
+# Results
+
+_OF_ALL_REWARDS = frozenset({"previous_reward", "episode_return"})
+
+
+def report_unsupported(document: Document, programs: Mapping[str, Program]) -> None:
+    """Report parts of an agent that only a scenario with one agent may have."""
+    for name, program in programs.items():
+        agent = program.agent
+        for value in program.computed_expressions:
+            used = _OF_ALL_REWARDS & {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
+            for word in used:
+                document.findings.add(
+                    "DB108",
+                    value.span,
+                    f"`{word}` of one among several agents is not supported yet",
+                    "use the values that the reward is made of",
+                )
+        if agent.goal is not None or agent.copies is not None:
+            key = entries_at(document.root, AGENTS)[name].key if document.root is not None else None
+            assert key is not None
+            what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
+            document.findings.add(
+                "DB108", key.span, f"{what} together with several agents is not supported yet", _NOT_YET
+            )
+
+
+def joined_findings(findings: Findings, of_agents: Iterable[Findings]) -> None:
+    """Add the findings of the agents to those of the file; what is found for several agents is one
+    finding."""
+    for own in of_agents:
+        for finding in own:
+            findings.append(finding)
+
+
+def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
+    """Return the program of all agents."""
+    return joint_program(programs, divided.sections, divided.drivers)
+
+
+def with_sections(document: Document, documents: Mapping[str, Document]) -> Document:
+    """Return the document with the `train` that deepbots has chosen for agents in their sections."""
+    root = document.root
+    section = node_at(root, AGENTS)
+    if root is None or not isinstance(section, MappingNode):
+        return document
+    entries = dict(section.entries)
+    for name, own in documents.items():
+        chosen, entry = own.root.entries.get("train") if own.root is not None else None, entries[name]
+        if chosen is not None and isinstance(entry.value, MappingNode) and "like" not in entry.value.entries:
+            keys = {**entry.value.entries, "train": chosen}
+            entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
+    agents = Entry(root.entries[AGENTS].key, replace(section, entries=entries))
+    return replace(document, root=replace(root, entries={**root.entries, AGENTS: agents}))
+
+
+def report_role_alone(document: Document) -> None:
+    """Report the keys of several agents in a scenario without `agents`."""
+    for key in (ENDINGS, ROLE):
+        entry = document.root.entries.get(key) if document.root is not None else None
+        if entry is not None:
+            document.findings.add(
+                "DB101",
+                entry.key.span,
+                f"`{key}` belongs to a scenario with several `agents`",
+                "write `success` and `failure` under `termination`" if key == ENDINGS else "remove it",
+            )
+
+
+def played_agent(document: Document) -> str | None:
+    """Return the agent that `role` names, None if there is none."""
+    node = node_at(document.root, ROLE, "agent")
+    return node.text if isinstance(node, ScalarNode) else None
+
+
+def among_others(document: Document, world: Program, agent: str) -> Program | None:
+    """Return the program of one agent, beside which the others act by themselves; None after a finding."""
+    findings, names = document.findings, list(world.members)
+    written = node_at(document.root, ROLE, "agent")
+    if agent not in world.members:
+        assert isinstance(written, ScalarNode)
+        _report_unknown(findings, written, agent, "agent", names)
+        return None
+    drivers = {
+        name: next((script.name for script in member.program.agent.scripts), RANDOM)
+        for name, member in world.members.items()
+        if name != agent
+    }
+    for name, entry in entries_at(document.root, ROLE, "others").items():
+        if name not in drivers:
+            _report_unknown(findings, entry.key, name, "other agent", list(drivers))
+        elif isinstance(entry.value, ScalarNode):
+            scripts = [script.name for script in world.members[name].program.agent.scripts]
+            if entry.value.text not in (*scripts, RANDOM, ZERO):
+                _report_unknown(
+                    findings, entry.value, entry.value.text, f"driver of `{name}`", [*scripts, RANDOM, ZERO]
+                )
+            drivers[name] = entry.value.text
+    return None if findings.errors else _with_others(world, agent, drivers)
+
+
+def _with_others(world: Program, agent: str, drivers: Mapping[str, str]) -> Program:
+    """Return the program of an agent with the others, in each case and stage too."""
+    program = world.members[agent].program
+    return replace(
+        program,
+        others=Others(world, agent, drivers),
+        cases=tuple(
+            replace(case, program=_with_others(world.case(case.name).program, agent, drivers))
+            for case in program.cases
+        ),
+        curriculum=tuple(
+            replace(stage, program=_with_others(world.stage(stage.name).program, agent, drivers))
+            for stage in program.curriculum
+        ),
+    )

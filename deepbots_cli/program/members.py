@@ -1,0 +1,181 @@
+"""The agents of a scenario with several of them, and the places of each in the program of all.
+
+The program of all agents has a single agent, whose action, observation and reward are those of the agents in a
+row, under the names `hunter__gas` of `gas` of the agent `hunter`. One supervisor therefore steps the world
+once, and computes shared signals once. Each member has a program of its own, in which the robots of the other
+agents have no controllers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from deepbots_cli.expressions.scalar import Name, Scalar, renamed
+from deepbots_cli.program.task import Agent
+from deepbots_cli.program.values import Expression
+
+if TYPE_CHECKING:
+    from deepbots_cli.program import Program
+
+RANDOM, ZERO = "random", "zero"
+"""Drivers of an agent besides its scripts."""
+_SEPARATOR = "__"
+
+
+def joint_name(agent: str, name: str) -> str:
+    """Return the name of something of an agent in the program of all agents."""
+    return f"{agent}{_SEPARATOR}{name}"
+
+
+PREVIOUS_ACTION = "previous_action"
+_OWN_SECTIONS = frozenset({"action", "augment", "critic", "observation", "reward", "scripts"})
+_SIGNALS = "signals"
+
+
+@dataclass(frozen=True)
+class JointNames:
+    """The names of an agent in the program of all agents.
+
+    Attributes:
+        agent: The name of the agent.
+        signals: Its own signals; signals of the file are the same for all agents.
+        names: Names of its action variables and its own signals, and what they are called there.
+        previous: The names of the numbers of its last action, and what they are called there.
+    """
+
+    agent: str
+    signals: frozenset[str]
+    names: Mapping[str, str]
+    previous: Mapping[str, str]
+
+    def scalars(self, scalars: Iterable[Scalar]) -> tuple[Scalar, ...]:
+        return tuple(renamed(scalar, self._name, self._slot) for scalar in scalars)
+
+    def expression(self, value: Expression, *, own: bool) -> Expression:
+        """Return a value with the names of the program of all; the value itself has a name of its `own`
+        agent, or one that all agents share."""
+        noise = value.noise
+        return replace(
+            value,
+            name=joint_name(self.agent, value.name) if own else value.name,
+            owner=self._owner(value.owner),
+            lowered=None if value.foreign is not None else self.scalars(value.scalars),
+            noise=None if noise is None else replace(noise, std=self.expression(noise.std, own=False)),
+        )
+
+    def signal(self, value: Expression) -> Expression:
+        return self.expression(value, own=value.name in self.signals)
+
+    def _name(self, name: Name) -> Name:
+        if name.name == PREVIOUS_ACTION:
+            return name._replace(component=self.previous[name.component or next(iter(self.previous))])
+        return name._replace(name=self.names.get(name.name, name.name))
+
+    def _slot(self, slot: str) -> str:
+        """Return the name of the memory or the stream of a value of the agent."""
+        owner, mark, number = slot.partition("#")
+        return f"{self._owner(owner)}{mark}{number}"
+
+    def _owner(self, owner: str) -> str:
+        section, _, rest = owner.partition(".")
+        is_own = section in _OWN_SECTIONS or (section == _SIGNALS and rest.partition(".")[0] in self.signals)
+        return f"agents.{self.agent}.{owner}" if is_own else owner
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """One of several agents.
+
+    Attributes:
+        name: Its name under `agents`.
+        names: Its names in the program of all agents.
+        program: The scenario as this agent has it: with its own action, observation, reward and training, and
+            with the endings as they are for it.
+        columns: The places of the numbers that it sees, among the numbers that all agents see.
+        choices: The first choice of its action among those of all agents, and the one after its last.
+        ranges: The first number of its ranges among those of all agents, and the one after its last.
+        terms: The names of its reward terms in the program of all agents, by their own names.
+    """
+
+    name: str
+    names: JointNames
+    program: Program
+    columns: tuple[int, ...]
+    choices: tuple[int, int]
+    ranges: tuple[int, int]
+    terms: Mapping[str, str]
+
+    def reward(self, terms: Mapping[str, float]) -> float:
+        """Return its reward, given the last value of each term of all agents."""
+        return sum(terms[name] for name in self.terms.values())
+
+    def has_succeeded(self, endings: Sequence[str]) -> bool:
+        """Return whether an episode that these endings ended is a success for the agent: failure has
+        precedence."""
+        success = self.program.agent.success
+        return any(name in success for name in endings) and self.program.failures.isdisjoint(endings)
+
+    def digest_fields(self) -> dict[str, object]:
+        return {"name": self.name, "program": self.program}
+
+
+@dataclass(frozen=True, eq=False)
+class Others:
+    """The agents beside the one that a program is about.
+
+    Attributes:
+        world: The program of all agents.
+        agent: The name of the agent that the program is about.
+        drivers: Who acts for each other agent: the name of one of its scripts, `random` or `zero`.
+    """
+
+    world: Program
+    agent: str
+    drivers: Mapping[str, str]
+
+    def digest_fields(self) -> dict[str, object]:
+        return {"world": self.world, "agent": self.agent, "drivers": tuple(sorted(self.drivers.items()))}
+
+
+def world_of(program: Program, others: Others) -> Program:
+    """Return the program of all agents, which also computes the signals and tests that `program`, that of one
+    agent, has in addition to those of the scenario."""
+    member = others.world.members[others.agent]
+    usual = {signal.name for signal in member.program.signals}
+    further = [member.names.signal(signal) for signal in program.signals if signal.name not in usual]
+    return replace(
+        others.world,
+        signals=(*others.world.signals, *further),
+        stored_signals=frozenset(member.names.names.get(name, name) for name in program.stored_signals),
+        engine=program.engine,
+    )
+
+
+def members_of(
+    programs: Mapping[str, Program], names: Mapping[str, JointNames], joint: Agent
+) -> dict[str, Member]:
+    """Return the agents with these programs and names, given the agent of the program of all."""
+    places = {
+        (number.name, number.component, age): place
+        for place, (index, age) in enumerate(joint.seen)
+        for number in (joint.numbers[index],)
+    }
+    members: dict[str, Member] = {}
+    choices = ranges = 0
+    for name, program in programs.items():
+        agent = program.agent
+        seen = [(agent.numbers[index], age) for index, age in agent.seen]
+        last_choice, last_range = choices + len(agent.choices), ranges + len(agent.range_names)
+        members[name] = Member(
+            name,
+            names[name],
+            program,
+            tuple(places[joint_name(name, number.name), number.component, age] for number, age in seen),
+            (choices, last_choice),
+            (ranges, last_range),
+            {term.name: joint_name(name, term.name) for term in agent.reward},
+        )
+        choices, ranges = last_choice, last_range
+    return members

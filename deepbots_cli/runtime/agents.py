@@ -1,0 +1,266 @@
+"""Several agents in one world: what each of them sees and does, and environments for one or for all of them.
+
+One generated supervisor steps the world. Its action and its observation are those of all agents in a row
+(`program/members.py`); a `Seat` has the part of one agent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.program import Program
+from deepbots_cli.program.members import RANDOM, ZERO, Member, joint_name
+from deepbots_cli.runtime.spaces import (
+    action_space,
+    canonical_action,
+    compose_action,
+    mask_of_space,
+    observation_space,
+)
+from deepbots_cli.runtime.supervisor import Info, Supervisor
+
+Act = Callable[[Any], Any]
+"""Returns an action for an observation of an agent."""
+
+
+class Seat:
+    """The place of one agent in the world of several.
+
+    Attributes:
+        observation_space, action_space: The spaces of the agent, as in a scenario with this agent alone.
+    """
+
+    def __init__(self, world: Supervisor, member: Member) -> None:
+        self.member, self._world = member, world
+        agent = member.program.agent
+        self.observation_space, self.action_space = observation_space(agent), action_space(agent)
+        self._columns = np.array(member.columns, np.intp)
+        self._pictures = {
+            entry.key: joint_name(member.name, entry.name).replace(".", "_") for entry in agent.images
+        }
+        self._choices = len(agent.choices)
+        self._masks = slice(
+            sum(len(part.options) for part in world.agent.choices[: member.choices[0]]),
+            sum(len(part.options) for part in world.agent.choices[: member.choices[1]]),
+        )
+
+    def observation(self, of_all: Any) -> Any:
+        """Return what the agent sees, given what all agents see."""
+        if not isinstance(of_all, dict):
+            return of_all[..., self._columns]
+        numbers = of_all["observation"][..., self._columns] if "observation" in of_all else None
+        if not self._pictures:
+            return numbers
+        pictures = {key: of_all[joint] for key, joint in self._pictures.items()}
+        return pictures if numbers is None or not len(self._columns) else {"observation": numbers, **pictures}
+
+    def parts(self, action: Any) -> tuple[list[int], list[float]]:
+        """Return the options of the choices and the numbers of the ranges in an action of the agent.
+
+        Raises:
+            UsageError: The action is not in the action space.
+        """
+        fitting = canonical_action(self.action_space, action)
+        if fitting is None:
+            raise UsageError(
+                f"action {str(action)[:80]} of '{self.member.name}' does not fit {self.action_space}"
+            )
+        choices = fitting["choices"] if isinstance(fitting, dict) else fitting
+        ranges = fitting["ranges"] if isinstance(fitting, dict) else fitting
+        return (
+            np.atleast_1d(choices).tolist() if self._choices else [],
+            np.asarray(ranges).tolist() if isinstance(fitting, dict) or not self._choices else [],
+        )
+
+    def own_action(self, of_all: Any) -> Any:
+        """Return the part of the agent in an action of all agents."""
+        choices = of_all["choices"] if isinstance(of_all, dict) else of_all
+        ranges = of_all["ranges"] if isinstance(of_all, dict) else of_all
+        (first, last), (low, high) = self.member.choices, self.member.ranges
+        return compose_action(
+            self.action_space,
+            np.atleast_1d(choices)[first:last].tolist() if last > first else (),
+            np.asarray(ranges)[low:high].tolist() if high > low else (),
+        )
+
+    def action_mask(self) -> np.ndarray[Any, Any]:
+        """Return which options the agent may choose next, as truth values in a row."""
+        return self._world.action_masks()[self._masks]
+
+    def script(self, name: str) -> Any:
+        """Return the next action of a script of the agent.
+
+        Raises:
+            UsageError: The agent has no such script, or no episode has begun.
+        """
+        self.member.program.script(name)
+        return self.own_action(self._world.script(joint_name(self.member.name, name)))
+
+    def info(self, of_all: Mapping[str, Any]) -> Info:
+        """Return the info of a step as it is for the agent."""
+        terms = of_all["reward_terms"]
+        own: Info = {
+            **of_all,
+            "is_success": self.member.has_succeeded(of_all["endings"]),
+            "reward_terms": {name: terms[joint] for name, joint in self.member.terms.items()},
+        }
+        if "action_mask" in own:
+            own["action_mask"] = mask_of_space(
+                self.action_space,
+                [np.array(mask, np.int8) for mask in self._world.allowed()[slice(*self.member.choices)]],
+            )
+        return own
+
+    def reward(self, of_all: Mapping[str, Any]) -> float:
+        """Return the reward of the last step."""
+        return self.member.reward(of_all["reward_terms"])
+
+
+def seats_of(world: Supervisor) -> dict[str, Seat]:
+    """Return the seat of each agent, by name."""
+    return {name: Seat(world, member) for name, member in world.scenario.members.items()}
+
+
+def joint_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[str, Any]) -> Any:
+    """Return the action of all agents, given that of each.
+
+    Raises:
+        UsageError: The action of an agent is missing, or does not fit its action space.
+    """
+    choices: list[int] = []
+    ranges: list[float] = []
+    for name, seat in seats.items():
+        if name not in actions:
+            raise UsageError(f"there is no action of the agent '{name}'")
+        chosen, numbers = seat.parts(actions[name])
+        choices += chosen
+        ranges += numbers
+    return compose_action(world.action_space, choices, ranges)
+
+
+class AgentEnvironment(gym.Env[Any, Any]):
+    """The environment of one of several agents, beside which the others act by themselves. It has the
+    interface of a supervisor; what it does not define is the same for all agents.
+
+    Attributes:
+        supervisor: The supervisor of the world.
+        scenario: The program of the agent.
+    """
+
+    def __init__(
+        self, supervisor: Supervisor, scenario: Program, rebuild: Callable[[], Any] | None = None
+    ) -> None:
+        others = scenario.others
+        assert others is not None
+        self.supervisor, self.scenario, self.rebuild = supervisor, scenario, rebuild
+        self._seats = seats_of(supervisor)
+        self._own = others.agent
+        self.seat = self._seats[others.agent]
+        self._acts = {
+            name: driven(supervisor, self._seats[name], driver) for name, driver in others.drivers.items()
+        }
+        self.agent = scenario.agent
+        self.agents = {self.agent.name: self}
+        self.observation_space, self.action_space = self.seat.observation_space, self.seat.action_space
+        self.metadata, self.render_mode = supervisor.metadata, supervisor.render_mode
+        self._observed: Any = None
+        self._result: tuple[float, Info] = (0.0, {})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """See `Supervisor.reset`."""
+        self._observed, info = self.supervisor.reset(seed=seed, options=options)
+        if seed is not None:
+            self.action_space.seed(seed)
+        self._result = 0.0, self.seat.info(info)
+        return self.get_observations(), dict(self._result[1])
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """See `Supervisor.step`."""
+        if self._observed is None:
+            raise UsageError("call reset() before step()")
+        actions = {
+            name: act(self._seats[name].observation(self._observed)) for name, act in self._acts.items()
+        }
+        actions[self._own] = action
+        together = joint_action(self.supervisor, self._seats, actions)
+        self._observed, _, terminated, truncated, info = self.supervisor.step(together)
+        self._result = self.seat.reward(info), self.seat.info(info)
+        return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
+
+    def get_observations(self) -> Any:
+        return self.seat.observation(self._observed)
+
+    def get_reward(self) -> float:
+        return self._result[0]
+
+    def get_info(self) -> Info:
+        return dict(self._result[1])
+
+    def script(self, name: str) -> Any:
+        """See `Supervisor.script`."""
+        return self.seat.script(name)
+
+    scripted = script
+
+    def make_action(self, choices: Sequence[int], ranges: Sequence[float]) -> Any:
+        """See `Supervisor.make_action`."""
+        return compose_action(self.action_space, choices, ranges)
+
+    def action_masks(self) -> Any:
+        """See `Supervisor.action_masks`."""
+        if not self.agent.choices:
+            raise UsageError("action masks need an action with `choices`, but this agent has none")
+        return self.seat.action_mask()
+
+    def allowed(self) -> tuple[tuple[bool, ...], ...]:
+        """See `Supervisor.allowed`."""
+        first, last = self.seat.member.choices
+        return self.supervisor.allowed()[first:last]
+
+    def render(self) -> Any:
+        """See `Supervisor.render`."""
+        return self.supervisor.render()
+
+    def close(self) -> None:
+        """Release the engine."""
+        self.supervisor.close()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "supervisor":
+            raise AttributeError(name)
+        kind, separator, own = name.partition("_")
+        joint = f"{kind}{separator}{joint_name(self._own, own)}"  # such as `last_hunter__angle`
+        return getattr(self.supervisor, joint if hasattr(self.supervisor, joint) else name)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.rebuild is None:
+            raise UsageError("this environment was built by hand and cannot be copied to another process")
+        return self.rebuild, ()
+
+
+def driven(world: Supervisor, seat: Seat, driver: str) -> Act:
+    """Return who acts for an agent: a script, `random` or `zero`."""
+    agent = seat.member.program.agent
+    if driver == ZERO:
+        still = compose_action(seat.action_space, [0] * len(agent.choices), [0.0] * len(agent.range_names))
+        return lambda _: still
+    if driver != RANDOM:
+        return lambda _: seat.script(driver)
+
+    def act(_: Any) -> Any:
+        """Draw an action from a stream of the world, so that a repeated episode has the same actions."""
+        generator = world.streams[f"agents.{seat.member.name}.{RANDOM}"]
+        return compose_action(
+            seat.action_space,
+            [int(generator.integers(len(part.options))) for part in agent.choices],
+            generator.uniform(-1.0, 1.0, len(agent.range_names)).tolist(),
+        )
+
+    return act

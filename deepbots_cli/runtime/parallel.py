@@ -1,0 +1,104 @@
+"""Several agents as an environment of PettingZoo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pettingzoo import ParallelEnv
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.runtime.supervisor import Supervisor
+
+DRAWS = "draws"
+"""The key of `options` of a reset with values in place of draws."""
+
+
+class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # PettingZoo has no types
+    """All agents of a scenario, which act at the same time.
+
+    An episode ends for all agents at once. `infos[agent]` has `is_success`, `ended_by`, `endings` and
+    `reward_terms`, and `action_mask` if the action of the agent has choices that may be forbidden.
+
+    Attributes:
+        world: The supervisor of the world.
+    """
+
+    def __init__(self, world: Supervisor) -> None:
+        self.world, self._seats = world, seats_of(world)
+        self.possible_agents = list(self._seats)
+        self.agents: list[str] = []
+        self.metadata = {**world.metadata, "name": world.scenario.name, "is_parallelizable": True}
+        self.render_mode = world.render_mode
+        self.observation_spaces = {name: seat.observation_space for name, seat in self._seats.items()}
+        self.action_spaces = {name: seat.action_space for name, seat in self._seats.items()}
+        self._observed: Any = None
+
+    def observation_space(self, agent: str) -> Any:
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Begin an episode; see `Supervisor.reset`.
+
+        Args:
+            seed: It determines this episode and all following ones until the next seed.
+            options: Values in place of draws, by name, are under the key `draws`. Other keys are ignored,
+                because wrappers of PettingZoo have options of their own.
+        """
+        draws = (options or {}).get(DRAWS)
+        self._observed, info = self.world.reset(seed=seed, options=draws)
+        if seed is not None:
+            for name, space in self.action_spaces.items():
+                space.seed(derive_seed(seed, "actions", name))
+        self.agents = list(self.possible_agents)
+        return self._observations(), {name: seat.info(info) for name, seat in self._seats.items()}
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Advance by one step of all agents.
+
+        Raises:
+            UsageError: No episode runs, or the action of an agent is missing or does not fit its space.
+        """
+        if not self.agents:
+            raise UsageError("call reset() before step()")
+        together = joint_action(self.world, self._seats, actions)
+        self._observed, _, terminated, truncated, info = self.world.step(together)
+        ended = (
+            dict.fromkeys(self.possible_agents, terminated),
+            dict.fromkeys(self.possible_agents, truncated),
+        )
+        if terminated or truncated:
+            self.agents = []
+        return (
+            self._observations(),
+            {name: seat.reward(info) for name, seat in self._seats.items()},
+            *ended,
+            {name: seat.info(info) for name, seat in self._seats.items()},
+        )
+
+    def state(self) -> Any:
+        """Return the observations of all agents in a row, float32: for training with a central critic."""
+        if isinstance(self._observed, Mapping):
+            raise UsageError("a scenario with pictures has no state of all agents; use the observations")
+        return np.array(self._observed)
+
+    def render(self) -> Any:
+        """Return an image of the world, uint8 of shape (rows, columns, 3); None without a render mode."""
+        return self.world.render()
+
+    def close(self) -> None:
+        """Release the engine."""
+        self.world.close()
+
+    def _observations(self) -> dict[str, Any]:
+        return {name: seat.observation(self._observed) for name, seat in self._seats.items()}
