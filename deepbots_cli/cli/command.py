@@ -399,14 +399,16 @@ def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def call(*, agent: Role, against: Against, **given: Any) -> None:
-        settings = [f"role.agent={agent}"] if agent is not None else []
+        others: list[str] = []
         for word in against or ():
             other, equals, driver = word.partition("=")
             if agent is None or not equals:
                 raise typer.BadParameter(
                     f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
                 )
-            settings.append(f"role.others.{other.strip()}={driver.strip()}")
+            others.append(f"{other.strip()}: {driver.strip()}")
+        role = f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"  # in place of one in the file
+        settings = [role] if agent is not None else []
         command(**given | {"overrides": [*(given["overrides"] or ()), *settings] or None})
 
     parameters = list(signature.parameters.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.agents import joint_action, seats_of
 
@@ -221,3 +223,18 @@ def test_tests_of_several_agents_are_refused_and_not_left_out(several: Path) -> 
     several.write_text(SEVERAL + "tests: {rests: {driver: zero, expect: {failure_rate: 0}}}\n")
     errors = [finding.headline for finding in api.lint(several) if finding.severity == "error"]
     assert errors == ["`tests` together with several agents are not supported yet"]
+
+
+def test_the_options_of_a_command_replace_the_role_of_the_file(
+    several: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    several.write_text(SEVERAL + "role: {agent: left, others: {right: zero}}\n")
+    command = ["try", str(several), "--agent", "right", "--against", "left=lean", "--driver", "zero"]
+    main([*command, "--episodes", "1", "--json"])
+    (episode,) = json.loads(capsys.readouterr().out)["episodes"]
+    assert episode["ended_by"] in ("left_fell", "right_fell", "max_steps")
+
+
+@pytest.mark.parametrize("words", [["--against", "left=lean"], ["--agent", "right", "--against", "left"]])
+def test_a_rival_without_an_agent_or_a_driver_is_a_wrong_use(several: Path, words: list[str]) -> None:
+    assert main(["try", str(several), *words]) == 2
