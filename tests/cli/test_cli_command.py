@@ -181,8 +181,8 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
-            " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO, the page of view and"
-            " play, policies"
+            " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO,"
+            " several agents as an environment of PettingZoo, the page of view and play, policies"
             " as ONNX,"
             " --cluster, searches by tune",
         ),
