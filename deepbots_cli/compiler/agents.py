@@ -61,6 +61,7 @@ def divide(document: Document) -> AgentDocuments | None:
     if sections is None:
         return None
     drivers = _drivers(document, agents, sections)
+    _report_shared_names(document)
     documents = {
         name: replace(
             document,
@@ -110,21 +111,39 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     return dict(spec.agents)
 
 
+def _key_of(document: Document, agent: str) -> ScalarNode:
+    """Return the name of an agent in the file."""
+    return entries_at(document.root, AGENTS)[agent].key
+
+
 def _are_complete(document: Document, agents: Mapping[str, MappingNode]) -> bool:
     """Return whether each agent has the keys that it needs; report those that lack."""
     for name, section in agents.items():
         lacking = [f"`{key}`" for key in _REQUIRED if key not in section.entries]
         if lacking:
-            key = entries_at(document.root, AGENTS)[name].key if document.root is not None else None
-            assert key is not None
             document.findings.add(
                 "DB102",
-                key.span,
+                _key_of(document, name).span,
                 f"the agent `{name}` has no {' and no '.join(lacking)}",
                 "write them as at the top level of a scenario with one agent; or mirror another agent with"
                 " `like`",
             )
     return not document.findings.errors
+
+
+def _report_shared_names(document: Document) -> None:
+    """Report signals of an agent that have the name of a signal of all agents."""
+    shared = entries_at(document.root, _SIGNALS)
+    for agent in entries_at(document.root, AGENTS):
+        for name, entry in entries_at(document.root, AGENTS, agent, _SIGNALS).items():
+            if name in shared:
+                document.findings.add(
+                    "DB202",
+                    entry.key.span,
+                    f"the signal `{name}` of `{agent}` is already a signal of all agents",
+                    "give one of the two another name",
+                    labels=(Label(shared[name].key.span, "first defined here"),),
+                )
 
 
 # Agents that mirror another one
@@ -135,7 +154,6 @@ class _Mirrors:
 
     def __init__(self, document: Document, written: Mapping[str, Entry]) -> None:
         self._document, self._written = document, written
-        self._robots = list(entries_at(document.root, "robots"))
         self._resolved: dict[str, MappingNode] = {}
         self._reported: set[str] = set()
 
@@ -268,10 +286,9 @@ def _drivers(
             else:
                 drivers[robot], places[robot] = agent, span
         if not section.robots:
-            key = entries_at(root, AGENTS)[agent].key
             document.findings.add(
                 "DB102",
-                key.span,
+                _key_of(document, agent).span,
                 f"`{agent}` has no robots",
                 "list the robots that it drives: `robots: [...]`",
             )
@@ -290,7 +307,7 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         when = ending.get("when") if isinstance(ending, MappingNode) else None
         if not isinstance(ending, MappingNode) or when is None:
             continue
-        named = {outcome: _named_agents(ending.get(outcome), agents) for outcome in outcomes}
+        named = {outcome: _named_agents(ending.get(outcome)) for outcome in outcomes}
         for names in named.values():
             for other in names:
                 if other.text not in (*agents, _ALL):
@@ -326,7 +343,7 @@ def _report_outcome(findings: Findings, key: ScalarNode, agent: str, *, is_both:
     )
 
 
-def _named_agents(node: Node | None, agents: list[str]) -> list[ScalarNode]:
+def _named_agents(node: Node | None) -> list[ScalarNode]:
     match node:
         case ScalarNode():
             return [node]
@@ -405,12 +422,9 @@ def report_unsupported(document: Document, programs: Mapping[str, Program]) -> N
                     "use the values that the reward is made of",
                 )
         if agent.goal is not None or agent.copies is not None:
-            key = entries_at(document.root, AGENTS)[name].key if document.root is not None else None
-            assert key is not None
             what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
-            document.findings.add(
-                "DB108", key.span, f"{what} together with several agents is not supported yet", _NOT_YET
-            )
+            headline = f"{what} together with several agents is not supported yet"
+            document.findings.add("DB108", _key_of(document, name).span, headline, _NOT_YET)
 
 
 def joined_findings(findings: Findings, of_agents: Iterable[Findings]) -> None:
@@ -435,7 +449,7 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
     entries = dict(section.entries)
     for name, own in documents.items():
         chosen, entry = own.root.entries.get("train") if own.root is not None else None, entries[name]
-        if chosen is not None and isinstance(entry.value, MappingNode) and "like" not in entry.value.entries:
+        if chosen is not None and isinstance(entry.value, MappingNode):
             keys = {**entry.value.entries, "train": chosen}
             entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
     agents = Entry(root.entries[AGENTS].key, replace(section, entries=entries))

@@ -46,6 +46,12 @@ def joint_program(
         drivers: The agent that drives each robot; robots without one are the same in all programs.
     """
     first = next(iter(programs.values()))
+
+    def of_all(case: str | None, stage: str | None) -> Program:
+        """Return the program of all agents in a case or a stage."""
+        variants = {name: program.variant(case, stage) for name, program in programs.items()}
+        return joint_program(variants, specs, drivers)
+
     action = {
         name: [_action_part(name, part) for part in program.agent.action]
         for name, program in programs.items()
@@ -54,19 +60,7 @@ def joint_program(
     names = {name: _joint_names(name, program, specs[name], together) for name, program in programs.items()}
     renamings = {name: Renaming(program, names[name]) for name, program in programs.items()}
     agents = {name: renamings[name].agent(action[name]) for name in programs}
-    joint = Agent(
-        name=ONLY_AGENT,
-        robots=tuple(chain.from_iterable(agent.robots for agent in agents.values())),
-        action=tuple(chain.from_iterable(agent.action for agent in agents.values())),
-        observation=tuple(chain.from_iterable(agent.observation for agent in agents.values())),
-        reward=tuple(chain.from_iterable(agent.reward for agent in agents.values())),
-        success=tuple(
-            name for name in first.agent.success if all(name in each.success for each in agents.values())
-        ),
-        frame_stack=max(agent.frame_stack for agent in agents.values()),
-        critic=tuple(chain.from_iterable(agent.critic for agent in agents.values())),
-    )
-    joint = replace(joint, scripts=tuple(_scripts(agents, joint.action)))
+    joint = _joint_agent(agents)
     owners = {robot: programs[agent] for robot, agent in drivers.items()}
     program = replace(
         first,
@@ -97,30 +91,28 @@ def joint_program(
         ),
         supplied_by=tuple(dict(chain.from_iterable(each.supplied_by for each in programs.values())).items()),
         ros={name: topic for each in programs.values() for name, topic in each.ros.items()},
-        cases=tuple(
-            replace(
-                case,
-                program=joint_program(
-                    {name: program.case(case.name).program for name, program in programs.items()},
-                    specs,
-                    drivers,
-                ),
-            )
-            for case in first.cases
-        ),
-        curriculum=tuple(
-            replace(
-                stage,
-                program=joint_program(
-                    {name: program.stage(stage.name).program for name, program in programs.items()},
-                    specs,
-                    drivers,
-                ),
-            )
-            for stage in first.curriculum
-        ),
+        cases=tuple(replace(case, program=of_all(case.name, None)) for case in first.cases),
+        curriculum=tuple(replace(stage, program=of_all(None, stage.name)) for stage in first.curriculum),
     )
     return replace(program, members=members_of(programs, names, joint))
+
+
+def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
+    """Return the agent with the actions, observations and rewards of all in a row."""
+    first = next(iter(agents.values()))
+    joint = Agent(
+        name=ONLY_AGENT,
+        robots=tuple(chain.from_iterable(agent.robots for agent in agents.values())),
+        action=tuple(chain.from_iterable(agent.action for agent in agents.values())),
+        observation=tuple(chain.from_iterable(agent.observation for agent in agents.values())),
+        reward=tuple(chain.from_iterable(agent.reward for agent in agents.values())),
+        success=tuple(
+            name for name in first.success if all(name in each.success for each in agents.values())
+        ),
+        frame_stack=max(agent.frame_stack for agent in agents.values()),
+        critic=tuple(chain.from_iterable(agent.critic for agent in agents.values())),
+    )
+    return replace(joint, scripts=tuple(_scripts(agents, joint.action)))
 
 
 def _joint_names(agent: str, program: Program, spec: AgentOfSeveral, together: Iterator[str]) -> JointNames:

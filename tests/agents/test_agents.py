@@ -13,6 +13,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.agents import joint_action, seats_of
 
@@ -198,6 +199,7 @@ def test_pettingzoo_accepts_the_environment(several: Path) -> None:
         ),
         ("role.agent=middle", "there is no agent `middle`"),
         ("agents.left.reward.upright=previous_reward", "`previous_reward` of one among several agents"),
+        ("agents.left.signals={apart: 1 m}", "`apart` of `left` is already a signal of all agents"),
         ("observation.gap=0 .. 1 m", "`observation` at the top level cannot be combined with `agents`"),
     ],
 )
@@ -238,3 +240,13 @@ def test_the_options_of_a_command_replace_the_role_of_the_file(
 @pytest.mark.parametrize("words", [["--against", "left=lean"], ["--agent", "right", "--against", "left"]])
 def test_a_rival_without_an_agent_or_a_driver_is_a_wrong_use(several: Path, words: list[str]) -> None:
     assert main(["try", str(several), *words]) == 2
+
+
+def test_a_run_of_a_mirrored_agent_has_the_learner_that_was_chosen_for_it(several: Path) -> None:
+    several.write_text(SEVERAL.replace("    train: {", "    # {"))
+    compiled = api.with_learner(api.compile(several, overrides=["role.agent=right"]))
+    folder = several.parent / "run"
+    folder.mkdir()
+    write_copies(folder, compiled.resolved, compiled.inputs)
+    assert compiled.program.agent.training is not None
+    assert api.compile(folder / RESOLVED_NAME).digest == compiled.digest
