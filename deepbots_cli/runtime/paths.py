@@ -276,9 +276,8 @@ class DistanceField:
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN_CELLS, j + MARGIN_CELLS
         here, there = self._lengths[j], self._lengths[j + 1]
-        if (
-            not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH
-        ):  # one of them is reached by no way
+        # One of the four nodes has no path.
+        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:
             self._fill()
             return self.length(x, y)
         low = here[i] + u * (here[i + 1] - here[i])

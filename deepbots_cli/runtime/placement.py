@@ -294,9 +294,8 @@ class Arrangement:
         x, y, z = xyz
         z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
-        if (
-            top > ground + TOUCHING_TOLERANCE_M
-        ):  # a table top level with the ground is nothing to keep clear of
+        # A table top at ground level needs no clearance.
+        if top > ground + TOUCHING_TOLERANCE_M:
             self._floor.occupy(patch, clearance, top)
         self._poses[body] = ((x, y, z), rpy, *(() if motion == (ZERO_VECTOR, ZERO_VECTOR) else motion))
 

@@ -150,9 +150,8 @@ def _range_replacement(value: object) -> str | None:
 
 def count_replacement(value: object) -> str | None:
     """Return the whole number that `200k` or `1e5` was meant to be."""
-    if (
-        isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15
-    ):  # below, a point may have parted thousands
+    # Below 1,000, the point may be a thousands separator.
+    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:
         return f"{int(value):_}"
     match = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
     return f"{int(match[1]) * (1_000_000 if match[2] == 'M' else 1_000):_}" if match else None

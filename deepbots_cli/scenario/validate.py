@@ -99,9 +99,8 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
             ]
             for one in outcome:
                 findings.append(one)
-            if (
-                findings.limit is not None and len(problems) >= findings.limit
-            ):  # the rest would be in the way of later passes
+            # The remaining errors would disturb later passes.
+            if findings.limit is not None and len(problems) >= findings.limit:
                 raise TooManyFindings(outcome[-1])
         for problem in problems:
             _prune(data, problem.path, pruned, problem.missing)
@@ -215,9 +214,8 @@ def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
 def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
     if near is None or not isinstance(word, ScalarNode):
         return None
-    if (
-        word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text
-    ):  # a number loses its quotes
+    # A number loses its quotes.
+    if word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text:
         return Fix((Edit(word.span, near.text),), near.safe)
     return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe)
 
