@@ -124,7 +124,7 @@ _FUNCTION_OF_KIND = {
 _NAME_HELP = {"pi": "half a turn is `180 deg`"}
 _CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
 # Functions that other languages have.
-_CONTEXT_CALL_HELP = {
+_FOREIGN_FUNCTION_HELP = {
     "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
     "rand": "a draw is `uniform(low .. high)`",
     "randn": "a draw is `normal(mean +- std)`",
@@ -525,7 +525,7 @@ class _Checker:
         known = max(value.type.known, condition.type.known)
         result = _ranged(
             Type(value.type.dimension, components, known=known),
-            lambda known: hull((known, single(0.0))),
+            lambda interval: hull((interval, single(0.0))),
             (value.type,),
         )
         return Operation(result, node.start, node.end, "where", (condition, value, nothing))
@@ -638,7 +638,7 @@ class _Checker:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
-            if help := _CONTEXT_CALL_HELP.get(node.function):
+            if help := _FOREIGN_FUNCTION_HELP.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None

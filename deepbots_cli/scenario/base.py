@@ -116,20 +116,18 @@ class Section(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
-        own = (
-            [error for keys in cls.key_rules for error in keys.errors(data)]
-            if isinstance(data, Mapping)
-            else []
-        )
-        if not own:
+        errors: list[InitErrorDetails] = []
+        if isinstance(data, Mapping):
+            errors = [rule_error for keys in cls.key_rules for rule_error in keys.errors(data)]
+        if not errors:
             return handler(data)
         try:
             handler(data)
-        except ValidationError as others:
-            for error in others.errors(include_url=False):
-                refused = PydanticCustomError(error["type"], error["msg"], error.get("ctx"))
-                own.append(InitErrorDetails(type=refused, loc=error["loc"], input=error["input"]))
-        raise ValidationError.from_exception_data(cls.__name__, own)
+        except ValidationError as refusal:
+            for field_error in refusal.errors(include_url=False):
+                kind = PydanticCustomError(field_error["type"], field_error["msg"], field_error.get("ctx"))
+                errors.append(InitErrorDetails(type=kind, loc=field_error["loc"], input=field_error["input"]))
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
 @dataclass(frozen=True)
