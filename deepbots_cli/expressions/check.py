@@ -77,7 +77,8 @@ COMPARISONS = {
     "!=": "not_equal",
 }
 _MAX_EXPONENT = 12
-# Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
+# Physical formulas contain halves, thirds and quarters as exponents. A float counts as such a fraction if it
+# is the nearest float to it.
 _MAX_DENOMINATOR = 4
 _STATIC_HELP = (
     "use a number or a parameter; the state of the world and messages are known only during an episode"
@@ -244,7 +245,7 @@ class _Checker:
         return value
 
     def visit(self, node: syntax.Node) -> Typed:
-        match node:  # the commonest first
+        match node:  # the most frequent first
             case syntax.Name():
                 return self._reference(node)
             case syntax.Number():
@@ -426,8 +427,8 @@ class _Checker:
     ) -> StopChecking:
         """Return the error DB402 with the nearest of the known names, and a list of them.
 
-        `before` and the name are the text of `place`; None says that it cannot be written again. The help
-        `also` is for names that are like none of the known.
+        `before` and the name are the text of `place`; with None, no fix is offered. The help `also` is for
+        names that are like none of the known.
         """
         names = sorted(known)
         owned = with_owner(name, names)

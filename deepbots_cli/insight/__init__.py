@@ -1,4 +1,4 @@
-"""Why an episode ended as it did, why a training does not learn, and how to hand both on.
+"""Explanations of episodes and trainings, reports, and exported policies.
 
 conditions.py  the endings of a scenario as comparisons whose values an episode keeps
 trace.py       an episode that runs again, with what each step saw, did, earned and measured

@@ -10,11 +10,11 @@ reads an annotation:
     Forms         a union that is discriminated by the form of the value
     Kinds         a union of sections that is discriminated by the word under one key
 
-The compiler, the language server, the JSON Schema and the reference pages go by these shapes.
+The compiler, the language server, the JSON Schema and the reference pages use these shapes.
 
 The documentation of a key is its sentence, unit, default and example. The sentence is the docstring below the
 field. It is read from the source on demand: `use_attribute_docstrings` of pydantic reads all sources on
-import, which takes 0.1 s. Examples stand in `examples.yaml`, by the names of the models.
+import, which takes 0.1 s. `examples.yaml` contains the examples, by model.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A field type is part of the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It
 checks the form of the value (a text, a number, a range) and raises errors with the code, headline and help of
-a finding. `base.visit_values` hands it to the compiler, which reads units, names and expressions inside a
+a finding. `base.visit_values` passes it to the compiler, which reads units, names and expressions inside a
 text. A value is kept as it is written.
 
 Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may
@@ -396,7 +396,7 @@ class WholeNumber(Number):
 
 @dataclass(frozen=True)
 class Text(FieldType):
-    """A text, which matches `pattern` if there is one; for another text the headline has the word
+    """A text. If `pattern` is not empty, the text must match it; otherwise the headline contains the word
     `refused`."""
 
     noun: str = "a text"
