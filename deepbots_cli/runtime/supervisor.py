@@ -66,7 +66,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
                 if render_mode == "human"
                 else ""
             )
-            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none{window}")
+            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or None{window}")
         if render_mode and "rendering" not in engine.capabilities:
             raise UsageError(
                 f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures"
