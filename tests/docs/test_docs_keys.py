@@ -37,7 +37,7 @@ FOLDERS = ("tests/data/hosts", "tests/data/scenarios", "tests/channel", "tests/p
 HOSTS = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.yaml"))]
 COSTLY = ("arm", "find_and_avoid", "panda_push", "panda_reach")
 """Hosts with a robot arm or many objects, which take 0.3 s of CPU to lint; the others take 0.02 s."""
-HOSTS = {"DQN": "../../../scenarios/cartpole.yaml", "MaskablePPO": "choices.yaml"}
+LEARNER_HOSTS = {"DQN": "../../../scenarios/cartpole.yaml", "MaskablePPO": "choices.yaml"}
 """The scenario in which the examples of an algorithm are linted; ranges.yaml for the others."""
 FOREIGN = frozenset({"python"})  # refused unless foreign code is allowed
 
@@ -215,7 +215,7 @@ def test_the_examples_of_an_algorithm_lint_clean_together(algorithm: str):
         if (found := example_of(ALGORITHMS[algorithm], key))
     }
     text = json.dumps({"deepbots": 1, "train": {"algorithm": algorithm, "total_timesteps": 100_000} | own})
-    host = HOSTS.get(algorithm, "ranges.yaml")
+    host = LEARNER_HOSTS.get(algorithm, "ranges.yaml")
     scenario = loads(f"{text[:-1]}, extends: {host}}}", base=ROOT / "tests" / "data" / "hosts")
     assert findings_of(check(scenario)) == []
 
