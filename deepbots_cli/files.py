@@ -75,7 +75,7 @@ def check_output(*paths: Path, force: bool) -> None:
     """Find out before long work whether files can be written, and that none is overwritten unless `force`.
 
     Raises:
-        UsageError: As `check_writable`, or one exists.
+        UsageError: A file cannot be written, or exists.
     """
     for path in paths:
         check_writable(path)
@@ -84,7 +84,11 @@ def check_output(*paths: Path, force: bool) -> None:
 
 
 def refuse_overwriting(*present: Path, force: bool) -> None:
-    """Raises: UsageError: These files or folders exist, and `force` is not given."""
+    """Refuse to overwrite these files or folders unless `force`.
+
+    Raises:
+        UsageError: `force` is false.
+    """
     if not force:
         names = ", ".join(sorted(map(str, present)))
         one = len(present) == 1
@@ -99,7 +103,7 @@ def check_new_folder(folder: Path, *, force: bool) -> None:
     """Find out before long work whether a folder is new or empty, unless `force`, and can be written.
 
     Raises:
-        UsageError: As `check_folder`, or it is not empty.
+        UsageError: The folder cannot be written into, or is not empty.
     """
     check_folder(folder)
     if not force and folder.is_dir() and any(folder.iterdir()):
@@ -125,7 +129,7 @@ def check_folder(folder: Path) -> None:
     """Find out before long work whether files can be written into a folder, which need not be there yet.
 
     Raises:
-        UsageError: As `check_writable`.
+        UsageError: A file cannot be written there.
     """
     present = next(parent for parent in (folder, *folder.absolute().parents) if os.path.lexists(parent))
     if not present.is_dir():

@@ -1,9 +1,8 @@
 """The engine port: everything that the runtime requires of a physics engine.
 
-SI units, world frame (x forward, y left, z up), quaternions (x, y, z, w). Bodies, links and joints go
-by name. Whatever happens in every step is bound once, when the environment is built: the engine hands
-out readers and writers, so that a step looks nothing up. A reader only reads; two calls between two
-steps return equal values.
+SI units, world frame (x forward, y left, z up), quaternions (x, y, z, w). Bodies, links and joints are
+identified by name. Readers and writers are bound once, when the environment is built, so that a step needs no
+look-up. A reader changes nothing: two calls between two steps return equal values.
 
 docs/engine-port.md describes every method. `EngineProxy` passes each of them on: a method that is added to
 the port is added there.
@@ -76,7 +75,8 @@ RayReader = Callable[[], Sequence[float]]
 Kinematics = Callable[[Triple, Quaternion | None], Sequence[float]]
 
 
-CAMERA_RANGE_M = 100.0  # m; as far as cameras see
+CAMERA_RANGE_M = 100.0
+"""The distance to which cameras see."""
 
 
 class CameraImage(NamedTuple):

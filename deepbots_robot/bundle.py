@@ -236,9 +236,8 @@ class Bundle:
         options = onnxruntime.SessionOptions()
         # By default, another shape only gives a warning.
         options.add_session_config_entry("session.strict_shape_type_inference", "1")
-        options.intra_op_num_threads = options.inter_op_num_threads = (
-            1  # a small network is slower on several threads
-        )
+        # A small network is slower on several threads.
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
         # Else a model whose bytes 4 to 7 are "ORTM" is read as the format of onnxruntime, in which these
         # checks see another graph.
         options.add_session_config_entry("session.load_model_format", "ONNX")

@@ -28,7 +28,7 @@ MAX_BYTES = 16 * 2**20
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message that came, read but not checked.
+    """An arrived message, decoded but not checked.
 
     Attributes:
         source: The topic, or the robot that sent it.

@@ -3,7 +3,7 @@ and reacts to silence.
 
 A step happens when every input has a new value, and no more often than the bundle's rate. If a value is
 missing, the step uses the last one while it is young enough. Otherwise the robot gets the safe posture in
-every step until all values are there again: on silence, and after a faulty message.
+every step until all inputs have valid values again. Silence and faulty messages are both reasons.
 """
 
 from __future__ import annotations
@@ -141,8 +141,8 @@ class Server:
         log: Log | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Create a server. `rate` is in steps per second of the robot; `speed` is the number of its seconds
-        that pass in one second.
+        """Create a server. `rate` is the number of steps per second of robot time. `speed` is robot time per
+        wall time.
 
         With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values,
         and silence is no fault.

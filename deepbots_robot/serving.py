@@ -341,8 +341,8 @@ def serve(
 
 
 def nothing_served(report: Mapping[str, Any], seconds: float | None) -> str:
-    """Return a sentence about a time that passed without a step; empty if there was one, or if the server
-    ended by a signal."""
+    """Return a message for a server that made no step; empty if there was one, or if the server ended by a
+    signal."""
     if seconds is None or report["steps"]:
         return ""
     missing = ", ".join(report["missing"][:5])
@@ -431,8 +431,8 @@ class stopping:  # noqa: N801  a context manager
 def until(
     stopped: Callable[[], bool], seconds: float | None, server: Server, note: Callable[[str], object]
 ) -> Callable[[], bool]:
-    """Return a function that returns whether the server should end: `stopped`, or after `seconds`. Without a
-    step in the first 5 s, `note` is called with the missing inputs."""
+    """Return the stop condition of the server: a signal (`stopped`), or the end of `seconds`. Without a step
+    in the first 5 s, `note` is called with the missing inputs."""
     began = time.monotonic()
     requested = False
 

@@ -91,10 +91,8 @@ class Ranges:
             meaning = self.analysis.resolve_aliases(node)
             interval = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
             goal = self.analysis.program.agent.goal
-            if goal is not None and node.name in (
-                "achieved",
-                "desired",
-            ):  # both are clipped to the range of the goal
+            # Both are clipped to the range of the goal.
+            if goal is not None and node.name in ("achieved", "desired"):
                 names = goal.achieved.components or (None,)
                 at = names.index(node.component) if node.component in names else 0
                 interval = iv.clamp(interval, single(goal.low[at]), single(goal.high[at]))

@@ -237,10 +237,9 @@ Driver = Annotated[
     str | None,
     option(
         "--driver NAME",
-        "Who acts: `policy` (of a run), a script of the scenario, `random`, `zero` (the middle of each"
-        " range, the first option of each"
-        " choice), or actions to repeat, such as forward*5,backward. By default the policy, else the first"
-        " script, else random actions.",
+        "The driver of the episodes: `policy` (of a run), a script of the scenario, `random`, `zero` (the"
+        " middle of each range, the first option of each choice), or actions to repeat, such as"
+        " forward*5,backward. The default is the policy, else the first script, else `random`.",
         EPISODES,
     ),
 ]

@@ -259,7 +259,7 @@ def kept_text(kept: KeptModel) -> str:
         lines.append(f"best.zip stays the best model: {kept.name}{after}")
     else:
         lines.append(f"best.zip is now {kept.name}{after}; the best model of before is {kept.earlier.name}")
-    return "\n".join([*lines, "\non further new starts, which did not choose it:"])
+    return "\n".join([*lines, "\non further new starts, which were not used to choose it:"])
 
 
 def kept_json(kept: KeptModel) -> dict[str, Any]:

@@ -333,7 +333,11 @@ def _make_board() -> Any:
 
 
 def _check_address(address: str) -> None:
-    """Raises: UsageError: It is no address, or nobody answers there."""
+    """Check that an address is one, and that a cluster answers there.
+
+    Raises:
+        UsageError: It is no address, or no cluster answers there.
+    """
     if address == "auto":
         return
     host, _, port = address.rpartition(":")

@@ -83,7 +83,11 @@ class WorkerPool(Protocol):
         """
 
     def check(self) -> None:
-        """Raises: RunError: Workers cannot answer any more."""
+        """Check that the workers can still answer.
+
+        Raises:
+            RunError: They cannot.
+        """
 
     def set_last_words(self, text: str) -> None:
         """Print this if the processes take this one with them when they are lost."""
@@ -97,7 +101,7 @@ class WorkerPool(Protocol):
 
 
 class Calls(Protocol):
-    """The calls of one `Executor.map` on an pool."""
+    """The calls of one `Executor.map` on a pool."""
 
     def submit(self, call: Call) -> Any:
         """Begin a call and return the answer that it owes, which is that of `perform`."""

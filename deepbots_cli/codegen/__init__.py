@@ -56,9 +56,9 @@ from typing import Any
 {classes}
 '''
 _OF_ONE_WORLD = """
-SI units. Each robot has a controller class, which knows its sensors and its messages only; the
-supervisor is a Gymnasium environment. Its `reset` calls `_begin` and `_start`, its `step` calls `_advance`;
-both observe. The methods after `_observe` read what that left and change nothing.
+SI units. Each robot has a controller class, which uses only its sensors and its messages. The supervisor is
+a Gymnasium environment. `reset` calls `_begin` and `_start`, and `step` calls `_advance`. `_start` and
+`_advance` call `_observe`. The methods below `_observe` return its results and change nothing.
 """
 _OF_BATCH = """
 SI units. A value is a column, an array with one number per world, or a plain number if it is the same in all worlds.

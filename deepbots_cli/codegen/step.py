@@ -28,7 +28,7 @@ _SUMMANDS = 100
 
 def start_method(supervisor: SupervisorPrinter) -> list[str]:
     """Return the method that runs right after a reset."""
-    lines = ['"""Observe the first moment of an episode."""', *supervisor.readers.start_lines()]
+    lines = ['"""Observe the start of an episode."""', *supervisor.readers.start_lines()]
     lines += _zeroed(_terms(supervisor))
     lines.append(
         f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})"
@@ -44,7 +44,7 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     acting = [supervisor.local(name) for name, _ in supervisor.action_names_read]
     if not supervisor.repeats_actions:
         _print_tick(supervisor, printer)
-        doc = '"""Act, let the world go on for a timestep, and observe."""'
+        doc = '"""Act, simulate one timestep, and observe."""'
         return block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc]))
     repeat = supervisor.scenario.action_repeat
     if supervisor.uses("previous_reward"):
@@ -59,12 +59,12 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     ticking.add_in_place("self.timestep_count", "1")
     _print_tick(supervisor, ticking)
     arguments = ", ".join(["self", *_parameters(supervisor)])
-    doc = f'"""Hold an action for {repeat} timesteps; the reward is the sum over them."""'
+    doc = f'"""Repeat an action for {repeat} timesteps. The reward is their sum."""'
     return [
         *block(f"def _advance(self, action: Any) -> {result}:", printer.method_lines([doc])),
         *block(
             f"def _tick({arguments}) -> {result}:",
-            ticking.method_lines(['"""Let the world go on for a timestep, and observe."""']),
+            ticking.method_lines(['"""Simulate one timestep, and observe."""']),
         ),
     ]
 
@@ -241,7 +241,9 @@ def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
     drawing = one.printer()
     if not (changes := print_redraws(one, drawing)):
         return
-    supervisor.per_world["_redraw"] = drawing.method_lines(['"""Draw anew what is due in a single world."""'])
+    supervisor.per_world["_redraw"] = drawing.method_lines(
+        ['"""Draw the values that are due in one world."""']
+    )
     periods = [due for due, _ in changes]
     due = periods[0] if len(periods) == 1 else f"minimum({', '.join(periods)})"
     condition = (
@@ -309,7 +311,7 @@ def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:
         if _delivers_in_ticks(supervisor, robot):
             _print_delivering(supervisor, printer, robot)
     if supervisor.is_of_copy:
-        printer.line("yield  # the world goes on when every copy has acted")
+        printer.line("yield  # the timestep is simulated when every copy has acted")
     else:
         printer.line(f"self.physics({supervisor.scenario.world.substeps})")
     printer.lines += [

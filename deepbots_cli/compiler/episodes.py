@@ -299,9 +299,8 @@ def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, S
         )
         return None
     drivable = {f"{robot_name}.{joint}" for joint in robot.drivable_joints}
-    if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(
-        subject.members
-    ):  # nothing but followers
+    # All of these joints are followers.
+    if f"{robot_name}.{part}" not in drivable and drivable.isdisjoint(subject.members):
         follower = (subject.members or (key,))[0].partition(".")[2]
         report_follower(namespace.values, text.part(len(robot_name + dot), len(key)), follower, robot.model)
         return None

@@ -282,10 +282,10 @@ class FieldReader:
         return Noise(text.expression(std, per_component=components), relative) if std else None
 
     def color(self, section: Section, of: OfLink | None = None) -> Color | None:
-        """Return the `color` of a section, None where none is given.
+        """Return the `color` of a section; None without one.
 
-        Of several to draw from it is the first, and the draw becomes a randomized parameter of a body and
-        link, `of`; without them, a draw is a finding.
+        A choice of colors returns the first, and adds a randomized parameter of the link `of`. Without `of`,
+        a draw is a finding.
         """
         color = getattr(section, "color", None)
         if color is None:

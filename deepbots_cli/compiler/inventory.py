@@ -195,9 +195,8 @@ def _one_defined(namespace: Namespace, name: str) -> NameEntry:
     if name in namespace.definitions:
         definition = namespace.definitions[name]
         path = definition.path
-        if (
-            definition.origin is Origin.ACTION and path[-1] != name
-        ):  # a variable that the options of a choice set
+        # The options of a choice set this variable.
+        if definition.origin is Origin.ACTION and path[-1] != name:
             node, _, steps = descend(namespace.values.root, (*path, "choices"))
             options = node.entries if isinstance(node, MappingNode) and steps > len(path) else {}
             setting = (

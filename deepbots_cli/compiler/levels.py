@@ -17,7 +17,7 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario import curriculum as curriculum_spec
 
 _TOLERANCE = 1e-9
-"""Of a whole number, and of a value beyond its interval, as a share of it."""
+"""The tolerance for whole numbers, and for values beyond their interval, as a share of the interval."""
 
 
 def levels(namespace: Namespace, program: Program) -> Levels | None:

@@ -61,7 +61,8 @@ ANY_NAME = "*"
 """The placeholder for all names: the names of a section that is no mapping are unknown."""
 
 _NAME_SECTIONS = frozenset({"parameters", "augment", "signals", "success", "failure"})
-_MAX_KEY_DISTANCE = 200  # how far before a finding its key may stand, in characters
+_MAX_KEY_DISTANCE = 200
+"""The largest distance of a key before its finding, in characters."""
 
 
 def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:

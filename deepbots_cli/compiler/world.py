@@ -258,7 +258,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
 
 
 _PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
-_MAX_HEIGHT_M = 1e4  # m
+_MAX_HEIGHT_M = 1e4
 _FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
 
 

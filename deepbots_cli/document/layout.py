@@ -178,9 +178,8 @@ def _indented(text: str) -> str:
     shift = 0
     for number, line in enumerate(text.split("\n"), 1):
         shift = own = shifts.get(number, shift)
-        if (
-            number not in shifts and number not in inside and line.strip()
-        ):  # a comment belongs to the entry below it
+        # A comment belongs to the entry below it.
+        if number not in shifts and number not in inside and line.strip():
             index = bisect_right(beginnings, number)
             own = shifts[beginnings[index]] if index < len(beginnings) else shift
         done.append(_shifted(line, own, dashes.get(number, ())))

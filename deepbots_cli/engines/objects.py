@@ -32,9 +32,9 @@ LINK_COLORS = (
     (0.86, 0.70, 0.32, 1.0),
     (0.42, 0.60, 0.46, 1.0),
 )
-ROOT_MASS_FRACTION = (
-    1e-6  # the mass of a root that has none, of what is held to it; its inertia as of a mass 1 m away
-)
+ROOT_MASS_FRACTION = 1e-6
+"""The mass of a root without mass, as a share of the mass that is attached to it. Its inertia is that of this
+mass at a distance of 1 m."""
 
 
 def is_movable(body: ObjectBody) -> bool:

@@ -77,7 +77,8 @@ COMPARISONS = {
     "!=": "not_equal",
 }
 _MAX_EXPONENT = 12
-# Roots that physics meets: halves, thirds and quarters. A float stands for one if it is the nearest.
+# Physical formulas contain halves, thirds and quarters as exponents. A float counts as such a fraction if it
+# is the nearest float to it.
 _MAX_DENOMINATOR = 4
 _STATIC_HELP = (
     "use a number or a parameter; the state of the world and messages are known only during an episode"
@@ -124,7 +125,7 @@ _FUNCTION_OF_KIND = {
 _NAME_HELP = {"pi": "half a turn is `180 deg`"}
 _CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
 # Functions that other languages have.
-_CONTEXT_CALL_HELP = {
+_FOREIGN_FUNCTION_HELP = {
     "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
     "rand": "a draw is `uniform(low .. high)`",
     "randn": "a draw is `normal(mean +- std)`",
@@ -244,7 +245,7 @@ class _Checker:
         return value
 
     def visit(self, node: syntax.Node) -> Typed:
-        match node:  # the commonest first
+        match node:  # the most frequent first
             case syntax.Name():
                 return self._reference(node)
             case syntax.Number():
@@ -426,8 +427,8 @@ class _Checker:
     ) -> StopChecking:
         """Return the error DB402 with the nearest of the known names, and a list of them.
 
-        `before` and the name are the text of `place`; None says that it cannot be written again. The help
-        `also` is for names that are like none of the known.
+        `before` and the name are the text of `place`; with None, no fix is offered. The help `also` is for
+        names that are like none of the known.
         """
         names = sorted(known)
         owned = with_owner(name, names)
@@ -525,7 +526,7 @@ class _Checker:
         known = max(value.type.known, condition.type.known)
         result = _ranged(
             Type(value.type.dimension, components, known=known),
-            lambda known: hull((known, single(0.0))),
+            lambda interval: hull((interval, single(0.0))),
             (value.type,),
         )
         return Operation(result, node.start, node.end, "where", (condition, value, nothing))
@@ -638,7 +639,7 @@ class _Checker:
         function = FUNCTIONS.get(node.function)
         called = syntax.Name(node.start, node.name_end, (node.function,))
         if function is None:
-            if help := _CONTEXT_CALL_HELP.get(node.function):
+            if help := _FOREIGN_FUNCTION_HELP.get(node.function):
                 raise self._fault("DB402", called, f"unknown function `{node.function}`", help)
             raise self._unknown("function", node.function, FUNCTIONS, called)
         occurrence = None

@@ -87,9 +87,8 @@ def subtract(a: Interval, b: Interval) -> Interval:
 def multiply(a: Interval, b: Interval) -> Interval:
     (p, q), (r, s) = a, b
     corners = (p * r, p * s, q * r, q * s)
-    if math.isnan(
-        sum(corners)
-    ):  # 0 times infinity is 0 here; the sum is also NaN for infinities of both signs, which stay
+    # 0 times infinity is 0 here. The sum is also NaN for infinities of both signs, which stay.
+    if math.isnan(sum(corners)):
         corners = (_times(p, r), _times(p, s), _times(q, r), _times(q, s))
     return Interval(min(corners), max(corners))
 

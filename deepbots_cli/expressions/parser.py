@@ -362,9 +362,8 @@ class _Parser:
             right = self._operation(strength + 1)
             if strength == _COMPARISON and _PRECEDENCE.get(self._peek.text) == _COMPARISON:
                 opening = _unclosed(self._tokens)
-                if (
-                    opening is not None and opening.start < right.start
-                ):  # the missing sign belongs before the second one
+                # The missing bracket belongs before the second comparison.
+                if opening is not None and opening.start < right.start:
                     raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
                 raise _SyntaxError(
                     left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`"

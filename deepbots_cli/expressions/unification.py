@@ -151,8 +151,8 @@ def require_dimension(
     unit: str | None = None,
     noun: str | None = None,
 ) -> None:
-    """Require a dimension (a bare zero has any); otherwise report DB502 or DB503 about `what`. `unit` is
-    probably that of a bare number."""
+    """Require a dimension (a bare zero has any); otherwise report DB502 or DB503 about `what`. `unit` is the
+    probable unit of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):

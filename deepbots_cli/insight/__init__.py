@@ -1,15 +1,19 @@
-"""Why an episode ended as it did, why a training does not learn, and how to hand both on.
+"""Explanations of episodes and trainings, reports, and exported policies.
 
 conditions.py  the endings of a scenario as comparisons whose values an episode keeps
 trace.py       an episode that runs again, with what each step saw, did, earned and measured
 statements.py  sentences with their evidence: the form of every row in the two tables
 episode.py     the table that explains an episode
 training.py    what is known of a training: its logs, and a few short episodes
-scenario_facts.py  what a scenario has already, and the units of its file; linted.py what lint says of it
-diagnosis.py   the table of causes why a training does not learn, with those of the learner; rewards.py those
-               of the reward,
-               observations.py of the observation, stages.py of stages, starts and rare success, teachers.py
-               of scripts, missed.py of a condition that is missed, ends.py of the end
+scenario_facts.py  what a scenario has already, and the units of its file
+linted.py      what lint says of a scenario
+diagnosis.py   the table of causes why a training does not learn, with the causes of the learner
+rewards.py     causes in the reward
+observations.py  causes in the observation
+stages.py      causes in stages, starts and rare success
+teachers.py    causes in scripts
+missed.py      a condition of the success that is missed
+ends.py        causes in the end of episodes
 collapse.py    the cause of a training that falls apart
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    the evaluation of a policy in another world; world_comparison.py what differs between two worlds

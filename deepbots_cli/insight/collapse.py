@@ -429,7 +429,7 @@ def _base(evidence: TrainingEvidence) -> str:
 
 
 def _rows(evidence: TrainingEvidence) -> int:
-    """Steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
+    """Return the steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
     training, steps, copies = (
         evidence.program.agent.training,
         evidence.number_setting("n_steps"),

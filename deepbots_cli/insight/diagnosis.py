@@ -162,7 +162,8 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     if not (len(training.episodes) or training.has_failed):
         return []
     causes = CAUSES
-    if learned:  # starts that fail are of interest where the scenario does not say how many may
+    if learned:
+        # Without `solved`, failing starts are reported.
         starts = (some_starts_fail,) if training.run.program.agent.solved is None else ()
         explored = (exploration_too_large,) if learned == "evaluated" else ()
         causes = (
@@ -431,7 +432,8 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
         for code, text in _UNLEARNABLE.items()
         if not (code in _REFUTED and _REFUTED[code](evidence))
     }
-    # A training that has learned its task may still find a payment without success, if it goes on.
+    # If the training continues, a policy that has learned the task may still discover a reward without
+    # success.
     concerned = [
         finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(evidence)
     ]

@@ -84,7 +84,7 @@ def nearest_moment(
 
 
 def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
-    """Return the condition of the success that episodes without success miss, if it is one and the same."""
+    """Return the success condition that all episodes without success miss, None if they differ."""
     misses = [(trace, *missed_success(trace)) for trace in traces]
     missed = [
         (trace, name, inner_comparisons(condition))

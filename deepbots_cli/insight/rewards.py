@@ -44,9 +44,8 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
         fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
         for traces in (evidence.random, evidence.policy or evidence.random)
     ]
-    if (
-        share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]
-    ):  # the policy earns the others all the same
+    # The policy earns the other terms all the same.
+    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:
         return None
     steps = sum(trace.steps for trace in evidence.random)
     return {

@@ -19,9 +19,8 @@ from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 
-_MIN_QUARTER = (
-    30  # episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat
-)
+_MIN_QUARTER = 30
+"""Episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat."""
 _BINS = 20  # parts of a stage in which a plateau is sought
 _RARE = 0.03  # a success rate that is as good as none
 _MAX_SORTED = 2_000  # episodes of a training that are sorted by what they draw

@@ -65,8 +65,8 @@ class Transfer:
         robustness: The policy under changed conditions; None if they were left out.
         gates: The requirements; empty if no success rate is required.
         works: Whether the policy works in each of the two worlds: it meets the requirements, or else `solved`
-            of the scenario. None if neither is given. required: The meaning of working, in words; empty if
-            nothing is given.
+            of the scenario; None without either.
+        required: The requirement in words; empty without one.
     """
 
     run: Path

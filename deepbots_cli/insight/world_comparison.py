@@ -7,10 +7,10 @@ not from other actions. `causes` are changes of the first world that make it mor
 order, sign, unit or age of a number, or another latency, mass, friction, strength, gain, lag or order of
 motors. Changes of the physics are simulated, each with the same starts and actions.
 
-Most kinds of changes explain nothing. A small, a middle and a large amount of each kind are therefore
-simulated first, in two episodes, and until the differences have grown; then all amounts of the likely kinds,
-and amounts between those of the best few. In the end the best amount of each kind is simulated in all
-episodes.
+Most kinds of changes explain nothing. Therefore the first round simulates a small, a medium and a large
+amount of each kind, in two episodes, until the differences have grown. The second round simulates all amounts
+of the likely kinds. The third round searches between the amounts of the best kinds. Finally, the best amount
+of each kind is simulated in all episodes.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class TrainingCallback:
     Attributes:
         evaluation_seconds: Time of evaluations and confirmations in this process, without the choice of the
             best model.
-        stopped_by: What stopped the training after an evaluation, such as `patience`; None if nothing did.
+        stopped_by: The reason that stopped the training after an evaluation, such as `patience`; else None.
     """
 
     def __init__(self, active: ActiveTraining, on_evaluation: OnEvaluation | None = None) -> None:

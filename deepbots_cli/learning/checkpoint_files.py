@@ -118,7 +118,7 @@ class CheckpointState(CheckpointPart):
     """The part of a checkpoint that is JSON."""
 
     digest: Text
-    """Of the scenario."""
+    """The digest of the scenario."""
     arithmetic: dict[Text, Text]
     statistics: StatisticsState
     curriculum: CurriculumState
@@ -129,7 +129,7 @@ class CheckpointState(CheckpointPart):
         list[Annotated[int, Field(ge=0, lt=2**64)] | GeneratorState | StreamsState],
         Field(max_length=_MAX_WORLDS),
     ]
-    """How the running episode of each world began: its seed, or the states of its random generators."""
+    """The start of each world's running episode: its seed, or the states of its random generators."""
     observed: Text
     """The fingerprint of the last observations."""
     pending: Pending

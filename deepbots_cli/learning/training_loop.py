@@ -68,7 +68,7 @@ class Iteration:
 
 
 OnIteration = Callable[[Iteration], str | None]
-"""Called after each iteration; returns the name of who stops the training, None to go on."""
+"""Called after each iteration; returns the name of the caller that stops the training, else None."""
 
 
 @dataclass
@@ -148,8 +148,8 @@ class TrainingProcess:
             with ExitStack() as stack:
                 self._train_within(stack)
         except KeyboardInterrupt:
-            # Before the first step, or while models were written: files are whole, so there is something to
-            # go on from.
+            # The interruption came before the first step or while models were written. Every file is
+            # complete, so the run can be resumed.
             self._status = "interrupted"
         except (DeepbotsError, OSError) as error:
             raise _explained(error, self.run, self.checkpoints) from error
@@ -413,7 +413,8 @@ def create_learner(
 def _storage_errors_of_threads_left_out() -> Iterator[None]:
     """Context in which no thread reports an `OSError` with a traceback.
 
-    TensorBoard's writer raises the error of a thread that cannot write a file again, at its next call.
+    If a thread of TensorBoard's writer cannot write a file, the writer raises the same error again at the
+    next call.
     """
     report_failure = threading.excepthook
     threading.excepthook = lambda failed: (

@@ -43,9 +43,8 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     at_limit = total_range(final, reward.ranges_at(None)).high
     if not reward.is_complete or _total_sum(ordinary, running, last) + at_limit >= 0.0:
         return
-    if (
-        program.agent.goal is not None
-    ):  # no term can refer to the failure, so its price is whatever may be paid as it happens
+    # No term can refer to the failure, so its price is whatever the other terms pay in its step.
+    if program.agent.goal is not None:
         if total_range(ordinary, reward.ranges_while_running()).high > 0.0:
             return
         final = [*ordinary, *final]

@@ -103,9 +103,8 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
         for place, what, help in unused:
             path = ("robots", robot.name, *place)
             span = context.values.key_span(path)
-            if (
-                span.source is context.checked.document.source
-            ):  # an included robot file may offer more than the task needs
+            # An included robot file may offer more than the task needs.
+            if span.source is context.checked.document.source:
                 yield Finding(
                     "DB205", span, f"`{path[-1]}` is {what}", help, fix=removal_fix(context.values.root, path)
                 )

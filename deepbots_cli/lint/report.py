@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 End = Literal["success", "failure", "limit", "left"]
 """How an episode ended: by the task, by truncation, or left after enough steps."""
 ARENA = "arena walls"
-"""Holds a blank, which no name of an object does."""
+"""The name contains a blank, so no object can have it."""
 TOPPLING_S = 2.0
 """s after a reset in which a robot that topples does so: a published arm, an xArm 6, has tilted by 40 deg
 after 1 s."""
@@ -161,7 +161,7 @@ class DrivenEpisode:
     stopped: float = 0.0
 
     def sum_of(self, term: str) -> float:
-        """What a term gave in the whole episode."""
+        """Return the sum of a term over the episode."""
         return sum(self.terms[term])
 
 
@@ -199,8 +199,8 @@ class Clearance(NamedTuple):
 
 
 class Rolling(NamedTuple):
-    """Of a robot since the start of an episode: the largest distance (m), change of heading (rad), and turn
-    of a driven wheel (rad)."""
+    """The motion of a robot since the start of an episode: the largest distance (m), change of heading (rad),
+    and turn of a driven wheel (rad)."""
 
     distance: float
     turn: float
@@ -299,8 +299,8 @@ class SimulationReport:
     """The entries that the simulating process has written. Names in it are only looked up in the scenario.
 
     `where` is the present step. `endings_at_reset` maps endings to the seeds with which they hold at the
-    start. `done` says whether the process completed its plan or was stopped by a `stop`; otherwise `halt` or
-    `fault` says what ended it.
+    start. `done` is true if the process completed its plan or was stopped by a `stop`; otherwise `halt` or
+    `fault` is the reason for its end.
     """
 
     where: SimulationPosition = SimulationPosition("build", 0, 0)

@@ -146,7 +146,7 @@ class SimulationFindings:
 
 def simulate(
     checked: CheckedScenario, *, preview: bool = False, limits: Limits = Limits()
-) -> SimulationFindings:  # immutable
+) -> SimulationFindings:
     """Simulate a scenario without errors in a process of its own, and apply the simulated rules.
 
     If these find errors, warnings are dropped except `_CAUSES`: the behavior would follow from the errors. A

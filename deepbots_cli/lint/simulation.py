@@ -57,7 +57,7 @@ _PIXELS_PER_PHYSICS_STEP = 250.0
 _MIN_STEPS = 10
 """Steps of an episode at least, however much work a step takes."""
 _MAX_AXIS_RISE = 0.3
-"""Of an axis of a wheel, per length."""
+"""The largest z component of the unit vector of a wheel's axis."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ class Limits(NamedTuple):
 
 
 EXPLOIT_LIMITS = Limits(cpu=60)
-"""Of a search for exploits, which plans for about 20 s."""
+"""The limits of a search for exploits, which plans about 20 s of work."""
 
 
 def require_simulator(option: str = "lint --deep") -> None:
@@ -252,7 +252,7 @@ def _read(out: bytes) -> SimulationReport:
 
 
 def _halt(code: int, limits: Limits) -> Halt:
-    """Why the process ended before it was done."""
+    """Return the reason why the process ended early."""
     name = signal.Signals(-code).name if -code in signal.valid_signals() else ""
     if name == "SIGPROF":
         return Halt("hang", f"{limits.step_seconds:g} s of CPU time")

@@ -1,7 +1,7 @@
 """A language server for scenarios: `deepbots lsp`.
 
 server.py      request handlers, findings as diagnostics, background analysis, code actions and formatting
-workspace.py   open documents, their analyses and locations, and the position from which requests are answered
+workspace.py   open documents, their analyses and locations, and the view of the cursor that answers requests
 cursor.py      the path of the cursor in a text that may be broken YAML
 lookup.py      shapes of the schema, definitions and hover text at a path or the cursor; document symbols
 completion.py  completion of keys, words, names, expressions and files

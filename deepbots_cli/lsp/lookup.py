@@ -52,7 +52,7 @@ def shapes_at(path: NodePath, data: Any) -> list[Shape]:
     of a value."""
     shapes = list(dict.fromkeys(_shapes(Scenario, data, path)))
     # A rule of a script, or an action of a test, gives an expression or an option of the action; the schema
-    # cannot tell the two apart.
+    # does not distinguish them.
     of_test = path[:1] == ("tests",) and path[2:3] == ("actions",) and len(path) in (4, 5)
     return [_OPTION, *shapes] if of_test or (path[:1] == ("scripts",) and len(path) == 3) else shapes
 

@@ -1,4 +1,4 @@
-"""The open documents, positions in them, their analyses, and the position from which requests are answered.
+"""The open documents, positions in them, their analyses, and the view of the cursor that answers requests.
 
 The protocol counts lines and columns from 0. Columns count UTF-16 units unless client and server agree on
 another encoding; findings count code points. Lines end in `\\n`, `\\r\\n` or `\\r`.

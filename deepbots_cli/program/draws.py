@@ -114,9 +114,8 @@ class EpisodeDraws:
         entries: dict[str, EpisodeDraw] = {}
         for body, entry in self._found():
             entry = entry._replace(is_of_copy=bool(robot) and body == robot)
-            entries[entry.key if entry.name in entries else entry.name] = (
-                entry  # a value may be given for several bodies in one place
-            )
+            # A value may be given for several bodies in one place.
+            entries[entry.key if entry.name in entries else entry.name] = entry
         return tuple(entry._replace(name=name) for name, entry in entries.items())
 
     @cached_property

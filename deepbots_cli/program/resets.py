@@ -72,7 +72,7 @@ class Placement:
     """The initial state of a body, or of each present copy of a group: the pose of its root link's origin,
     and its velocities.
 
-    `coordinates` holds x, y, z in m and roll, pitch, yaw in rad; a coordinate that is not listed is 0, and
+    `coordinates` contains x, y, z in m and roll, pitch, yaw in rad; a missing coordinate is 0, and
     `heading` (rad) is added to the yaw. Velocities are in m/s and rad/s in the world frame; without them, the
     body is at rest. If the body `rests`, it has no height: z counts from its height at rest on the ground, or
     on the top of an object if the `spot` is one. The height of `lying`, its shape on flat ground, is known
@@ -286,9 +286,9 @@ class Reset:
     """The steps of a reset, in order: randomized parameters, a layout, placements, joints, then physics for
     `settle` seconds.
 
-    The actuators hold while the world settles. Bodies with coordinates are placed before bodies that look for
-    a spot. If there is no spot, or the requirement does not hold, everything from the layout on is drawn
-    again, `attempts` times at most.
+    While the world settles, actuators keep their joints in place. Bodies with coordinates are placed before
+    bodies that need a free spot. If a body has no spot or `require` is false, the reset draws again from the
+    layout on, at most `attempts` times.
     """
 
     placements: tuple[Placement, ...] = ()

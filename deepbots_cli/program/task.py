@@ -503,7 +503,7 @@ class Teacher:
     """A script from which the policy learns first.
 
     Attributes:
-        share: Of all timesteps, the largest share in which the policy only imitates the script.
+        share: The largest share of all timesteps in which the policy only imitates the script.
     """
 
     script: str
@@ -528,8 +528,8 @@ class Symmetry:
     """The mirror images of an observation and of an action. Each is its own inverse.
 
     Attributes:
-        observation: Of the numbers of the observation, with those of the critic.
-        ranges: Of the ranges of the action.
+        observation: The mirror image of the numbers of the observation, with those of the critic.
+        ranges: The mirror image of the ranges of the action.
         choices: The choice from which each choice of the action gets its mirror image.
         options: For each choice, the option that is the mirror image of each option of its source.
     """

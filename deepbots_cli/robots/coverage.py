@@ -78,7 +78,11 @@ def _chosen(count: int, random: Random) -> list[int]:
 
 
 def _vector(numbers: Sequence[bytes | str | float]) -> Vector:
-    """Raises: ValueError: They are not three numbers."""
+    """Return three numbers as a vector.
+
+    Raises:
+        ValueError: They are not three numbers.
+    """
     x, y, z = map(float, numbers)
     return x, y, z
 

@@ -155,8 +155,8 @@ class Collector(Protocol):
         fragments."""
 
     def restore(self, state: ShardState, seeds: Sequence[int]) -> bool:
-        """Continue from a state. Returns False if the observations of the worlds differ: then they begin anew
-        from `seeds`."""
+        """Continue from a state. Returns False if the observations differ; the worlds then restart from
+        `seeds`."""
 
 
 class LocalCollector:
@@ -226,8 +226,8 @@ class LocalCollector:
         )
 
     def taught(self, decision: Decision, lesson: Lesson) -> Decision:
-        """Return the decision in a step of a lesson. The script drives with some noise, to meet more states
-        than its own."""
+        """Return the decision in a step of a lesson. Noise is added to the actions of the script, so that the
+        fragment contains more states."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
         actions, own = np.array(decision.actions), taught[: lesson.worlds]
@@ -293,7 +293,7 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 
 
 def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
-    """Observations joined array by array."""
+    """Join observations array by array."""
     return by_part(lambda *parts: join_arrays(parts), *observations)
 
 

@@ -24,7 +24,7 @@ from deepbots_cli.runtime.spaces import by_part
 
 Array = NDArray[Any]
 ENDED_BY_ANOTHER_COPY = "another_copy"
-"""How an episode ended that ended for another copy of the robot."""
+"""The value of `ended_by` if another copy of the robot ended the episode."""
 Outcome = tuple[Any, float, bool, bool, dict[str, Any]]
 """The result of a step, as Gymnasium returns it: observation, reward, terminated, truncated, info."""
 

@@ -34,8 +34,8 @@ class Response:
     the difference, a lag of first order exactly, and by at most `rate` * h. It starts from `initial_value`
     when the first command takes effect.
 
-    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they are
-    in force from the next `reset`. A negative one, such as a normal distribution may draw, counts as 0.
+    `delay` and `time_constant` are in s, `rates` in units of the command per s, one per component; they take
+    effect at the next `reset`. A negative value, which a normal distribution may draw, counts as 0.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Motor:
             self.response.send(targets)
 
     def reset(self) -> None:
-        """Take strength, limits and gains as they are now, and forget all commands."""
+        """Apply the present strength, limits and gains, and discard all commands."""
         bound = (self.max_torque, self.stiffness, self.damping, self.strength)
         if bound != self._bound:
             self._bound = bound
@@ -279,8 +279,8 @@ class ControlLaw(NamedTuple):
 
 
 class Site(NamedTuple):
-    """An actuator in a world, from which its kind's `drive` makes a control law. `substep` is the length of
-    an engine step, s."""
+    """The context from which `drive` of an actuator kind creates a control law. `substep` is the length of an
+    engine step, s."""
 
     engine: Engine
     robot: str
@@ -431,8 +431,8 @@ this push the next begins (s)."""
 class Push:
     """Pushes a link now and then, in the axes of the world, in every substep while a push lasts.
 
-    A push begins in the first substep at or after its time. One that ends within a substep acts in it with
-    the share that is left, so that momentum is force times duration whatever the substep.
+    A push begins in the first substep at or after its time. A push that ends within a substep acts with the
+    remaining share of its force, so that momentum is force times duration for any substep.
     """
 
     def __init__(self, engine: Engine, part: Part, draw: Draw, substep: float) -> None:

@@ -383,9 +383,8 @@ class CopiesSupervisor(Supervisor):
 
     def _advance(self, action: Any) -> None:
         fitting = canonical_action(self.action_space, action)
-        if fitting is None or not is_canonical(
-            fitting, action
-        ):  # refused before any copy has acted: those that have cannot go back
+        # Refused before any copy acts, because an action cannot be undone.
+        if fitting is None or not is_canonical(fitting, action):
             raise ValueError("no action of this space")
         self.step_count += 1
         agents = self.agents.values()

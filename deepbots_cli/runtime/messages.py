@@ -44,12 +44,11 @@ DECODING_ERRORS = (ValueError, TypeError, AttributeError, RecursionError, struct
 
 @dataclass(frozen=True)
 class Codec:
-    """`encode(*values)` gives a message; `decode(message)` gives `(stamp, *values)` or raises one of
-    MALFORMED.
+    """Encodes and decodes the messages of one layout.
 
-    `parts` gives the values of a message that is short, long or of another layout as far as they can be
-    decoded, the stamp first; it raises one of MALFORMED where there are none. They are shown in an error
-    message.
+    `encode(*values)` returns a message. `decode(message)` returns `(stamp, *values)`. `parts(message)`
+    returns the values of a short, long or foreign message as far as they can be decoded, the stamp first; an
+    error message shows them. `decode` and `parts` raise one of `DECODING_ERRORS`.
     """
 
     encode: Callable[..., Any]

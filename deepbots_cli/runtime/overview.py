@@ -154,9 +154,8 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
         box = robot_bounds(robot.model, joints)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
-        if follows_robot(scenario.world) or (
-            robot.fixed_base and robot.model.moving_joints
-        ):  # legs and arms swing out
+        # Legs and arms swing out.
+        if follows_robot(scenario.world) or (robot.fixed_base and robot.model.moving_joints):
             room = (_ARM_ROOM if robot.fixed_base else _LEG_ROOM) * max(
                 high - low for low, high in zip(*box, strict=True)
             )

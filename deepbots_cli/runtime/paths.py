@@ -197,11 +197,11 @@ class _PathQuery:
 
 
 class DistanceField:
-    """The lengths of ways to a goal, by the place where they start.
+    """The lengths of paths to a goal, by the place where they start.
 
-    The middle of a disc of `radius` moves along a way, which ends where the disc meets the disc of the goal.
-    A place without any way, such as one where the disc touches an obstacle, has the length of the nearest
-    place with one, and of the straight line there: lengths are finite everywhere.
+    A path is that of the center of a disc of `radius`, and ends when the disc touches the disc of the goal. A
+    place without a path, such as one at which the disc touches an obstacle, gets the length of the straight
+    line to the nearest place with a path plus the length from there. So all lengths are finite.
     """
 
     def __init__(
@@ -230,7 +230,7 @@ class DistanceField:
         )
         lengths = path_lengths(blocked, starts, self._step)
         self._reached: Mask = lengths < UNREACHABLE_LENGTH
-        if not self._reached.any():  # the goal itself is shut in: as the crow flies
+        if not self._reached.any():  # The goal is enclosed: use straight lines.
             lengths = np.where(self._outside, UNREACHABLE_LENGTH, away / self._unit)
         self._found = lengths
         self._filled = False
@@ -239,10 +239,10 @@ class DistanceField:
         self._rows, self._columns = rows, columns
 
     def _fill(self) -> None:
-        """Give each node without a way the length of the nearest node with one, and of the line there.
+        """Give each node without a path the length of the nearest node with one, and of the line there.
 
-        Lines are so dear that the nearest node counts and not the one with the shortest way, which may be
-        beyond a wall.
+        Straight lines have a high cost, so that the nearest node is chosen and not the one with the shortest
+        path, which may be beyond a wall.
         """
         self._filled = True
         line = path_lengths(self._outside, np.where(self._reached, 0.0, UNREACHABLE_LENGTH), self._step)
@@ -276,9 +276,8 @@ class DistanceField:
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN_CELLS, j + MARGIN_CELLS
         here, there = self._lengths[j], self._lengths[j + 1]
-        if (
-            not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH
-        ):  # one of them is reached by no way
+        # One of the four nodes has no path.
+        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:
             self._fill()
             return self.length(x, y)
         low = here[i] + u * (here[i + 1] - here[i])

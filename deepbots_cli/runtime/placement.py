@@ -3,7 +3,7 @@
 `Arrangement` takes bodies with coordinates first, then looks for a free spot for each of the others, in
 order, again and again until the start is as required. `Floor` has the spots that are taken, `Forms` the
 footprint and the height of each body. The search takes microseconds, since it works in the plane
-(`deepbots_cli.footprint`); the engine sees only the arrangement found.
+(`deepbots_cli.footprint`); the engine gets only the final arrangement.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Area = tuple[float, float, float, float]
 """Lowest x and y, highest x and y, in m."""
 
 UNBOUNDED_AREA: Area = (-inf, -inf, inf, inf)
-TOUCHING_TOLERANCE_M = 1e-9  # m that rounding may cost
+TOUCHING_TOLERANCE_M = 1e-9  # rounding
 _SAME_SPOT_M = 1e-6  # m by which the coordinates of a cell may be off
 MAX_ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
 TRIES_PER_ROUND = 40  # spots for each of them
@@ -117,8 +117,8 @@ class Arrangement:
         return self._streams.take(stream, chosen)
 
     def copies(self, group: str, count: float, at_most: float = inf) -> Iterator[str]:
-        """Return the names of the copies that take part, and a kind drawn for each; large ones come first, as
-        they need more room."""
+        """Return the names of the copies that take part, and a kind drawn for each. Large copies come first,
+        because they need more room."""
         return self._in_turn(self._present_copies(group, count, at_most))
 
     def _in_turn(self, bodies: Sequence[str]) -> Iterator[str]:
@@ -294,9 +294,8 @@ class Arrangement:
         x, y, z = xyz
         z += ground + (self.forms.resting_height(body, rpy) if rests else 0.0)
         top = self.forms.top(body, z, rpy)
-        if (
-            top > ground + TOUCHING_TOLERANCE_M
-        ):  # a table top level with the ground is nothing to keep clear of
+        # A table top at ground level needs no clearance.
+        if top > ground + TOUCHING_TOLERANCE_M:
             self._floor.occupy(patch, clearance, top)
         self._poses[body] = ((x, y, z), rpy, *(() if motion == (ZERO_VECTOR, ZERO_VECTOR) else motion))
 
@@ -319,8 +318,7 @@ def _complaint(lacking: Counter[str], attempts: int, is_set: Sequence[str]) -> s
         if body in is_set:
             return (
                 f"'{body}' cannot be placed at the position in the reset options: another body is there, or"
-                " the position is outside its "
-                "region"
+                " the position is outside its region"
             )
         if 2 * lacking.total() >= attempts:
             return (

@@ -66,7 +66,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
                 if render_mode == "human"
                 else ""
             )
-            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or none{window}")
+            raise UsageError(f"render mode {render_mode!r} is unknown; use 'rgb_array' or None{window}")
         if render_mode and "rendering" not in engine.capabilities:
             raise UsageError(
                 f"the engine '{engine.name}' cannot render; use the engine 'pybullet' for pictures"
@@ -268,13 +268,13 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
 
     @abstractmethod
     def _start(self) -> None:
-        """Observe the first moment of an episode."""
+        """Observe the start of an episode."""
 
     @abstractmethod
     def _advance(self, action: Any) -> Any:
         """Advance by one step: act, simulate, and observe.
 
-        Where there are copies of the robot it is a generator, which waits where the world goes on
+        With copies of the robot it is a generator that yields before each timestep is simulated
         (`copies.py`).
         """
 

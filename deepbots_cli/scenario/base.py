@@ -10,11 +10,11 @@ reads an annotation:
     Forms         a union that is discriminated by the form of the value
     Kinds         a union of sections that is discriminated by the word under one key
 
-The compiler, the language server, the JSON Schema and the reference pages go by these shapes.
+The compiler, the language server, the JSON Schema and the reference pages use these shapes.
 
 The documentation of a key is its sentence, unit, default and example. The sentence is the docstring below the
 field. It is read from the source on demand: `use_attribute_docstrings` of pydantic reads all sources on
-import, which takes 0.1 s. Examples stand in `examples.yaml`, by the names of the models.
+import, which takes 0.1 s. `examples.yaml` contains the examples, by model.
 """
 
 from __future__ import annotations
@@ -116,20 +116,18 @@ class Section(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _check_keys(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
-        own = (
-            [error for keys in cls.key_rules for error in keys.errors(data)]
-            if isinstance(data, Mapping)
-            else []
-        )
-        if not own:
+        errors: list[InitErrorDetails] = []
+        if isinstance(data, Mapping):
+            errors = [rule_error for keys in cls.key_rules for rule_error in keys.errors(data)]
+        if not errors:
             return handler(data)
         try:
             handler(data)
-        except ValidationError as others:
-            for error in others.errors(include_url=False):
-                refused = PydanticCustomError(error["type"], error["msg"], error.get("ctx"))
-                own.append(InitErrorDetails(type=refused, loc=error["loc"], input=error["input"]))
-        raise ValidationError.from_exception_data(cls.__name__, own)
+        except ValidationError as refusal:
+            for field_error in refusal.errors(include_url=False):
+                kind = PydanticCustomError(field_error["type"], field_error["msg"], field_error.get("ctx"))
+                errors.append(InitErrorDetails(type=kind, loc=field_error["loc"], input=field_error["input"]))
+        raise ValidationError.from_exception_data(cls.__name__, errors)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 A field type is part of the annotation of a field, `Annotated[str | int | float, Quantity("length")]`. It
 checks the form of the value (a text, a number, a range) and raises errors with the code, headline and help of
-a finding. `base.visit_values` hands it to the compiler, which reads units, names and expressions inside a
+a finding. `base.visit_values` passes it to the compiler, which reads units, names and expressions inside a
 text. A value is kept as it is written.
 
 Aliases at the end name the field types that several sections use. Values of the aliases `Randomizable...` may
@@ -150,9 +150,8 @@ def _range_replacement(value: object) -> str | None:
 
 def count_replacement(value: object) -> str | None:
     """Return the whole number that `200k` or `1e5` was meant to be."""
-    if (
-        isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15
-    ):  # below, a point may have parted thousands
+    # Below 1,000, the point may be a thousands separator.
+    if isinstance(value, float) and value.is_integer() and 1_000 <= value < 1e15:
         return f"{int(value):_}"
     match = re.fullmatch(r"([0-9]{1,6})([kKM])", value) if isinstance(value, str) else None
     return f"{int(match[1]) * (1_000_000 if match[2] == 'M' else 1_000):_}" if match else None
@@ -397,7 +396,7 @@ class WholeNumber(Number):
 
 @dataclass(frozen=True)
 class Text(FieldType):
-    """A text, which matches `pattern` if there is one; for another text the headline has the word
+    """A text. If `pattern` is not empty, the text must match it; otherwise the headline contains the word
     `refused`."""
 
     noun: str = "a text"

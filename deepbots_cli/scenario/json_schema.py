@@ -389,10 +389,8 @@ class _Writer:
             if (offer := self._names.get(names_key_of(shape))) and offer.is_complete
             else ""
         )
-        for keyword in (
-            "additionalProperties",
-            "items",
-        ):  # entries have no sentence of their own, unless they are sections
+        # Entries have no description of their own, unless they are sections.
+        for keyword in ("additionalProperties", "items"):
             entries = schema.get(keyword)
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
                 schema = schema | {keyword: entries | {"description": key_description(section, key)}}

@@ -1,8 +1,7 @@
-"""Nodes to a validated scenario: pydantic's errors become findings, each at its exact place and in the words
-of the language.
+"""Validate the nodes of a scenario. Errors of pydantic become findings with exact places.
 
-The first round reports. Faulty entries are then taken out and the rest is validated again, until it passes:
-later passes see everything that is sound, and nothing is reported twice.
+The first round reports findings. Each further round removes faulty entries and validates the rest, so later
+passes get all valid entries and nothing is reported twice.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
-# Stand-ins for required sections that had findings, so that the other sections are still looked at.
+# Stand-ins for required sections that had findings, so that the other sections are still checked.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
     "deepbots": VERSION,
     "name": "unnamed",
@@ -99,9 +98,8 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
             ]
             for one in outcome:
                 findings.append(one)
-            if (
-                findings.limit is not None and len(problems) >= findings.limit
-            ):  # the rest would be in the way of later passes
+            # The remaining errors would disturb later passes.
+            if findings.limit is not None and len(problems) >= findings.limit:
                 raise TooManyFindings(outcome[-1])
         for problem in problems:
             _prune(data, problem.path, pruned, problem.missing)
@@ -136,7 +134,7 @@ def _prune(data: Any, path: NodePath, pruned: set[NodePath], missing: tuple[str,
         try:
             holder = holder[step]
         except (KeyError, IndexError, TypeError):
-            return  # went out together with something around it
+            return  # was removed with an outer entry
     if isinstance(holder, dict) and path[-1] in holder:
         del holder[path[-1]]
         pruned.add(path)
@@ -215,9 +213,8 @@ def _key_span(root: nodes.MappingNode, path: NodePath) -> Span:
 def _fix(word: Node | None, near: Replacement | None) -> Fix | None:
     if near is None or not isinstance(word, ScalarNode):
         return None
-    if (
-        word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text
-    ):  # a number loses its quotes
+    # A number loses its quotes.
+    if word.style in ("single", "double") and resolve_plain_scalar(near.text) != near.text:
         return Fix((Edit(word.span, near.text),), near.safe)
     return Fix.replacing(word.part(0, len(word.text)), word.text, near.text, safe=near.safe)
 

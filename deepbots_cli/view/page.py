@@ -36,7 +36,7 @@ FRAME_RATE = 30
 """Pictures per second of real time."""
 FRAMES_PER_TEXT = 6
 """Texts and plots change in every sixth picture."""
-_WATCH_INTERVAL_S = 0.25  # s
+_WATCH_INTERVAL_S = 0.25
 _DEBOUNCE_S = 0.3  # the time in s without a change after which the value of a parameter is applied
 
 

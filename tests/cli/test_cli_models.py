@@ -80,7 +80,7 @@ def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbot
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert ran.code == 0, ran.err
     assert "models of mine on new starts, the best first" in ran.out
-    assert "on further new starts, which did not choose it:\nevaluation of CartPole" in ran.out
+    assert "on further new starts, which were not used to choose it:\nevaluation of CartPole" in ran.out
     best = RunRecord.read(mine).result.best_model  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"

@@ -68,6 +68,7 @@ OTHERS: tuple[Any, ...] = (
     "-1 .. -2",
     "0 .. 1e-320",
 )
+NUMBERS = ("0", "-1", "1e-320", "1e300", "1e-9", "1000")
 
 Place = tuple[Any, ...]
 
@@ -111,6 +112,19 @@ def replaced(data: Any, path: Place, value: Any, *, key: bool = False) -> str:
     return json.dumps(data)
 
 
+def at(data: Any, path: Place) -> Any:
+    """The value at a path."""
+    for step in path:
+        data = data[step]
+    return data
+
+
+def odd_number(value: Any, rng: random.Random) -> Any:
+    """The value with another number and the same unit."""
+    number = rng.choice(NUMBERS)
+    return re.sub(r"-?\d+(\.\d+)?", number, value, count=1) if isinstance(value, str) else float(number)
+
+
 def compiled(text: str, folder: Path) -> api.Compiled | None:
     """The scenario of a text, or None where it is refused in words."""
     try:
@@ -147,12 +161,16 @@ def test_text_in_any_place_is_quoted_or_refused(opened: tuple[Any, Path]) -> Non
 def test_odd_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: tuple[Any, Path]) -> None:
     data, folder = opened
     rng = random.Random(2)
-    for path in some(data, 2):
-        made = compiled(replaced(data, path, rng.choice(OTHERS)), folder)
+    running = 0
+    for path in some(data, 2, count=24):
+        value = odd_number(at(data, path), rng) if rng.random() < 0.7 else rng.choice(OTHERS)
+        made = compiled(replaced(data, path, value), folder)
         if made is not None:
             with suppress(DeepbotsError), closing(api.build(made.program)) as world:
                 world.reset(seed=0)
                 world.step(world.action_space.sample())
+                running += 1
+    assert running > 3
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,8 @@ def test_a_run_without_one_of_its_files_is_refused_in_a_sentence(run_copy: Path,
 def test_a_link_out_of_the_run_is_not_followed(run_copy: Path, tmp_path: Path, name: str) -> None:
     (run_copy / name).rename(tmp_path / "elsewhere")
     os.symlink(tmp_path / "elsewhere", run_copy / name)
-    assert refusal(run_copy)
+    assert "is a symbolic link" in refusal(run_copy)
+    assert (tmp_path / "elsewhere").exists()
 
 
 def test_a_symbolic_link_in_a_run_is_not_followed(run_copy: Path, tmp_path: Path) -> None:

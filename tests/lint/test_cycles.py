@@ -63,20 +63,22 @@ def test_a_term_that_pays_while_the_success_is_held_is_interrupted_just_in_time(
 
 
 @pytest.mark.parametrize(
-    ("name", "rate"),
+    ("name", "rate", "stays"),
     [
-        ("a bonus at each visit of a region of two bounds", "1.99"),
-        ("a bonus at each visit of a region that a counter counts", "1.99"),
-        ("pay for the time that passes", "0.4"),
-        ("pay for the time that passes, written as a difference", "0.4"),
+        ("a bonus at each visit of a region of two bounds", "1.99", False),
+        ("a bonus at each visit of a region that a counter counts", "1.99", False),
+        ("pay for the time that passes", "0.4", True),
+        ("pay for the time that passes, written as a difference", "0.4", True),
     ],
 )
-def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(name: str, rate: str, folder: Path) -> None:
+def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(
+    name: str, rate: str, stays: bool, folder: Path
+) -> None:
     """A bonus of 4 at each entry was said to pay 9.99 per step, where a visit takes two; 4 per second, 80 per
     step of 40 ms."""
     (finding,) = api.lint(write(folder, EXPLOITED[name]))
     assert f"earns up to {rate} per step" in finding.headline
-    assert " stays " not in finding.notes[0] or "time" in name
+    assert (" stays " in finding.notes[0]) is stays
 
 
 # Limits of speed

@@ -69,9 +69,11 @@ def test_the_learner_of_the_scenario_has_its_own_values(task: Task):
 
 @EACH_TASK
 def test_a_task_runs_on_the_engine_that_steps_it_fastest(task: Task):
-    if measured := record_of(task).get("engines"):
-        times = measured["step_us"]
-        assert times[task.engine] <= 1.1 * min(times.values())  # a tenth is noise
+    measured = record_of(task).get("engines")
+    if measured is None:
+        pytest.skip("its engines are not measured")
+    times = measured["step_us"]
+    assert times[task.engine] <= 1.1 * min(times.values())  # a tenth is noise
 
 
 @EACH_TASK
@@ -79,7 +81,9 @@ def test_a_scenario_recommends_what_is_first_or_it_is_said_why_not(task: Task):
     found = rows(task, record_of(task))
     best = first(found)
     whole = all(len(row.entries) == len(SEEDS) for row in found if row.cell.training)
-    assert task.advice or best is None or best.is_own or not whole
+    if best is None or not whole:
+        pytest.skip("not all of its cells are trained with all seeds")
+    assert best.is_own or task.advice
 
 
 def held(*rates: float) -> list[dict[str, Any]]:

@@ -303,9 +303,7 @@ def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes()
     assert world.policy.seen == [0.01 * step for step in range(20)]
     assert not world.server.safe_steps
     answers = [command for _, command in world.line.sent]
-    assert {tuple(command) for command in answers} == {(0.1 * step, 0.1 * step) for step in range(20)} or len(
-        answers
-    ) >= 20
+    assert answers == [pytest.approx([0.1 * step, 0.1 * step]) for step in range(20) for _ in range(2)]
 
 
 # Damage

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import threading
 import time
@@ -108,7 +109,8 @@ def test_keys_drive_and_let_go():
         time.sleep(0.3)
         page.step_once()
         assert page.player.frame.agents["agent"].action == pytest.approx((0.625, 0.0))
-        assert "onward" in page.banner.content or page.playback.rival.driver_name == "onward"
+        assert page.playback.rival.driver_name == "onward"
+        assert "onward" in page.banner.content
 
 
 @pytest.mark.parametrize(
@@ -471,4 +473,4 @@ def test_messages_are_shown_with_their_age():
         page.step_once()
         page.panel.update_texts()
         assert "message to cart" in page.panel.values.content
-        assert "32 ms old" in page.panel.values.content or "64 ms old" in page.panel.values.content
+        assert re.findall(r"\d+ ms old", page.panel.values.content) == 2 * ["32 ms old"]

@@ -81,8 +81,7 @@ def command(
         option(
             "--episodes N|failed",
             "Number of episodes, by default `evaluation.episodes` of the scenario, or as many as `solved`"
-            " asks for if these are more;"
-            " `failed` repeats those that failed.",
+            " requires, if that is more; `failed` repeats those that failed.",
             parser=episodes_or_failed,
         ),
     ] = None,
@@ -98,9 +97,8 @@ def command(
         bool,
         option(
             "--details",
-            "Also show the result in each stage of the curriculum, and for each value drawn at random: the"
-            " result of each quarter of the"
-            " episodes, ordered by this value (of each value, if there are at most 6).",
+            "Also show the result in each stage of the curriculum, and by each randomly drawn value: for the"
+            " episodes in each quarter, sorted by this value, or for each value if there are at most 6.",
         ),
     ] = False,
     as_json: Annotated[bool, option("--json", "Print the result as JSON.")] = False,

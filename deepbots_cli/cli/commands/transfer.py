@@ -275,7 +275,7 @@ def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
             table(rows),
             "explains: share of the squared differences that vanishes with this change alone, the mean of"
             " two shares: of all",
-            "moments, and of the early ones; the changes are alternatives, whose shares do not add up",
+            "moments, and of the early ones; the changes are alternatives: their shares do not add up",
         ]
         return lines if is_whole else [*lines, tried]
     if not compared.differences:

@@ -63,7 +63,8 @@ class Sensor(NamedTuple):
     forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, the force or the torque of the
     joint that carries `one`, or the distance of two geoms.
 
-    Each is a number, of a link, and whether all that it carries belongs to it; or of a geom.
+    Each side is a link number, and whether the links below it belong to it. For a distance, the number is
+    that of a geom.
     """
 
     one: tuple[int, bool]
@@ -307,7 +308,8 @@ class MuJoCoBatch:
             axis=1
         )
         if before is not None and (again := (self._batch.warning != warned).any(axis=(1, 2))).any():
-            self.state[again] = before[again]  # a rollout ends with a warning, and a step goes on
+            # MuJoCo's `rollout` stops at a warning, and its `step` does not.
+            self.state[again] = before[again]
             for _ in range(substeps):
                 self._advance(again, 1)
 
@@ -437,7 +439,7 @@ class MuJoCoBatch:
         return usual
 
     def _weigh(self, index: int, armature: Column) -> None:
-        """Compute the values that depend on the masses of a world."""
+        """Recompute the constants of the model that depend on the masses of a world."""
         now = self.rows["dof_armature"][index].copy()
         self.rows["dof_armature"][index] = armature
         self._batch.set_const([index])
@@ -450,8 +452,8 @@ class MuJoCoBatch:
     # Readers
 
     def _column(self, key: Any, part: Callable[[], Column]) -> Column:
-        """Return a part of an array of all worlds with a column per world, made anew after each step, so that
-        earlier readings stay."""
+        """Return a part of an array of all worlds with a column per world. Each step creates new columns, so
+        earlier readings do not change."""
         column = self._columns.get(key)
         if column is None:
             rows = part()
@@ -848,8 +850,8 @@ class Observer:
 
 
 class Pushes:
-    """The pushes of all worlds that were bound in the same place, for the next substep; see
-    `motors.pusher`."""
+    """One push per world for the next substep: the pushes that the members bound at the same position in
+    their order; see `motors.pusher`."""
 
     def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
         self.waits, self.links, self._values = (

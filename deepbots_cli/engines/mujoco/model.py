@@ -182,9 +182,8 @@ class ModelBuilder:
             model = self._spec.compile()
         except ValueError as error:
             raise self._refusal(str(error)) from error
-        if (
-            model.ntree == 1
-        ):  # looking for islands of contacts takes 5 % of a step, and finds the only body that moves
+        # The search for islands of contacts takes 5 % of a step, and finds the only body that moves.
+        if model.ntree == 1:
             model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_ISLAND
             if _branches(model):  # the rows of a contact are then half zeros: 12 % of a step of the quadruped
                 model.opt.jacobian = mj.mjtJacobian.mjJAC_SPARSE

@@ -119,9 +119,8 @@ class MujocoWorld:
         """The positions of joints and of bodies at the beginning of an episode."""
         for body in (body for pool in pools for body in pool):
             self._set_initial_position(body)
-        model.dof_simplenum[:] = (
-            0  # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`
-        )
+        # MuJoCo would take the inertia of simple bodies from `dof_M0`; motors change `dof_armature`.
+        model.dof_simplenum[:] = 0
         self._varied_arrays = [
             model.opt.gravity,
             self.surfaces,
@@ -415,7 +414,11 @@ class MujocoWorld:
             model.pair_solimp[place] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
 
     def require_finite(self) -> None:
-        """Raises: EngineError: A pose or joint is not finite; names the body."""
+        """Check that poses and joints are finite.
+
+        Raises:
+            EngineError: A pose or joint is not finite; the error names the body.
+        """
         data = self.require_open().data
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
             return

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     FloatArray = NDArray[np.float32]
     Color = tuple[float, float, float, float]
 
-TILE_SIZE_M = 0.25  # m
+TILE_SIZE_M = 0.25
 _LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
 _DARK_TILE_SHARE = 0.9  # the brightness of the darker tiles of a floor with a color of its own
 # The side of a cell of paint in m, and the number of cells along a side from which on they grow.
@@ -34,7 +34,7 @@ _PAINT_CELL_M, _MAX_PAINT_CELLS = (0.002, 2000)
 _MAX_PAINTS = 255
 _HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
-NEAR_CLIP_M = 0.01  # m
+NEAR_CLIP_M = 0.01
 # m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye,
 # as those of a flat side do on whose link the camera sits, beyond the range of its integers, and then goes
 # through all of them: minutes a picture.

@@ -311,9 +311,8 @@ class PyBulletEngine:
 
     def require_finite(self) -> None:
         client = self._client
-        for body in reversed(
-            self._require_open()._moving
-        ):  # robots before objects, which get values that are not finite from them
+        # Robots come before objects, which get values that are not finite from them.
+        for body in reversed(self._require_open()._moving):
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
             for what, values in (
                 ("pose", p.getBasePositionAndOrientation(body.number, client)),

@@ -120,8 +120,8 @@ class Body:
         )
 
     def deactivate(self) -> None:
-        """Stop the body where it is, at no cost: PyBullet takes a body without mass for a fixed one. This
-        does nothing for a fixed body."""
+        """Fix the body in its place. PyBullet treats a body without mass as fixed and does not simulate it.
+        This does nothing for a fixed body."""
         if not self.fixed and not self.suspended:
             self.suspended = True
             p.changeDynamics(self.number, BASE_LINK, mass=0.0, physicsClientId=self._client)
@@ -157,7 +157,8 @@ class Body:
 # Readings
 
 R = TypeVar("R")
-MAX_UNCACHED_JOINTS = 3  # joints, which are read for less than it takes to ask whether they were
+# Reading up to 3 joints takes less time than checking the cache.
+MAX_UNCACHED_JOINTS = 3
 
 
 class ReadCache:
@@ -353,7 +354,7 @@ class Parameters:
         self._undo["mass", owner.number, index] = partial(owner.scale_mass, index, 1.0)
 
     def _set_inertia(self, body: str, link: str, factor: float) -> None:
-        """Multiply the inertia of a link. That of the base of a fixed body has no effect."""
+        """Multiply the inertia of a link. The inertia of the base of a fixed body has no effect."""
         owner, index = self._link(body, link)
         if index == BASE_LINK and owner.fixed:
             return
