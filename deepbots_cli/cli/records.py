@@ -17,7 +17,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
 from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.episodes import Scores, Summary, agents_text
 from deepbots_cli.learning.records import (
     PATIENCE,
     EvaluationRecord,
@@ -125,6 +125,22 @@ def _statistics(result: Summary, *, success_defined: bool) -> Row:
     }
 
 
+def _statistics_of_agents(result: EvaluationResult) -> Row:
+    """Return the scores of each of several agents, and what all of them have in common."""
+    common = _statistics(result, success_defined=result.success_defined)
+    return {
+        **{name: _agent_text(own) for name, own in result.agents.items()},
+        **{name: common[name] for name in ("mean length", "ended by", "success rate")},
+    }
+
+
+def _agent_text(own: Scores) -> str:
+    parts = [f"mean return {with_interval(own.mean_return, own.return_interval)}"]
+    if own.success_rate is not None:
+        parts.append(f"success rate {with_interval(own.success_rate, own.success_interval, percent)}")
+    return ", ".join(parts)
+
+
 # Trainings
 
 
@@ -143,9 +159,8 @@ def training_text(result: TrainingResult) -> str:
     if result.levels is not None:
         rows["level"] = result.levels
     if result.mean_return is not None:
-        rows["mean return"] = (
-            f"{result.mean_return:.1f} over the most recent training episodes, with exploration"
-        )
+        mean = agents_text(result.agents) if result.agents else f"{result.mean_return:.1f}"
+        rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
     if result.success_rate is not None:
         rows["success rate"] = f"{result.success_rate:.0%} of these episodes"
     at = result.confirmed_at
@@ -220,7 +235,11 @@ def evaluation_text(
         "scenario": scenario,
         "episodes": f"{held_out(result.episodes)} from seed"
         f" {result.seed}{'' if result.deterministic else ', actions sampled'}",
-        **_statistics(result, success_defined=result.success_defined),
+        **(
+            _statistics_of_agents(result)
+            if result.agents
+            else _statistics(result, success_defined=result.success_defined)
+        ),
         **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
     }
     if result.case:

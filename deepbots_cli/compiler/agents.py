@@ -24,7 +24,7 @@ from deepbots_cli.scenario.agent import AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
 
-AGENTS, ENDINGS, ROLE = "agents", "endings", "role"
+AGENTS, ENDINGS, ROLE, TRAIN = "agents", "endings", "role", "train"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
 _SIGNALS = "signals"
@@ -55,6 +55,9 @@ def divide(document: Document) -> AgentDocuments | None:
         headline = "`tests` together with several agents are not supported yet"
         document.findings.add("DB108", tests.key.span, headline, _NOT_YET)
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
+    agents = {
+        name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
+    }
     if document.findings.errors or not _are_complete(document, agents):
         return None
     sections = _sections(document, agents)
@@ -81,7 +84,7 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     own = (
         {} if first is None else {key: entry for key, entry in first.entries.items() if key in _KEYS_OF_AGENT}
     )
-    for key in _KEYS_OF_AGENT & root.entries.keys():
+    for key in (_KEYS_OF_AGENT - {TRAIN}) & root.entries.keys():
         document.findings.add(
             "DB101",
             root.entries[key].key.span,
@@ -96,8 +99,8 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     whole = replace(
         root,
         entries={
-            **own,
             **root.entries,
+            **own,
             **(
                 {AGENTS: Entry(root.entries[AGENTS].key, replace(section, entries=resolved))}
                 if isinstance(section, MappingNode)
@@ -109,6 +112,16 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     if spec is None or spec.agents is None or document.findings.errors:
         return None
     return dict(spec.agents)
+
+
+def _with_shared_training(section: MappingNode, shared: Entry | None) -> MappingNode:
+    """Return the section of an agent with the keys of `train` at the top level that it does not set
+    itself."""
+    if shared is None:
+        return section
+    own = section.entries.get(TRAIN)
+    entry = shared if own is None else _with_entries(shared, own)
+    return replace(section, entries={**section.entries, TRAIN: entry})
 
 
 def _key_of(document: Document, agent: str) -> ScalarNode:
@@ -448,9 +461,9 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
         return document
     entries = dict(section.entries)
     for name, own in documents.items():
-        chosen, entry = own.root.entries.get("train") if own.root is not None else None, entries[name]
+        chosen, entry = own.root.entries.get(TRAIN) if own.root is not None else None, entries[name]
         if chosen is not None and isinstance(entry.value, MappingNode):
-            keys = {**entry.value.entries, "train": chosen}
+            keys = {**entry.value.entries, TRAIN: chosen}
             entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
     agents = Entry(root.entries[AGENTS].key, replace(section, entries=entries))
     return replace(document, root=replace(root, entries={**root.entries, AGENTS: agents}))

@@ -26,6 +26,8 @@ from deepbots_cli.program.task import (
     Script,
     ScriptedChoice,
     ScriptedRange,
+    Solved,
+    Training,
     action_names,
 )
 from deepbots_cli.program.values import Expression
@@ -100,19 +102,44 @@ def joint_program(
 def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
     """Return the agent with the actions, observations and rewards of all in a row."""
     first = next(iter(agents.values()))
+    success = tuple(name for name in first.success if all(name in each.success for each in agents.values()))
     joint = Agent(
         name=ONLY_AGENT,
         robots=tuple(chain.from_iterable(agent.robots for agent in agents.values())),
         action=tuple(chain.from_iterable(agent.action for agent in agents.values())),
         observation=tuple(chain.from_iterable(agent.observation for agent in agents.values())),
         reward=tuple(chain.from_iterable(agent.reward for agent in agents.values())),
-        success=tuple(
-            name for name in first.success if all(name in each.success for each in agents.values())
-        ),
+        success=success,
+        solved=_common_criterion(agents.values()) if success else None,
+        training=_joint_training({name: agent.training for name, agent in agents.items()}),
         frame_stack=max(agent.frame_stack for agent in agents.values()),
         critic=tuple(chain.from_iterable(agent.critic for agent in agents.values())),
     )
     return replace(joint, scripts=tuple(_scripts(agents, joint.action)))
+
+
+def _common_criterion(agents: Iterable[Agent]) -> Solved | None:
+    """Return `solved` if it is a success rate that all agents have."""
+    first, *others = (agent.solved for agent in agents)
+    is_common = first is not None and first.mean_return is None and all(each == first for each in others)
+    return first if is_common else None
+
+
+def _joint_training(trainings: Mapping[str, Training | None]) -> Training | None:
+    """Return the training of all agents in the same episodes; None if an agent has none."""
+    of_agents = tuple((name, training) for name, training in trainings.items() if training is not None)
+    if len(of_agents) < len(trainings):
+        return None
+    _, first = of_agents[0]
+    algorithms = dict.fromkeys(training.algorithm for _, training in of_agents)
+    return replace(
+        first,
+        algorithm="+".join(algorithms),
+        hyperparameters=(),
+        symmetry=None,
+        patience=None,
+        agents=of_agents,
+    )
 
 
 def _joint_names(agent: str, program: Program, spec: AgentOfSeveral, together: Iterator[str]) -> JointNames:

@@ -17,7 +17,7 @@ from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.learning.active import OFF_POLICY_FACTOR, ActiveTraining
 from deepbots_cli.learning.confirmation import COST_SHARE
 from deepbots_cli.learning.confirmations import Confirmations
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.episodes import Summary, agent_returns
 from deepbots_cli.learning.held_out import play_script
 from deepbots_cli.learning.order import SHORTLIST, Candidate
 from deepbots_cli.learning.records import PATIENCE
@@ -228,6 +228,7 @@ class TrainingCallback:
             evaluation_seconds_left=self._evaluation_seconds_left(),
             level="" if curriculum.levels is None else str(curriculum.levels),
             is_ending=self._is_ending,
+            agents=agent_returns(self.active.run.program.members, s.term_means()),
         )
 
     def _evaluation_seconds_left(self) -> float:

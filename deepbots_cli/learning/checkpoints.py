@@ -186,17 +186,20 @@ class Checkpoints:
             if isinstance(error, RunError):
                 raise
             raise StorageError(unwritable_message(self.run.checkpoints, error)) from error
-        shared = set(self._learner.shared_files())
-        kept = {whole, *shared, *(path.parent for path in shared)}
-        for path in [
-            *self.run.checkpoints.iterdir(),
-            *(path for parent in kept - {whole} if parent.is_dir() for path in parent.iterdir()),
-        ]:
-            if path not in kept:
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+        self._remove_others({whole, *self._learner.shared_files()})
         self._last = steps
         now = time.monotonic()
         self._due = now + max(INTERVAL_S, MIN_INTERVAL_PER_COST * (now - began))
+
+    def _remove_others(self, kept: set[Path]) -> None:
+        """Remove everything but files and folders in the folder of the checkpoints, and the folders that they
+        are in."""
+        root = self.run.checkpoints
+        above = {parent for path in kept for parent in path.parents if parent.is_relative_to(root)}
+        for folder in above:
+            for path in folder.iterdir() if folder.is_dir() else ():
+                if path not in kept and path not in above:
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self._learner.arrays()

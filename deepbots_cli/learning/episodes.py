@@ -24,8 +24,10 @@ from deepbots_cli.errors import RunError, StorageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.generations import Generations
 from deepbots_cli.learning.statistics import UNBOUNDED, Interval, interquartile_mean, mean_interval, wilson
+from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.seats import own_episode
 
 WINDOW_EPISODES = 100
 """The number of episodes in the moving means of a training, unless the scenario's `solved` sets another one.
@@ -514,6 +516,41 @@ class Summary(Scores, frozen=True):
             **further,
         )
 
+    @property
+    def scores(self) -> Scores:
+        """The scores alone."""
+        return Scores(**{name: getattr(self, name) for name in Scores.model_fields})
+
     def meets_solved(self, solved: Solved | None) -> bool:
         """Return whether these means meet the criterion; False if the scenario has none."""
         return solved is not None and meets_solved(solved, self.mean_return, self.success_rate)
+
+
+# Several agents
+
+
+def agent_scores(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[str, Scores]:
+    """Return the scores of each of several agents in the same episodes."""
+    scores: dict[str, Scores] = {}
+    for name, member in members.items():
+        own = Summary.of_episodes([own_episode(member, episode) for episode in done]).scores
+        undefined: dict[str, Any] = (
+            {} if member.defines_success else {"success_rate": None, "success_interval": None}
+        )
+        scores[name] = own.model_copy(update=undefined)
+    return scores
+
+
+def agent_returns(members: Mapping[str, Member], term_means: Mapping[str, float]) -> dict[str, float]:
+    """Return the mean return of each of several agents, given the means of the reward terms of all of them;
+    empty before the first episode."""
+    return {
+        name: sum(term_means.get(term, 0.0) for term in member.terms.values())
+        for name, member in members.items()
+        if term_means
+    }
+
+
+def agents_text(returns: Mapping[str, float]) -> str:
+    """Return the mean return of each agent in words: `hunter 1.7, prey -1.7`."""
+    return ", ".join(f"{name} {value:.1f}" for name, value in returns.items())

@@ -25,7 +25,7 @@ from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 from deepbots_cli.learning.confirmation import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
-from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary
+from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary, agent_scores
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
@@ -366,7 +366,7 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
     else:
         player = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
         spaces = player.observation_space, player.action_space
-    loaded = learner.create(Setup(training, *spaces, policy_columns=columns))
+    loaded = learner.create(Setup(training, *spaces, policy_columns=columns, program=run.program))
     loaded.load(run.model(name))
     return loaded
 
@@ -525,6 +525,7 @@ class _Setting:
             set=overrides,
             digest=(self.judged or run).digest,
             agent=program.agent.name,
+            agents=agent_scores(program.members, done),
             seed=self.seed,
             planned=self.episodes,
             required_episodes=verdict.required_episodes,

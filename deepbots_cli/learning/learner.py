@@ -30,6 +30,7 @@ from deepbots_cli.learning.checkpoint_files import (
     write_arrays,
 )
 from deepbots_cli.plugins import import_attribute
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import Collector, Decision, Fragment, PolicyActor, ShardedCollector
 from deepbots_cli.rollout.worlds import WorldsStep
@@ -49,6 +50,7 @@ _STABLE = {
     True: "deepbots_cli.learning.sb3.learner:OnPolicyLearner",
     False: "deepbots_cli.learning.sb3.learner:OffPolicyLearner",
 }  # by whether the algorithm is on-policy; imported when it is used
+_JOINT = "deepbots_cli.learning.joint:JointLearner"
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Setup:
     and `demonstrations` come from a recording that teaches. `policy_columns` are the places of the numbers
     that the policy sees, where an observation has further ones that only a critic may see; None if the policy
     sees all. An evaluation calls `predict` with these numbers alone. `teacher` is a policy that teaches.
+    `program` is that of the scenario, which a learner of several agents needs.
     """
 
     training: Training
@@ -72,6 +75,7 @@ class Setup:
     demonstrations: Demonstrations | None = None
     policy_columns: tuple[int, ...] | None = None
     teacher: PolicyTeacher | None = None
+    program: Program | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class Learner(ABC):
 
     Attributes:
         setup: The arguments that it was created with.
+        fragment_steps: The steps of each row between two updates.
         steps: Timesteps, summed over all rows.
         log: The log for scalars.
         device: Device of the policy, by the name that torch uses.
@@ -106,6 +111,7 @@ class Learner(ABC):
     """Whether the learner has a replay buffer, so that a step of the training takes much longer than one of
     an evaluation."""
     device = "cpu"
+    fragment_steps: int
     setup: Setup
     steps: int
     log: TrainingLog
@@ -292,7 +298,6 @@ class ArrayLearner(Learner):
     sets `acts_from_weights`, and shards can have copies of the policy.
 
     Attributes:
-        fragment_steps: The steps of each row between two updates.
         fragment: The experience of the last `collect`.
     """
 
@@ -396,6 +401,9 @@ def class_of(training: Training) -> type[Learner]:
     Raises:
         UsageError: The class of another package cannot be imported, or is no learner.
     """
+    if training.agents:
+        joint: type[Learner] = import_attribute(_JOINT)
+        return joint
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():
         stable: type[Learner] = import_attribute(_STABLE[model is None or model.on_policy])

@@ -172,10 +172,13 @@ class Shortlist:
     Args:
         run: The run of the training.
         measure: The measure of the task.
+        keeps_newest: Whether the newest model counts as the best one: agents that compete have no common
+            measure.
     """
 
-    def __init__(self, run: Run, measure: Measure) -> None:
+    def __init__(self, run: Run, measure: Measure, *, keeps_newest: bool = False) -> None:
         self.measure: Measure = measure
+        self.keeps_newest = keeps_newest
         self.candidates: list[Candidate] = []
         self._run = run
 
@@ -190,6 +193,8 @@ class Shortlist:
     def add(self, candidate: Candidate, save: Callable[[Path], object]) -> bool:
         """Add a model if it is among the best, and return whether it is the best one; `save` writes it."""
         others = [other for other in self.candidates if other.steps != candidate.steps]
+        if self.keeps_newest:
+            others = []
         ordered = self._ordered([*others, candidate])
         self.candidates = ordered[:SHORTLIST]
         if candidate in self.candidates:

@@ -26,7 +26,7 @@ FORMAT = 5
 Status = Literal["running", "finished", "interrupted", "failed"]
 PATIENCE = "patience"
 """The value of `stopped_by` for a training that did not improve."""
-ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand"]
+ChosenBy = Literal["confirmation", "new starts", "evaluation", "return", "hand", "newest"]
 _MAX_RECORD_BYTES = 4_000_000
 _MAX_EVALUATION_BYTES = 200_000_000
 _VERSIONED_PACKAGES = ("gymnasium", "mujoco", "numpy", "pybullet", "stable-baselines3", "torch")
@@ -40,7 +40,8 @@ class BestModel(BaseModel):
         chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations
             played new starts. `evaluation`: there was no second model, or the training was interrupted.
             `return`: by the mean return of an evaluation, in versions before 0.2. `hand`: a person named it
-            (`eval MODEL --keep`).
+            (`eval MODEL --keep`). `newest`: agents that compete have no common measure, so it is the newest
+            model.
         measure: The measure of the task, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than
             those of new episodes on average, because they chose it.
@@ -68,6 +69,8 @@ class BestModel(BaseModel):
             return f"{after}chosen by return in an evaluation, by a version before 0.2"
         if self.chosen_by == "hand":
             return f"{after}chosen by hand"
+        if self.chosen_by == "newest":
+            return f"{after}the newest one, because the agents compete"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
         where = (
@@ -97,6 +100,7 @@ class RunResult(BaseModel):
         stopped_by: Name of the callback that stopped the training; `tune` where a study ended a trial,
             `patience` where no evaluation was better for long enough.
         inexact: Reasons why a resumed training differs from one without interruption.
+        agents: The mean return of each of several agents in the recent episodes; empty for one agent.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -122,6 +126,7 @@ class RunResult(BaseModel):
     inexact: tuple[str, ...] = ()
     confirmations: int = 0
     confirmed_seed: int | None = None
+    agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
 
     @property
     def confirmed_at(self) -> SolvedAt | None:
@@ -279,6 +284,7 @@ class Evaluation(Scores, frozen=True):
         engine: None if `build` made the worlds.
         circumstances: Differences from an evaluation of the best model in the scenario of the training, in
             words.
+        agents: The scores of each of several agents, by name; empty for one agent.
         planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
             early.
     """
@@ -298,6 +304,7 @@ class Evaluation(Scores, frozen=True):
     engine: str | None = None
     digest: str | None = None
     circumstances: tuple[str, ...] = ()
+    agents: Mapping[str, Scores] = Field(default={}, exclude_if=lambda agents: not agents)
     planned: int | None = None
     required_episodes: int | None = None
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
 from deepbots_cli.display import Display
 from deepbots_cli.learning.calls import Watcher
+from deepbots_cli.learning.episodes import agents_text
 from deepbots_cli.learning.order import Candidate, Measure
 from deepbots_cli.learning.records import TrainingResult
 from deepbots_cli.program.task import Solved
@@ -45,7 +46,8 @@ class TrainingProgress:
     its criterion, `level` the levels of the worlds, both for people to read. `period` is the time of a step
     in s, `evaluations` their number in this process, and `activity` is an activity beside learning, such as a
     confirmation. `evaluation_seconds` is the time of evaluations in this process, and
-    `evaluation_seconds_left` the longest that may follow. With `is_ending`, no further steps follow.
+    `evaluation_seconds_left` the longest that may follow. With `is_ending`, no further steps follow. `agents`
+    are the mean returns of several agents by name.
     """
 
     steps: int
@@ -65,6 +67,7 @@ class TrainingProgress:
     evaluation_seconds_left: float = 0.0
     is_ending: bool = False
     level: str = ""
+    agents: Mapping[str, float] = field(default_factory=dict)
 
     def seconds_left(self, first_step: int, elapsed: float) -> float | None:
         """Return the longest time until the training ends, in s, after `elapsed` s since `first_step`; None
@@ -326,14 +329,17 @@ def progress_values(
             f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""
         )
         rows["success"] = ProgressValue(f"{progress.success_rate:.0%}{goal}")
-    if progress.mean_return is not None:
+    if progress.agents:
+        rows["return"] = ProgressValue(agents_text(progress.agents))
+    elif progress.mean_return is not None:
         goal = f" (needs {solved.mean_return:g})" if solved and solved.mean_return is not None else ""
         rows["return"] = ProgressValue(f"{progress.mean_return:.1f}{goal}")
-    if progress.evaluated is not None:
+    has_common_measure = not progress.agents or progress.success_rate is not None
+    if progress.evaluated is not None and has_common_measure:
         rows["last evaluation"] = ProgressValue(
             _score(progress.evaluated, progress.measure), is_evaluation=True
         )
-    if progress.best is not None:
+    if progress.best is not None and has_common_measure:
         score = f"{_score(progress.best, progress.measure)} at {progress.best.steps:,} steps"
         rows["best evaluation"] = ProgressValue(score, is_evaluation=True)
     if progress.activity:

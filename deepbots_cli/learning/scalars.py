@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.episodes import Summary, agent_returns
 from deepbots_cli.learning.teacher import Plan, Teaching
 
 
@@ -80,6 +80,9 @@ class Scalars:
 
     def record_evaluation(self, summary: Summary) -> None:
         log = self._active.log
+        members = self._active.run.program.members
+        for name, mean in agent_returns(members, summary.term_means).items():
+            log.record(f"{name}/eval/mean_return", mean)
         log.record("eval/mean_return", summary.mean_return)
         log.record("eval/mean_length", summary.mean_length)
         if self._active.defines_success:

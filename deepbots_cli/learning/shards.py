@@ -88,6 +88,7 @@ def make_worlds(
     engine = run.record.engine
     seeds = [world_seed(run, number) for number in plan.numbers]
     levels = run.program.levels
+    agent_terms = {name: [*member.terms.values()] for name, member in run.program.members.items()}
     outcomes: list[list[str]] = [[] for _ in seeds]
 
     def guarded(stage: int) -> FailureRecorder:
@@ -132,12 +133,21 @@ def make_worlds(
             next_seed=next_seed,
             options=options,
             recorder=recorder,
+            agent_terms=agent_terms,
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(worlds, seeds, on_step=on_step, on_episode=end, next_world=next_world, options=options)
+        env = Worlds(
+            worlds,
+            seeds,
+            on_step=on_step,
+            on_episode=end,
+            next_world=next_world,
+            options=options,
+            agent_terms=agent_terms,
+        )
     stack.callback(env.close)
     return env
 
@@ -210,6 +220,7 @@ class Shard:
             longest_episode=longest_episode(self._run.program),
             rows=worlds.rows,
             policy_columns=self._run.program.with_critic.agent.policy_columns,
+            program=self._run.program,
         )
         return learners.create(setup)
 

@@ -226,6 +226,11 @@ def checked_settings(
     Curriculum(program, options.get("stage"))
     plugins.check(callbacks, loggers)
     if (demonstrations := options.get("demonstrations")) is not None:
+        if training.agents:
+            raise UsageError(
+                "several agents that learn at the same time cannot have a teacher; train one of them: --agent"
+                f" {training.agents[0][0]}"
+            )
         algorithms.check_teachable(training)
         if training.symmetry is not None:
             raise UsageError(
@@ -364,7 +369,6 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
     # The log would fail only after the run was half created.
     if find_spec("tensorboard") is None:
         raise MissingExtraError("train", "training")
-    require_one_agent(program)
     if program.agent.training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
     training = (
@@ -385,20 +389,6 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         )
     algorithms.check_memory(training.environments)
     return training
-
-
-def require_one_agent(program: Program) -> None:
-    """Check that a policy plays one agent.
-
-    Raises:
-        UsageError: The scenario is that of several agents.
-    """
-    if program.members:
-        names = ", ".join(program.members)
-        raise UsageError(
-            f"{program.name} has the agents {names}; name the one to train: deepbots train SCENARIO --agent"
-            f" {next(iter(program.members))}"
-        )
 
 
 def _validate_setup(

@@ -45,7 +45,9 @@ class TrainingEvaluations:
         agent = active.run.program.agent
         self._active = active
         self.shortlist = Shortlist(
-            active.run, measure_of(agent.solved, defines_success=active.defines_success)
+            active.run,
+            measure_of(agent.solved, defines_success=active.defines_success),
+            keeps_newest=active.run.program.has_rivals,
         )
         self.returns: Interval | None = None
         self.evaluated_at = -1

@@ -24,7 +24,7 @@ from deepbots_cli.learning.confirmations import Confirmed
 from deepbots_cli.learning.curriculum import Curriculum
 from deepbots_cli.learning.demonstrations import Demonstrations, demonstrate
 from deepbots_cli.learning.environments import WorldFactory, stepping_text
-from deepbots_cli.learning.episodes import EpisodeLog, Statistics
+from deepbots_cli.learning.episodes import EpisodeLog, Statistics, agent_returns
 from deepbots_cli.learning.evaluation import confirmation_result
 from deepbots_cli.learning.executor import Executor
 from deepbots_cli.learning.held_out import Evaluator
@@ -320,6 +320,7 @@ class TrainingProcess:
             levels=self._curriculum.levels,
             stopped_by=callback.stopped_by or by_follower,
             inexact=tuple(self.checkpoints.inexact),
+            agents=agent_returns(self.run.program.members, statistics.term_means()),
         )
 
     def _best_model(self) -> BestModel | None:
@@ -330,6 +331,8 @@ class TrainingProcess:
             return None
         if callback.is_solved:
             chosen_by: ChosenBy = "confirmation"
+        elif callback.evaluations.shortlist.keeps_newest:
+            chosen_by = "newest"
         else:
             chosen_by = "new starts" if callback.evaluations.chosen_steps else "evaluation"
         return BestModel(
@@ -405,6 +408,7 @@ def create_learner(
         demonstrations=shown,
         policy_columns=program.with_critic.agent.policy_columns,
         teacher=teacher,
+        program=program,
     )
     return learners.create(setup)
 
@@ -453,6 +457,7 @@ def _load(training: Training, learner: Learner, model: Path) -> Learner:
             setup.observation_space,
             setup.action_space,
             policy_columns=setup.policy_columns,
+            program=setup.program,
         )
     )
     loaded.load(model)

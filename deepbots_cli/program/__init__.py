@@ -123,6 +123,11 @@ class Program:
         (agent,) = self.agents.values()
         return agent
 
+    @property
+    def has_rivals(self) -> bool:
+        """Whether several agents act that have no success in common."""
+        return bool(self.members) and not self.defines_success
+
     def with_agents(self, **changes: Any) -> Program:
         """Return the program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})

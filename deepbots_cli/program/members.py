@@ -111,6 +111,11 @@ class Member:
         """Return its reward, given the last value of each term of all agents."""
         return sum(terms[name] for name in self.terms.values())
 
+    @property
+    def defines_success(self) -> bool:
+        """Whether an ending is a success of the agent."""
+        return bool(self.program.agent.success)
+
     def has_succeeded(self, endings: Sequence[str]) -> bool:
         """Return whether an episode that these endings ended is a success for the agent: failure has
         precedence."""

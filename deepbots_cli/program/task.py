@@ -556,9 +556,17 @@ class Training:
     staleness: int = 0
     patience: int | None = None
     symmetry: Symmetry | None = None
+    agents: tuple[tuple[str, Training], ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
-        later = {"shards": 1, "teacher": None, "staleness": 0, "patience": None, "symmetry": None}
+        later = {
+            "shards": 1,
+            "teacher": None,
+            "staleness": 0,
+            "patience": None,
+            "symmetry": None,
+            "agents": (),
+        }
         return {
             name: value for name, value in vars(self).items() if name not in later or value != later[name]
         }

@@ -14,8 +14,9 @@ exactly.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import itemgetter
 from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
@@ -94,6 +95,7 @@ class Fragment:
         following: The observations after the last step, of shape (rows, ...).
         following_starts: Whether an episode begins with them.
         endings: The episodes that ended, each with the number of the step, in the order of steps and rows.
+        agent_rewards: The rewards of each of several agents in a world, as `rewards`.
     """
 
     observations: Any
@@ -104,6 +106,7 @@ class Fragment:
     following: Any
     following_starts: Array
     endings: Sequence[tuple[int, Ending]]
+    agent_rewards: Mapping[str, Array] = field(default_factory=dict)
 
 
 class ShardState(NamedTuple):
@@ -196,6 +199,7 @@ class LocalCollector:
     ) -> Fragment | None:
         observations, starts = self.begin(), self.starts
         seen, decisions, rewards, begun, endings = [], [], [], [], []
+        agent_rewards: list[Mapping[str, Array]] = []
         for number in range(steps):
             decision = actor(observations, starts, self.action_masks() if with_masks else None)
             if lesson is not None:
@@ -207,6 +211,7 @@ class LocalCollector:
             if not on_step(step):
                 return None
             rewards.append(step.rewards)
+            agent_rewards.append(step.agent_rewards)
             endings += [(number, ending) for ending in step.endings]
             observations, starts = step.observations, step.dones
         columns = {
@@ -223,6 +228,7 @@ class LocalCollector:
             observations,
             starts,
             endings,
+            {name: np.stack([rewards[name] for rewards in agent_rewards]) for name in agent_rewards[0]},
         )
 
     def taught(self, decision: Decision, lesson: Lesson) -> Decision:
@@ -289,6 +295,10 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
         _joined(np.concatenate, [fragment.following for fragment in fragments]),
         np.concatenate([fragment.following_starts for fragment in fragments]),
         sorted(endings, key=lambda entry: (entry[0], entry[1].row)),
+        {
+            name: side_by_side([fragment.agent_rewards[name] for fragment in fragments])
+            for name in fragments[0].agent_rewards
+        },
     )
 
 
@@ -432,7 +442,47 @@ class ShardListener(Protocol):
         """Called with each answer of a shard, before its episodes are counted."""
 
 
-class ShardedCollector:
+class FetchingCollector(ABC):
+    """A collector whose worlds have acted before its steps are counted: `fetch` returns a fragment, and
+    `step_all` then counts its steps one by one."""
+
+    rows: int
+    times: CollectTimes
+    observation_space: gym.Space[Any]
+    action_space: gym.Space[Any]
+    stale: Mapping[str, Array]
+    agents: Sequence[Any]
+    _replay: Iterator[WorldsStep] = iter(())
+
+    @abstractmethod
+    def begin(self) -> Any:
+        """Return the observations on which the agents act next. The first episodes begin if none has."""
+
+    @abstractmethod
+    def fetch(
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment:
+        """Fetch the next `steps` of every row, which `step_all` then counts one by one."""
+
+    def step_all(self, actions: Any) -> WorldsStep:
+        """Return the next step of the fragment that was fetched. The worlds have acted already."""
+        return next(self._replay)
+
+    def collect(
+        self,
+        actor: Actor,
+        steps: int,
+        on_step: OnStep = lambda step: True,
+        *,
+        with_masks: bool = False,
+        lesson: Lesson | None = None,
+    ) -> Fragment | None:
+        """Collect a fragment with a `PolicyActor`; see `Collector.collect`."""
+        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
+        return fragment if all(on_step(step) for step in self._replay) else None
+
+
+class ShardedCollector(FetchingCollector):
     """Gathers the fragments of shards, and then counts their steps and episodes as if all worlds were in this
     process.
 
@@ -466,7 +516,6 @@ class ShardedCollector:
         self.stale: Mapping[str, Array] = {}
         self._asked: Callable[[], list[Harvest]] | None = None
         self._observations: Any = None
-        self._replay: Iterator[WorldsStep] = iter(())
 
     def _anew(self, seeds: Sequence[int]) -> None:
         """Begin new episodes."""
@@ -480,7 +529,6 @@ class ShardedCollector:
         return [items[end - size * width : end] for size, end in zip(self._sizes, ends, strict=True)]
 
     def begin(self) -> Any:
-        """Return the observations on which the agents act next. The first episodes begin if none has."""
         if self._observations is None:
             self._observations = self._begun()
         return self._observations
@@ -492,7 +540,6 @@ class ShardedCollector:
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
     ) -> Fragment:
-        """Fetch the next `steps` of every row, which `step_all` then counts one by one."""
         began = perf_counter()
         answer = self._asked or self._ask(actor, steps, with_masks, lesson)
         harvests, self._asked, self.stale = answer(), None, {}
@@ -597,23 +644,6 @@ class ShardedCollector:
             yield WorldsStep(
                 self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, here
             )
-
-    def step_all(self, actions: Any) -> WorldsStep:
-        """Return the next step of the fragment that was fetched. The worlds have acted already."""
-        return next(self._replay)
-
-    def collect(
-        self,
-        actor: Actor,
-        steps: int,
-        on_step: OnStep = lambda step: True,
-        *,
-        with_masks: bool = False,
-        lesson: Lesson | None = None,
-    ) -> Fragment | None:
-        """Collect a fragment with a `PolicyActor`; see `Collector.collect`."""
-        fragment = self.fetch(cast(PolicyActor, actor), steps, with_masks=with_masks, lesson=lesson)
-        return fragment if all(on_step(step) for step in self._replay) else None
 
     def state(self) -> ShardState:
         return ShardState([episode.history for episode in self.episodes], observation_digest(self.begin()))

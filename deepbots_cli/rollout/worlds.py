@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import itemgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
@@ -40,13 +41,20 @@ class Ending(NamedTuple):
 
 class WorldsStep(NamedTuple):
     """A step of all rows. The observations are those on which the agents act next. A batch has infos of ended
-    episodes only."""
+    episodes only. With several agents in a world, `agent_rewards` are the rewards of each, whose sum is
+    `rewards`."""
 
     observations: Any
     rewards: Array
     dones: Array
     infos: list[dict[str, Any]]
     endings: list[Ending]
+    agent_rewards: Mapping[str, Array] = {}
+
+
+AgentTerms = Mapping[str, Sequence[str]]
+"""The names of the reward terms of each of several agents in a world; empty for one agent."""
+ONE_AGENT: AgentTerms = MappingProxyType({})
 
 
 class HistoryRecorder(gym.Wrapper[Any, Any, Any, Any]):
@@ -84,6 +92,7 @@ class Worlds:
             seed.
         options: Returns the values that the next episode of a world takes in place of draws, as `options` of
             `reset`.
+        agent_terms: The reward terms of each of several agents, for `agent_rewards` of each step.
     """
 
     def __init__(
@@ -95,7 +104,9 @@ class Worlds:
         on_episode: Callable[[int, Episode], None] = lambda world, episode: None,
         next_world: Callable[[int], tuple[gym.Env[Any, Any], int] | None] = lambda world: None,
         options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
+        agent_terms: AgentTerms = ONE_AGENT,
     ) -> None:
+        self._agent_terms = agent_terms
         self.worlds = [_recorded(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
@@ -176,6 +187,12 @@ class Worlds:
             np.array(dones, dtype=bool),
             infos,
             endings,
+            {
+                agent: np.array(
+                    [sum(info["reward_terms"][name] for name in names) for info in infos], np.float32
+                )
+                for agent, names in self._agent_terms.items()
+            },
         )
 
     def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
@@ -359,6 +376,7 @@ class BatchWorlds(Worlds):
             stage.
         options: As for `Worlds`.
         recorder: Keeps the episodes of worlds that fail.
+        agent_terms: As for `Worlds`.
     """
 
     def __init__(
@@ -372,12 +390,23 @@ class BatchWorlds(Worlds):
         next_seed: Callable[[int], int | None] = lambda world: None,
         options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
         recorder: LossRecorder | None = None,
+        agent_terms: AgentTerms = ONE_AGENT,
     ) -> None:
         self._build, self._next_seed, self._recorder = build, next_seed, recorder
         self.stages = [0] * len(seeds) if stages is None else stages
         self._batches: dict[int, BatchEpisodes] = {}
         first = self._batch_of(self.stages[0])
-        super().__init__(first.singles, seeds, on_step=on_step, on_episode=on_episode, options=options)
+        super().__init__(
+            first.singles,
+            seeds,
+            on_step=on_step,
+            on_episode=on_episode,
+            options=options,
+            agent_terms=agent_terms,
+        )
+        self._term_places = {
+            agent: [first.TERMS.index(name) for name in names] for agent, names in agent_terms.items()
+        }
 
     def _batch_of(self, stage: int) -> BatchSupervisor:
         """Return the worlds of a stage, built when one of them is first needed."""
@@ -432,6 +461,7 @@ class BatchWorlds(Worlds):
 
     def step_all(self, actions: Any) -> WorldsStep:
         rewards, dones = np.zeros(self.rows, np.float32), np.zeros(self.rows, bool)
+        agent_rewards = {agent: np.zeros(self.rows, np.float32) for agent in self._term_places}
         infos: list[dict[str, Any]] = [{}] * self.rows
         ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
         for stage, episodes in self._batches.items():
@@ -443,6 +473,8 @@ class BatchWorlds(Worlds):
                 for loss in episodes.batch.losses[losses_before:]:
                     self._recorder.record_lost(stage, loss, episodes.batch.histories.snapshot()[loss.world])
             rewards[acting] = outcome.rewards[acting]
+            for agent, places in self._term_places.items():
+                agent_rewards[agent][acting] = outcome.terms[places].sum(axis=0)[acting]
             dones[outcome.done] = True
             ended |= {row: (place, outcome, episodes) for place, row in enumerate(outcome.done.tolist())}
         begun: dict[int, list[tuple[int, int | None]]] = {}
@@ -466,7 +498,7 @@ class BatchWorlds(Worlds):
         for stage in [stage for stage in self._batches if stage not in self.stages]:
             self._batches.pop(stage).batch.close()
         self.observations = self._observe()
-        return WorldsStep(self.observations, rewards, dones, infos, endings)
+        return WorldsStep(self.observations, rewards, dones, infos, endings, agent_rewards)
 
     @contextmanager
     def _recording_failures(self, stage: int) -> Iterator[None]:

@@ -11,10 +11,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Member, joint_name
+from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.spaces import (
     action_space,
     canonical_action,
@@ -24,19 +26,22 @@ from deepbots_cli.runtime.spaces import (
 )
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
+Array = NDArray[Any]
 Act = Callable[[Any], Any]
 """Returns an action for an observation of an agent."""
 
 
-class Seat:
-    """The place of one agent in the world of several.
+class Place:
+    """The place of one agent in the observations and the actions of all agents.
 
     Attributes:
+        member: The agent.
         observation_space, action_space: The spaces of the agent, as in a scenario with this agent alone.
+        masks: The places of its options in a row of truth values about the options of all agents.
     """
 
-    def __init__(self, world: Supervisor, member: Member) -> None:
-        self.member, self._world = member, world
+    def __init__(self, member: Member, of_all: Agent) -> None:
+        self.member = member
         agent = member.program.agent
         self.observation_space, self.action_space = observation_space(agent), action_space(agent)
         self._columns = np.array(member.columns, np.intp)
@@ -44,10 +49,9 @@ class Seat:
             entry.key: joint_name(member.name, entry.name).replace(".", "_") for entry in agent.images
         }
         self._choices = len(agent.choices)
-        self._masks = slice(
-            sum(len(part.options) for part in world.agent.choices[: member.choices[0]]),
-            sum(len(part.options) for part in world.agent.choices[: member.choices[1]]),
-        )
+        first, last = member.choices
+        counts = [len(part.options) for part in of_all.choices]
+        self.masks = slice(sum(counts[:first]), sum(counts[:last]))
 
     def observation(self, of_all: Any) -> Any:
         """Return what the agent sees, given what all agents see."""
@@ -58,6 +62,20 @@ class Seat:
             return numbers
         pictures = {key: of_all[joint] for key, joint in self._pictures.items()}
         return pictures if numbers is None or not len(self._columns) else {"observation": numbers, **pictures}
+
+    def actions(self, of_all: Array) -> Array:
+        """Return the part of the agent in actions of all agents, whose last axis has their choices or their
+        ranges."""
+        first, last = self.member.choices if self._choices else self.member.ranges
+        return of_all[..., first:last].reshape(*of_all.shape[:-1], *(self.action_space.shape or ()))
+
+
+class Seat(Place):
+    """The place of one agent in a world of several."""
+
+    def __init__(self, world: Supervisor, member: Member) -> None:
+        super().__init__(member, world.agent)
+        self._world = world
 
     def parts(self, action: Any) -> tuple[list[int], list[float]]:
         """Return the options of the choices and the numbers of the ranges in an action of the agent.
@@ -90,7 +108,7 @@ class Seat:
 
     def action_mask(self) -> np.ndarray[Any, Any]:
         """Return which options the agent may choose next, as truth values in a row."""
-        return self._world.action_masks()[self._masks]
+        return self._world.action_masks()[self.masks]
 
     def script(self, name: str) -> Any:
         """Return the next action of a script of the agent.

@@ -14,7 +14,6 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
-from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.agents import joint_action, seats_of
 
 SHARED = """\
@@ -166,11 +165,6 @@ def test_the_policy_of_a_role_is_trained_and_evaluated(several: Path, tmp_path: 
     evaluation = deepbots_cli.evaluate(result.run, episodes=2)
     assert result.steps == 256
     assert evaluation.episodes == 2
-
-
-def test_training_all_agents_as_one_is_refused_with_the_command_to_write(several: Path) -> None:
-    with pytest.raises(UsageError, match="--agent left"):
-        deepbots_cli.train(several)
 
 
 def test_pettingzoo_accepts_the_environment(several: Path) -> None:

@@ -170,6 +170,8 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     """Return every hyperparameter of the scenario's algorithm, in the order of the table of the language;
     empty for an unknown algorithm."""
     training = scenario.agent.training
+    if scenario.members:
+        return _of_members(scenario, total_timesteps)
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     written: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
@@ -192,6 +194,24 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
         else:
             effective.append(EffectiveHyperparameter(name, (library or {}).get(name), title))
     return effective
+
+
+def _of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
+    """Return the hyperparameters of several agents: those that all have in common once, the others under the
+    name of each agent."""
+    by_agent = {
+        name: effective_hyperparameters(member.program, total_timesteps)
+        for name, member in scenario.members.items()
+    }
+    first, *others = by_agent.values()
+    common = [entry for entry in first if all(entry in other for other in others)]
+    own = [
+        entry._replace(name=f"{agent}.{entry.name}")
+        for agent, entries in by_agent.items()
+        for entry in entries
+        if entry not in common
+    ]
+    return common + own
 
 
 def library_of(algorithm: str) -> str:

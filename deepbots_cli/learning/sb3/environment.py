@@ -14,14 +14,14 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from deepbots_cli.rollout.collector import LocalCollector, ShardedCollector
+from deepbots_cli.rollout.collector import FetchingCollector, LocalCollector
 from deepbots_cli.rollout.worlds import Worlds, WorldsStep
 
 
 class CollectorEnvironment(VecEnv):
     """Steps the worlds of a collector. The creator of the worlds closes them."""
 
-    def __init__(self, collector: LocalCollector | ShardedCollector) -> None:
+    def __init__(self, collector: LocalCollector | FetchingCollector) -> None:
         self.collector = collector
         super().__init__(collector.rows, collector.observation_space, collector.action_space)
 

@@ -45,6 +45,11 @@ def update_progress(model: Any, total: int) -> None:
     model._update_current_progress_remaining(model.num_timesteps, total)
 
 
+def last(model: Any) -> tuple[Any, Array]:
+    """Return the observations in which the algorithm acts next, and in which rows an episode begins."""
+    return model._last_obs, model._last_episode_starts
+
+
 def set_last(model: Any, observations: Any, starts: Array) -> None:
     """Set the observations in which the algorithm acts next; an episode begins in the rows of `starts`."""
     model._last_obs, model._last_episode_starts = observations, starts

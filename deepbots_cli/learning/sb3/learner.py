@@ -49,7 +49,14 @@ from deepbots_cli.learning.sb3.logs import encoded, number_of
 from deepbots_cli.learning.sb3.symmetry import mirrored_experience
 from deepbots_cli.learning.teacher import Plan
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor, ShardedCollector
+from deepbots_cli.rollout.collector import (
+    Decision,
+    FetchingCollector,
+    Fragment,
+    LocalCollector,
+    PolicyActor,
+    ShardedCollector,
+)
 from deepbots_cli.rollout.worlds import WorldsStep
 
 AGREEMENT_STEPS = 64
@@ -85,7 +92,7 @@ class StableLearner(Learner):
         self._collector = collector = setup.collector
         rows = setup.rows if collector is None else collector.rows
         env: Any = spaces_only(setup.observation_space, setup.action_space, rows)
-        if isinstance(collector, LocalCollector | ShardedCollector):
+        if isinstance(collector, LocalCollector | FetchingCollector):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
@@ -107,7 +114,7 @@ class StableLearner(Learner):
         )
         self._demonstrations = self._prepared(setup.demonstrations)
         self._actor = self.actor_kind(self.model)
-        if isinstance(collector, ShardedCollector):
+        if isinstance(collector, FetchingCollector):
             self.actor()
         elif not (self._takes_fragments or collector is None or isinstance(collector, LocalCollector)):
             raise UsageError(f"{setup.training.algorithm} needs its worlds in the training process")
@@ -123,6 +130,10 @@ class StableLearner(Learner):
     @property
     def steps(self) -> int:  # type: ignore[override]  # the algorithm counts
         return int(self.model.num_timesteps)
+
+    @property
+    def fragment_steps(self) -> int:  # type: ignore[override]  # a hyperparameter of the algorithm
+        return int(self.model.train_freq.frequency if self.is_off_policy else self.model.n_steps)
 
     # Acting and learning
 
@@ -483,10 +494,10 @@ class OffPolicyLearner(StableLearner):
 
     def collect(self) -> bool:
         model = self.model
-        shards = self._collector if isinstance(self._collector, ShardedCollector) else None
+        fetching = self._collector if isinstance(self._collector, FetchingCollector) else None
         with models.overflow_explained():
-            if shards is not None:
-                model.recorded = shards.fetch(
+            if fetching is not None:
+                model.recorded = fetching.fetch(
                     self._actor, model.train_freq.frequency, lesson=self._plan.lesson
                 )
                 memory = self._actor.memory()
@@ -500,10 +511,11 @@ class OffPolicyLearner(StableLearner):
                 log_interval=self._log_interval,
             )
             # At the end of an episode, the library has reset the noise of the next one.
-            if shards is not None:
+            if fetching is not None:
+                model.recorded = None  # the model draws the actions of the next fragment
                 self._actor.remember(memory)
-                if self.setup.training.staleness:
-                    shards.ask_ahead(self._actor, model.train_freq.frequency)
+                if self.setup.training.staleness and isinstance(fetching, ShardedCollector):
+                    fetching.ask_ahead(self._actor, model.train_freq.frequency)
             return bool(self._rollout.continue_training)
 
     def update(self) -> None:

@@ -17,6 +17,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.sb3.plugins import PluginLogger
 from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.seats import own_entries, own_name
 
 _MAX_WAIT_S = 2.0
 
@@ -81,6 +82,31 @@ class TrainingLog(Logger):
         self.name_to_value.update({name: number_of(value) for name, value in values.items()})
         self.name_to_count.update(counts)
         self.name_to_excluded.update({name: tuple(excluded[name]) for name in values})
+
+
+class AgentLog(Logger):
+    """The log of one of several agents: its scalars have the name of the agent before theirs."""
+
+    def __init__(self, log: Logger, agent: str) -> None:
+        self._log, self._agent = log, agent
+        self.dir, self.output_formats, self.level = log.dir, [], log.level
+
+    @property
+    def name_to_value(self) -> Any:  # type: ignore[override]  # the scalars are in the log of all agents
+        return own_entries(self._log.name_to_value, self._agent)
+
+    def record(self, key: str, value: Any, exclude: Any = None) -> None:
+        self._log.record(self._name(key), value, exclude)
+
+    def record_mean(self, key: str, value: float | None, exclude: Any = None) -> None:
+        self._log.record_mean(self._name(key), value, exclude)
+
+    def dump(self, step: int = 0) -> None:
+        self._log.dump(step)
+
+    def _name(self, key: str) -> str:
+        """Return the name of a scalar; the speed of a training is that of all agents."""
+        return key if key.startswith("time/") else own_name(self._agent, key)
 
 
 def encoded(value: Any) -> Any:

@@ -125,7 +125,7 @@ class ExplorationActor:
         self.noises: list[DecayingNoise] = (
             [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
         )
-        self._step, self._first_step, self._rows = 0, 0, model.n_envs
+        self._step, self._rows = 0, model.n_envs
 
     def begin(self) -> None:
         self._step = 0
@@ -139,10 +139,13 @@ class ExplorationActor:
             noise.reset()
         if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
             model.actor.reset_noise(model.n_envs)
-        model.num_timesteps = self._first_step + self._step * self._rows
+        begun, last = model.num_timesteps, internals.last(model)
+        model.num_timesteps = begun + self._step * self._rows
         internals.set_last(model, prepared(model, observations), starts)
         self._step += 1
         actions, stored = internals.explore(model, model.learning_starts, self._noise, model.n_envs)
+        model.num_timesteps = begun  # the learner counts and stores these steps
+        internals.set_last(model, *last)
         return Decision(actions, {"stored": stored})
 
     def parameters(self) -> Mapping[str, Any]:
@@ -162,7 +165,7 @@ class ExplorationActor:
         for name in internals.EXPLORATION:
             if name in parameters:
                 setattr(self._model, name, parameters[name])
-        self._first_step, self._rows = parameters["num_timesteps"], parameters["n_envs"]
+        self._model.num_timesteps, self._rows = parameters["num_timesteps"], parameters["n_envs"]
         _load_weights(self._model, parameters)
 
     def memory(self) -> Mapping[str, Array]:

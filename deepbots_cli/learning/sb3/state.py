@@ -93,7 +93,7 @@ class ReplayFiles:
             return
         rows = self._rows(buffer, first, added)
         self.segments.append((first, added))
-        self._folder.mkdir(exist_ok=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
         path = self._path(first, added)
         write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
         flush_to_disk(path)

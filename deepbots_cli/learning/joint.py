@@ -1,0 +1,354 @@
+"""The learner of several agents that act in the same worlds: each agent has a learner of its own.
+
+All of them act in each step. After a fragment, each learner gets its part of the experience, and learns from
+it as if the other agents belonged to the world (independent learners; M. Tan, ICML 1993).
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import gymnasium as gym
+from pydantic import Field
+from pydantic_core import to_jsonable_python
+
+from deepbots_cli.errors import RunError, StorageError, UsageError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
+from deepbots_cli.learning.learner import Initialization, Learner, Setup
+from deepbots_cli.learning.sb3.logs import AgentLog
+from deepbots_cli.program.task import Training
+from deepbots_cli.rollout.collector import PolicyActor
+from deepbots_cli.rollout.seats import JointActor, SeatCollector, joined_actions, own_entries, own_name
+from deepbots_cli.rollout.worlds import WorldsStep
+from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.streams import derive_seed
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.callbacks import TrainingCallback
+
+_SHARED = ("total_timesteps", "environments", "shards", "device", "staleness")
+"""The settings that agents that learn in the same worlds have in common."""
+_MAX_DATA_BYTES = 1_000_000
+
+
+class JointState(CheckpointState):
+    """The JSON part of a checkpoint; `learners` has that of each agent."""
+
+    learners: Annotated[dict[str, dict[str, Any]], Field(max_length=64)]
+
+
+class JointLearner(Learner):
+    """The learners of several agents.
+
+    Attributes:
+        learners: The learner of each agent, by its name.
+    """
+
+    State = JointState
+    takes_callbacks = False
+
+    def __init__(self, setup: Setup) -> None:
+        assert setup.program is not None
+        self.setup, self.steps = setup, 0
+        self.check(setup.training)
+        if isinstance(setup.action_space, gym.spaces.Dict):
+            raise UsageError(
+                "agents with choices and agents with ranges cannot learn in the same worlds yet; train one"
+                " of them: --agent NAME"
+            )
+        program, seen = setup.program, setup.program.with_critic
+        self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
+        self._seats: dict[str, SeatCollector] = {}
+        self.learners: dict[str, Learner] = {}
+        for name, training in setup.training.agents:
+            place = Place(seen.members[name], seen.agent)
+            collector = setup.collector
+            if collector is not None:
+                self._seats[name] = SeatCollector(place, collector)
+            self.learners[name] = learners.create(
+                Setup(
+                    training,
+                    place.observation_space,
+                    place.action_space,
+                    derive_seed(setup.seed, name),
+                    setup.total_timesteps,
+                    setup.longest_episode,
+                    self._seats.get(name),  # type: ignore[arg-type]  # checkpoints are of all agents
+                    rows=setup.rows,
+                    policy_columns=place.member.program.agent.policy_columns,
+                )
+            )
+        self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
+        self._masked = [name for name, own in self.learners.items() if own.takes_masks]
+        self.takes_masks = bool(self._masked)
+        self.is_off_policy = any(own.is_off_policy for own in self.learners.values())
+        if setup.collector is not None:
+            self.fragment_steps = self._common_steps()
+
+    def _common_steps(self) -> int:
+        steps = {name: own.fragment_steps for name, own in self.learners.items()}
+        if len(set(steps.values())) > 1:
+            shown = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
+            raise UsageError(
+                f"agents that learn in the same worlds collect the same number of steps between two updates,"
+                f" not {shown}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
+            )
+        return next(iter(steps.values()))
+
+    @classmethod
+    def check(cls, training: Training) -> None:
+        _, first = training.agents[0]
+        for name, own in training.agents:
+            for key in _SHARED:
+                if getattr(own, key) != getattr(first, key):
+                    raise UsageError(
+                        f"the agents have different `{key}` ({getattr(first, key)}, and {getattr(own, key)} of"
+                        f" `{name}`), but they learn in the same worlds; write it under `train` at the top"
+                        " level, or train one of them: --agent NAME"
+                    )
+            if own.teacher is not None:
+                raise UsageError(
+                    f"`{name}` has a teacher, which is not supported where several agents learn; remove"
+                    f" `train.teacher`, or train it alone: --agent {name}"
+                )
+            learners.class_of(own).check(own)
+
+    @property
+    def log(self) -> Any:
+        return self._log
+
+    @log.setter
+    def log(self, log: Any) -> None:
+        self._log = log
+        for name, own in self.learners.items():
+            own.log = AgentLog(log, name)  # type: ignore[assignment]  # the part of the log that learners use
+
+    # Acting and learning
+
+    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
+        self._monitor = monitor
+        members = self.setup.program.members if self.setup.program is not None else {}
+        for name, own in self.learners.items():
+            seat: Any = _SeatMonitor(members[name].program.defines_success)
+            own.begin(total, seat)
+
+    def start(self) -> None:
+        for own in self.learners.values():
+            own.start()
+
+    def collect(self) -> bool:
+        collector = self.setup.collector
+        assert collector is not None
+
+        def on_step(step: WorldsStep) -> bool:
+            self.steps += len(step.dones)
+            return self._monitor.on_step()
+
+        actor = self.actor()
+        actor.begin()
+        fragment = collector.collect(actor, self.fragment_steps, on_step, with_masks=self.takes_masks)
+        if fragment is None:
+            return False
+        self._recent = fragment.observations, fragment.actions
+        for name, own in self.learners.items():
+            self._seats[name].offer(fragment)
+            own.collect()
+        self._monitor.on_collected()
+        return True
+
+    def actor(self) -> PolicyActor:
+        actors = {name: own.actor() for name, own in self.learners.items()}
+        return JointActor(self._critical, actors, self._masked)
+
+    def update(self) -> None:
+        for own in self.learners.values():
+            own.update()
+
+    def end(self) -> None:
+        for own in self.learners.values():
+            own.end()
+        self._monitor.on_end()
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
+    ) -> tuple[Any, Any]:
+        """See `Learner.predict`. Observations, actions and masks are those of all agents in a row, `state` is
+        the memory of each agent by its name."""
+        example = next(iter(observation.values())) if isinstance(observation, dict) else observation
+        space = self.setup.observation_space
+        one = next(iter(space.values())) if isinstance(space, gym.spaces.Dict) else space
+        is_single = example.ndim == len(one.shape or ())
+        actions, states = [], {}
+        for name, own in self.learners.items():
+            place = self._places[name]
+            masks = (
+                action_masks[..., place.masks] if name in self._masked and action_masks is not None else None
+            )
+            chosen, states[name] = own.predict(
+                place.observation(observation),
+                None if state is None else state[name],
+                episode_start,
+                deterministic,
+                masks,
+            )
+            actions.append(chosen[None] if is_single else chosen)
+        of_all = joined_actions([*actions])
+        return (of_all[0] if is_single else of_all), states
+
+    def recent(self) -> tuple[Any, Array, Array | None]:
+        return *self._recent, None
+
+    def weights(self) -> dict[str, Array]:
+        return {
+            own_name(name, key): array
+            for name, own in self.learners.items()
+            for key, array in own.weights().items()
+        }
+
+    # Models
+
+    def save(self, path: Path) -> None:
+        """Write a model: a zip file with the model of each agent under its name."""
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            atomic_write(path, StorageError) as draft,
+            zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive,
+        ):
+            data = {"num_timesteps": self.steps, "agents": [*self.learners]}
+            archive.writestr("data", json.dumps(data))
+            for name, own in self.learners.items():
+                own.save(Path(folder) / _member(name))
+                archive.write(Path(folder) / _member(name), _member(name))
+
+    def load(self, path: Path) -> None:
+        for name, own in self.learners.items():
+            with own_model(path, name) as file:
+                own.load(file)
+
+    def initialize(self, path: Path) -> Initialization:
+        copied: list[str] = []
+        not_copied: dict[str, str] = {}
+        for name, own in self.learners.items():
+            with own_model(path, name) as file:
+                taken = own.initialize(file)
+            copied += [own_name(name, key) for key in taken.copied]
+            not_copied |= {own_name(name, key): reason for key, reason in taken.not_copied.items()}
+        return Initialization(tuple(copied), not_copied)
+
+    # Checkpoints
+
+    def attach(self, folder: Path) -> None:
+        for name, own in self.learners.items():
+            own.attach(folder / name)
+
+    def state(self) -> dict[str, Any]:
+        return {"learners": {name: to_jsonable_python(own.state()) for name, own in self.learners.items()}}
+
+    def shared_files(self) -> Iterable[Path]:
+        return chain.from_iterable(own.shared_files() for own in self.learners.values())
+
+    def arrays(self) -> dict[str, Array]:
+        return {
+            _array_name(name, key): array
+            for name, own in self.learners.items()
+            for key, array in own.arrays().items()
+        }
+
+    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
+        return {
+            _array_name(name, key): spec
+            for name, own in self.learners.items()
+            for key, spec in own.specs(_own_state(state, name, own)).items()
+        }
+
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        self.steps = kept.steps
+        for name, own in self.learners.items():
+            own.restore(_own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same)
+
+
+def _array_name(agent: str, name: str) -> str:
+    """Return the name of an array of an agent in a checkpoint, which has further arrays of its own."""
+    return own_name(f"agents/{agent}", name)
+
+
+def _own_state(kept: Any, name: str, own: Learner) -> Any:
+    """Return the state of a checkpoint as the learner of an agent has it.
+
+    Raises:
+        ValueError: The agent has no state, or a damaged one.
+    """
+    if name not in kept.learners:
+        raise ValueError(f"there is no state of the agent '{name}'")
+    common = kept.model_dump(mode="json", exclude={"learners"})
+    return own.State.model_validate_json(json.dumps({**common, **kept.learners[name]}))
+
+
+def _member(agent: str) -> str:
+    return f"{agent}.zip"
+
+
+class own_model:  # noqa: N801  # used as a function
+    """Context with the file of the model of one agent, from that of all agents.
+
+    Raises:
+        RunError: The file is missing, damaged, or no model of several agents.
+    """
+
+    def __init__(self, path: Path, agent: str) -> None:
+        self._path, self._agent = path, agent
+
+    def __enter__(self) -> Path:
+        self._folder = tempfile.TemporaryDirectory()
+        target = Path(self._folder.name) / _member(self._agent)
+        try:
+            with zipfile.ZipFile(self._path) as archive:
+                entry = archive.getinfo(_member(self._agent))
+                if entry.compress_type != zipfile.ZIP_STORED:
+                    raise zipfile.BadZipFile
+                target.write_bytes(archive.read(entry))
+        except (OSError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
+            self._folder.cleanup()
+            if not self._path.is_file():
+                raise RunError(f"{self._path} is missing") from error
+            raise RunError(f"{self._path} has no model of the agent '{self._agent}'") from error
+        return target
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        folder = self._folder.name
+        self._folder.cleanup()
+        if isinstance(error, RunError):
+            place = f"{self._path}, "
+            raise RunError(str(error).replace(f"{folder}/", place)) from error
+
+
+class _SeatMonitor:
+    """The monitor of the learner of one agent. The monitor of the training counts the steps of all agents."""
+
+    def __init__(self, defines_success: bool) -> None:
+        self.defines_success = defines_success
+        statistics = SimpleNamespace(mean_return=None, success_rate=None)
+        self.active = SimpleNamespace(statistics=statistics)
+
+    def on_step(self) -> bool:
+        return True
+
+    def on_collected(self) -> None:
+        """The training counts fragments of all agents."""
+
+    def on_end(self) -> None:
+        """The training ends for all agents."""

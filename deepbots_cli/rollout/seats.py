@@ -1,0 +1,184 @@
+"""The experience of each of several agents in the same worlds.
+
+The worlds of several agents are stepped by one collector, with the actions of all agents in a row. A
+`SeatCollector` has the part of one agent in the last fragment, so that its learner learns from it as from a
+world of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli.program.members import Member
+from deepbots_cli.rollout.collector import (
+    Collector,
+    CollectTimes,
+    Decision,
+    FetchingCollector,
+    Fragment,
+    Lesson,
+    PolicyActor,
+)
+from deepbots_cli.rollout.episode import Episode
+from deepbots_cli.rollout.worlds import Array, Ending, WorldsStep
+from deepbots_cli.runtime.agents import Place
+
+_SEPARATOR = "/"
+"""Between the name of an agent and a name of its own, in names of columns, weights and memories."""
+
+
+def own_name(agent: str, name: str) -> str:
+    """Return a name of an agent among those of all agents."""
+    return f"{agent}{_SEPARATOR}{name}"
+
+
+def own_entries(of_all: Mapping[str, Any], agent: str) -> dict[str, Any]:
+    """Return the entries of an agent under their own names."""
+    prefix = own_name(agent, "")
+    return {name.removeprefix(prefix): value for name, value in of_all.items() if name.startswith(prefix)}
+
+
+def own_episode(member: Member, episode: Episode) -> Episode:
+    """Return an episode as it was for an agent: its return, its reward terms, and whether it succeeded."""
+    terms = {name: episode.terms[joint] for name, joint in member.terms.items() if joint in episode.terms}
+    return replace(
+        episode,
+        total_return=sum(terms.values()),
+        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
+        terms=terms,
+    )
+
+
+class SeatCollector(FetchingCollector):
+    """The part of one agent in the fragments of all agents.
+
+    Args:
+        place: Its place among the agents.
+        of_all: The collector of the worlds.
+    """
+
+    def __init__(self, place: Place, of_all: Collector) -> None:
+        self._place, self._of_all = place, of_all
+        self.rows, self.times, self.stale = of_all.rows, CollectTimes(), {}
+        self.observation_space, self.action_space = place.observation_space, place.action_space
+        self.agents = (object(),)
+        self._fragment: Fragment | None = None
+
+    @property
+    def starts(self) -> Array:
+        """Whether an episode begins with the observations on which the agent acts next."""
+        starts: Array = self._of_all.starts  # type: ignore[attr-defined]  # every collector has them
+        return starts
+
+    def begin(self) -> Any:
+        return self._place.observation(self._of_all.begin())  # type: ignore[attr-defined]  # as `starts`
+
+    def offer(self, of_all: Fragment) -> None:
+        """Take the part of the agent in a fragment of all agents, which `fetch` then returns."""
+        place, name = self._place, self._place.member.name
+        self._fragment = replace(
+            of_all,
+            observations=place.observation(of_all.observations),
+            actions=place.actions(of_all.actions),
+            rewards=of_all.agent_rewards[name],
+            columns=own_entries(of_all.columns, name),
+            following=place.observation(of_all.following),
+            endings=[(number, self._own(ending)) for number, ending in of_all.endings],
+            agent_rewards={},
+        )
+
+    def fetch(
+        self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
+    ) -> Fragment:
+        fragment = self._fragment
+        if fragment is None or len(fragment.rewards) != steps:
+            raise RuntimeError("an agent learns from the last fragment of all agents")
+        self._replay = self._steps(fragment)
+        return fragment
+
+    def _own(self, ending: Ending) -> Ending:
+        return ending._replace(
+            episode=own_episode(self._place.member, ending.episode),
+            observation=self._place.observation(ending.observation),
+        )
+
+    def _steps(self, fragment: Fragment) -> Iterator[WorldsStep]:
+        endings: dict[int, list[Ending]] = {}
+        for number, ending in fragment.endings:
+            endings.setdefault(number, []).append(ending)
+        observations = fragment.observations
+        for number, rewards in enumerate(fragment.rewards):
+            is_last = number + 1 == len(fragment.rewards)
+            if is_last:
+                following = fragment.following
+            elif isinstance(observations, dict):
+                following = {key: part[number + 1] for key, part in observations.items()}
+            else:
+                following = observations[number + 1]
+            dones = fragment.following_starts if is_last else fragment.starts[number + 1]
+            yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
+
+
+class JointActor:
+    """Acts for several agents in the same worlds, each with its own actor.
+
+    Args:
+        places: The place of each agent, by name.
+        actors: The actor of each agent.
+        masked: The agents whose actors take masks of the allowed options.
+    """
+
+    def __init__(
+        self, places: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
+    ) -> None:
+        self._places, self._actors, self._masked = places, actors, masked
+
+    def begin(self) -> None:
+        for actor in self._actors.values():
+            actor.begin()
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        decisions = {
+            name: actor(
+                self._places[name].observation(observations),
+                starts,
+                masks[:, self._places[name].masks] if masks is not None and name in self._masked else None,
+            )
+            for name, actor in self._actors.items()
+        }
+        columns = {
+            own_name(name, column): array
+            for name, decision in decisions.items()
+            for column, array in decision.columns.items()
+        }
+        return Decision(joined_actions([decision.actions for decision in decisions.values()]), columns)
+
+    def parameters(self) -> Mapping[str, Any]:
+        return self._of_all(lambda actor: actor.parameters())
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        for name, actor in self._actors.items():
+            actor.load(own_entries(parameters, name))
+
+    def memory(self) -> Mapping[str, Array]:
+        return self._of_all(lambda actor: actor.memory())
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        for name, actor in self._actors.items():
+            actor.remember(own_entries(memory, name))
+
+    def _of_all(self, entries: Any) -> dict[str, Any]:
+        return {
+            own_name(name, key): value
+            for name, actor in self._actors.items()
+            for key, value in entries(actor).items()
+        }
+
+
+def joined_actions(actions: Sequence[Array]) -> Array:
+    """Return the actions of all agents in a row, given those of each, of shape (rows, ...)."""
+    return np.concatenate([part.reshape(len(part), -1) for part in actions], axis=1)
