@@ -36,8 +36,10 @@ if TYPE_CHECKING:
 
     from deepbots_cli.port import Engine
     from deepbots_cli.program import Program
+    from deepbots_cli.program.members import Others
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
+    from deepbots_cli.runtime.agents import Policy
     from deepbots_cli.runtime.batch import BatchSupervisor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
@@ -350,6 +352,14 @@ class Builder:
         return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
 
+def _policy_of(others: Others, agent: str) -> Policy:
+    """Return the policy that acts for an agent beside the one that is trained."""
+    from deepbots_cli.plugins import import_attribute
+
+    policy: Policy = import_attribute("deepbots_cli.learning.rivals:load_rival")(others, agent)
+    return policy
+
+
 def build(
     program: Program,
     *,
@@ -396,11 +406,10 @@ def build(
             wrap=wrap,
         )
         builder = Builder(program, permissions, fixed)
+        rebuild = partial(builder, engine=engine, render_mode=render_mode)
+        policies = {name: _policy_of(program.others, name) for name in program.others.models}
         # It has the interface of a supervisor, for one agent.
-        return cast(
-            "Supervisor",
-            AgentEnvironment(world, program, partial(builder, engine=engine, render_mode=render_mode)),
-        )
+        return cast("Supervisor", AgentEnvironment(world, program, rebuild, policies))
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import json
+import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
@@ -371,7 +374,7 @@ def _command(name: str) -> Any:
 
 
 _WITH_ROLES = frozenset(
-    {"bench", "compile", "inspect", "lint", "play", "render", "test", "train", "try", "view"}
+    {"bench", "compile", "eval", "inspect", "lint", "play", "render", "test", "train", "try", "view"}
 )
 """The commands of a scenario, of which one of several agents may be named."""
 Role = Annotated[
@@ -386,7 +389,8 @@ Against = Annotated[
     list[str] | None,
     option(
         "--against AGENT=DRIVER",
-        "With --agent: who acts for another agent, a script of it, `random` or `zero`; may be repeated.",
+        "With --agent: who acts for another agent, a script of it, `random`, `zero`, or the policy of a run"
+        " by its path; may be repeated.",
         SCENARIO,
     ),
 ]
@@ -398,14 +402,24 @@ def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def call(*, agent: Role, against: Against, **given: Any) -> None:
+        from deepbots_cli.compiler.agents import is_model
+
         others: list[str] = []
+        folders: list[Path] = []
         for word in against or ():
             other, equals, driver = word.partition("=")
             if agent is None or not equals:
                 raise typer.BadParameter(
                     f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
                 )
-            others.append(f"{other.strip()}: {driver.strip()}")
+            driver = driver.strip()
+            if is_model(driver):
+                driver = os.path.abspath(driver)
+                folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
+            others.append(f"{other.strip()}: {json.dumps(driver)}")
+        if folders and "permissions" in given:
+            allowed = given["permissions"]
+            given["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
         role = f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"  # in place of one in the file
         settings = [role] if agent is not None else []
         command(**given | {"overrides": [*(given["overrides"] or ()), *settings] or None})

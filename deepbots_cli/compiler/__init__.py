@@ -30,11 +30,13 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from deepbots_cli.compiler.agents import (
+    ROLE,
     among_others,
     divide,
     has_several_agents,
     joined_findings,
     joined_program,
+    models_of_others,
     played_agent,
     report_role_alone,
     report_unsupported,
@@ -192,9 +194,11 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
     played = played_agent(document)
-    if program is not None and played is not None:
-        program = among_others(document, program, played)
     shown = agents[played] if played in agents else next(iter(agents.values()))
+    if program is not None and played is not None and shown.namespace is not None:
+        models = models_of_others(document)
+        shown.namespace.files.update({(ROLE, "others", name): file for name, file in models.items()})
+        program = among_others(document, program, played, models)
     return CheckedScenario(
         with_sections(document, {name: checked.document for name, checked in agents.items()}),
         document.findings,

@@ -8,13 +8,15 @@ places in the file. `joint.py` joins the programs.
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from deepbots_cli.compiler.joint import joint_program
 from deepbots_cli.diagnostics import Findings, Label, Span
-from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode
+from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import names_in
@@ -27,11 +29,16 @@ from deepbots_cli.scenario.validate import validate
 AGENTS, ENDINGS, ROLE, TRAIN = "agents", "endings", "role", "train"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
-_SIGNALS = "signals"
-_KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {"like", "robots", "frame_stack", _SIGNALS}
+_SIGNALS, _LIKE = "signals", "like"
+_OWN_OF_MIRROR = frozenset({_LIKE, "robots", "scripts", "solved", TRAIN})
+"""The keys that an agent which mirrors another one exactly may have."""
+_KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {_LIKE, "robots", "frame_stack", _SIGNALS}
 _NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
 _REQUIRED = ("action", "observation", "reward")
 _ALL = "all"
+_MODEL_SUFFIX = ".zip"
+BEST_MODEL = "models/agent/best.zip"
+"""The best model in the folder of a run."""
 
 
 def has_several_agents(document: Document) -> bool:
@@ -40,11 +47,13 @@ def has_several_agents(document: Document) -> bool:
 
 @dataclass(frozen=True)
 class AgentDocuments:
-    """The scenario of each agent, the agent that drives each robot, and the section of each agent."""
+    """The scenario of each agent, the agent that drives each robot, the section of each agent, and the agent
+    that one mirrors exactly."""
 
     documents: Mapping[str, Document]
     drivers: Mapping[str, str]
     sections: Mapping[str, AgentOfSeveral]
+    mirrors: Mapping[str, str]
 
 
 def divide(document: Document) -> AgentDocuments | None:
@@ -73,7 +82,20 @@ def divide(document: Document) -> AgentDocuments | None:
         )
         for name in sections
     }
-    return None if document.findings.errors else AgentDocuments(documents, drivers, sections)
+    return (
+        None
+        if document.findings.errors
+        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)))
+    )
+
+
+def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
+    """Yield each agent that mirrors another one exactly, and this agent."""
+    for name, entry in entries_at(document.root, AGENTS).items():
+        section = entry.value
+        like = section.get(_LIKE) if isinstance(section, MappingNode) else None
+        if isinstance(like, ScalarNode) and section.entries.keys() <= _OWN_OF_MIRROR:  # type: ignore[union-attr]
+            yield name, like.text
 
 
 def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str, AgentOfSeveral] | None:
@@ -180,7 +202,7 @@ class _Mirrors:
         section = self._written[name].value
         if name in self._resolved or name in self._reported or not isinstance(section, MappingNode):
             return self._resolved.get(name)
-        like = section.get("like")
+        like = section.get(_LIKE)
         if not isinstance(like, ScalarNode):
             self._resolved[name] = section
             return section
@@ -203,7 +225,7 @@ class _Mirrors:
             return None
         swap = Swap(self._pairs(name, section, like.text, model))
         mirrored = swap.mapping(model)
-        own = {key: entry for key, entry in section.entries.items() if key != "like"}
+        own = {key: entry for key, entry in section.entries.items() if key != _LIKE}
         self._resolved[name] = replace(mirrored, span=section.span, entries={**mirrored.entries, **own})
         return self._resolved[name]
 
@@ -450,7 +472,7 @@ def joined_findings(findings: Findings, of_agents: Iterable[Findings]) -> None:
 
 def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
     """Return the program of all agents."""
-    return joint_program(programs, divided.sections, divided.drivers)
+    return joint_program(programs, divided.sections, divided.drivers, divided.mirrors)
 
 
 def with_sections(document: Document, documents: Mapping[str, Document]) -> Document:
@@ -488,8 +510,38 @@ def played_agent(document: Document) -> str | None:
     return node.text if isinstance(node, ScalarNode) else None
 
 
-def among_others(document: Document, world: Program, agent: str) -> Program | None:
-    """Return the program of one agent, beside which the others act by themselves; None after a finding."""
+def is_model(driver: str) -> bool:
+    """Return whether a driver is the path of a run or of a model, and not a name."""
+    return "/" in driver or driver.endswith(_MODEL_SUFFIX)
+
+
+def models_of_others(document: Document) -> dict[str, Path]:
+    """Return the files of the models that act for other agents, as far as they exist; report the others."""
+    models: dict[str, Path] = {}
+    for name, entry in entries_at(document.root, ROLE, "others").items():
+        if isinstance(entry.value, ScalarNode) and is_model(entry.value.text):
+            text = entry.value.text
+            reference = text if text.endswith(_MODEL_SUFFIX) else f"{text}/{BEST_MODEL}"
+            place = entry.value.span
+            located = files.resolve_reference(reference, document.directory_of(place), document.roots)
+            if isinstance(located, Path):
+                models[name] = located
+            else:
+                document.findings.add("DB204", place, located.headline, located.help, notes=located.notes)
+    return models
+
+
+def among_others(
+    document: Document, world: Program, agent: str, models: Mapping[str, Path]
+) -> Program | None:
+    """Return the program of one agent, beside which the others act by themselves; None after a finding.
+
+    Args:
+        document: The scenario.
+        world: The program of all agents.
+        agent: The agent.
+        models: The files of models that act for other agents.
+    """
     findings, names = document.findings, list(world.members)
     written = node_at(document.root, ROLE, "agent")
     if agent not in world.members:
@@ -506,26 +558,32 @@ def among_others(document: Document, world: Program, agent: str) -> Program | No
             _report_unknown(findings, entry.key, name, "other agent", list(drivers))
         elif isinstance(entry.value, ScalarNode):
             scripts = [script.name for script in world.members[name].program.agent.scripts]
+            if is_model(entry.value.text):
+                if name in models:
+                    drivers[name] = f"model {hashlib.sha256(models[name].read_bytes()).hexdigest()}"
+                continue
             if entry.value.text not in (*scripts, RANDOM, ZERO):
                 _report_unknown(
                     findings, entry.value, entry.value.text, f"driver of `{name}`", [*scripts, RANDOM, ZERO]
                 )
             drivers[name] = entry.value.text
-    return None if findings.errors else _with_others(world, agent, drivers)
+    return None if findings.errors else _with_others(world, agent, drivers, models)
 
 
-def _with_others(world: Program, agent: str, drivers: Mapping[str, str]) -> Program:
+def _with_others(
+    world: Program, agent: str, drivers: Mapping[str, str], models: Mapping[str, Path]
+) -> Program:
     """Return the program of an agent with the others, in each case and stage too."""
     program = world.members[agent].program
     return replace(
         program,
-        others=Others(world, agent, drivers),
+        others=Others(world, agent, drivers, models),
         cases=tuple(
-            replace(case, program=_with_others(world.case(case.name).program, agent, drivers))
+            replace(case, program=_with_others(world.case(case.name).program, agent, drivers, models))
             for case in program.cases
         ),
         curriculum=tuple(
-            replace(stage, program=_with_others(world.stage(stage.name).program, agent, drivers))
+            replace(stage, program=_with_others(world.stage(stage.name).program, agent, drivers, models))
             for stage in program.curriculum
         ),
     )

@@ -38,7 +38,10 @@ Named = TypeVar("Named", Robot, RobotBody)
 
 
 def joint_program(
-    programs: Mapping[str, Program], specs: Mapping[str, AgentOfSeveral], drivers: Mapping[str, str]
+    programs: Mapping[str, Program],
+    specs: Mapping[str, AgentOfSeveral],
+    drivers: Mapping[str, str],
+    mirrors: Mapping[str, str],
 ) -> Program:
     """Return the program of all agents.
 
@@ -46,20 +49,24 @@ def joint_program(
         programs: The program of each agent, by its name.
         specs: The sections of the agents.
         drivers: The agent that drives each robot; robots without one are the same in all programs.
+        mirrors: The agent that another one mirrors exactly.
     """
     first = next(iter(programs.values()))
 
     def of_all(case: str | None, stage: str | None) -> Program:
         """Return the program of all agents in a case or a stage."""
         variants = {name: program.variant(case, stage) for name, program in programs.items()}
-        return joint_program(variants, specs, drivers)
+        return joint_program(variants, specs, drivers, mirrors)
 
     action = {
         name: [_action_part(name, part) for part in program.agent.action]
         for name, program in programs.items()
     }
     together = iter(action_names([*chain.from_iterable(action.values())]))
-    names = {name: _joint_names(name, program, specs[name], together) for name, program in programs.items()}
+    names = {
+        name: _joint_names(name, program, specs[name], together, mirrors.get(name))
+        for name, program in programs.items()
+    }
     renamings = {name: Renaming(program, names[name]) for name, program in programs.items()}
     agents = {name: renamings[name].agent(action[name]) for name in programs}
     joint = _joint_agent(agents)
@@ -142,9 +149,13 @@ def _joint_training(trainings: Mapping[str, Training | None]) -> Training | None
     )
 
 
-def _joint_names(agent: str, program: Program, spec: AgentOfSeveral, together: Iterator[str]) -> JointNames:
-    """Return the names of an agent; `together` yields the names of the numbers of the last action of all
-    agents, from those of this agent on."""
+def _joint_names(
+    agent: str, program: Program, spec: AgentOfSeveral, together: Iterator[str], mirrors: str | None
+) -> JointNames:
+    """Return the names of an agent, which `mirrors` another one exactly.
+
+    `together` yields the names of the numbers of the last action of all agents, from those of this agent on.
+    """
     augmented = spec.augment if isinstance(spec.augment, Mapping) else {}
     signals = frozenset({*augmented, *spec.signals})
     variables = {name for part in program.agent.action for name in part.variables}
@@ -153,6 +164,7 @@ def _joint_names(agent: str, program: Program, spec: AgentOfSeveral, together: I
         signals,
         {name: joint_name(agent, name) for name in sorted(variables | signals)},
         {name: next(together) for name in action_names(program.agent.action)},
+        mirrors,
     )
 
 

@@ -26,6 +26,9 @@ decline.py               whether the last evaluations of a training are worse th
 environments.py          the creation of worlds: one by one, or as a batch
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 teacher.py               a script or a recording as teacher: when the policy imitates it, and how much
+joint.py                 the learner of several agents: one for each of them
+rivals.py                policies that act for other agents
+matches.py               policies and scripts of two agents against each other
 policy_teacher.py        a policy of another run as teacher
 demonstrations.py        the episodes of a recording, run again to teach
 scaling.py               the speed of a training with several numbers of shards
@@ -70,6 +73,7 @@ if TYPE_CHECKING:
         evaluate_trained,
     )
     from deepbots_cli.learning.group import resume_group, train_group
+    from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.records import TrainingResult
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
@@ -85,6 +89,7 @@ _MODULES = {
         "evaluate_trained",
     ),
     "group": ("resume_group", "train_group"),
+    "matches": ("MatchTable", "play_matches"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "records": ("TrainingResult",),
@@ -95,6 +100,7 @@ __all__ = [
     "Comparison",
     "EvaluationResult",
     "GroupResult",
+    "MatchTable",
     "Policy",
     "Robustness",
     "TrainingResult",
@@ -107,6 +113,7 @@ __all__ = [
     "evaluate_robustness",
     "evaluate_trained",
     "load_policy",
+    "play_matches",
     "resume",
     "resume_group",
     "train",

@@ -30,6 +30,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.records import Evaluation, in_parentheses, remark_on_episodes
+from deepbots_cli.learning.rivals import model_of
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import ALPHA, UNBOUNDED
@@ -367,7 +368,12 @@ def load_model(run: Run, name: ModelName, world: gym.Env[Any, Any] | None = None
         player = next(iter(world.get_wrapper_attr("agents").values())) if has_copies(world) else world
         spaces = player.observation_space, player.action_space
     loaded = learner.create(Setup(training, *spaces, policy_columns=columns, program=run.program))
-    loaded.load(run.model(name))
+    others = run.program.others
+    if others is None:
+        loaded.load(run.model(name))
+        return loaded
+    with model_of(run.model(name), others.agent) as file:
+        loaded.load(file)
     return loaded
 
 
@@ -395,6 +401,8 @@ class _Setting:
         self.run = run = run if isinstance(run, Run) else Run.open(run)
         self.judged = None if scenario is None else api.compile(scenario)
         program = (self.judged or run).program
+        if program.others is not None and run.program.members:
+            self.run = run = run.of_agent(program.others.agent)
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
             raise RunError(

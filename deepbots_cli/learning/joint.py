@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,7 +38,8 @@ if TYPE_CHECKING:
 
 _SHARED = ("total_timesteps", "environments", "shards", "device", "staleness")
 """The settings that agents that learn in the same worlds have in common."""
-_MAX_DATA_BYTES = 1_000_000
+_DATA = "data"
+_MAX_DATA_BYTES = 8_000_000
 
 
 class JointState(CheckpointState):
@@ -229,7 +231,7 @@ class JointLearner(Learner):
             zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive,
         ):
             data = {"num_timesteps": self.steps, "agents": [*self.learners]}
-            archive.writestr("data", json.dumps(data))
+            archive.writestr(_DATA, json.dumps(data))
             for name, own in self.learners.items():
                 own.save(Path(folder) / _member(name))
                 archive.write(Path(folder) / _member(name), _member(name))
@@ -302,38 +304,46 @@ def _member(agent: str) -> str:
     return f"{agent}.zip"
 
 
-class own_model:  # noqa: N801  # used as a function
+def has_agents(path: Path) -> bool:
+    """Return whether a file is a model of several agents.
+
+    Raises:
+        RunError: The file is no model.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(_DATA) as member:
+            return "agents" in json.loads(member.read(_MAX_DATA_BYTES))
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        raise RunError(f"{path} is damaged, or was not written by deepbots") from error
+
+
+@contextmanager
+def own_model(path: Path, agent: str) -> Iterator[Path]:
     """Context with the file of the model of one agent, from that of all agents.
 
     Raises:
-        RunError: The file is missing, damaged, or no model of several agents.
+        RunError: The file is missing, damaged, or has no model of the agent.
     """
-
-    def __init__(self, path: Path, agent: str) -> None:
-        self._path, self._agent = path, agent
-
-    def __enter__(self) -> Path:
-        self._folder = tempfile.TemporaryDirectory()
-        target = Path(self._folder.name) / _member(self._agent)
+    if not path.is_file():
+        raise RunError(f"{path} is missing")
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / _member(agent)
         try:
-            with zipfile.ZipFile(self._path) as archive:
-                entry = archive.getinfo(_member(self._agent))
+            with zipfile.ZipFile(path) as archive:
+                entry = archive.getinfo(_member(agent))
+                # What is not compressed takes no more room than the file.
                 if entry.compress_type != zipfile.ZIP_STORED:
                     raise zipfile.BadZipFile
                 target.write_bytes(archive.read(entry))
         except (OSError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile) as error:
-            self._folder.cleanup()
-            if not self._path.is_file():
-                raise RunError(f"{self._path} is missing") from error
-            raise RunError(f"{self._path} has no model of the agent '{self._agent}'") from error
-        return target
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        folder = self._folder.name
-        self._folder.cleanup()
-        if isinstance(error, RunError):
-            place = f"{self._path}, "
-            raise RunError(str(error).replace(f"{folder}/", place)) from error
+            raise RunError(f"{path} has no model of the agent '{agent}'") from error
+        try:
+            yield target
+        except RunError as error:
+            renamed = RunError(str(error).replace(f"{folder}/", f"{path}, "))
+            for note in getattr(error, "__notes__", ()):
+                renamed.add_note(note)
+            raise renamed from error
 
 
 class _SeatMonitor:

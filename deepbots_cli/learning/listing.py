@@ -124,6 +124,8 @@ def _listed_run(path: Path) -> ListedRun:
         (steps, episodes) = (0, 0)
     if evaluation is not None:
         mean = evaluation.mean_return
+        if evaluation.agents and not evaluation.success_defined:
+            mean = None  # the returns of agents that compete have no common meaning
         success = evaluation.success_rate if evaluation.success_defined else None
     elif recent:
         mean, success = fmean(total for _, _, total, _ in recent), fmean(won for *_, won in recent)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.evaluation import load_model
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.shards import random_numbers_kept
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.observing import Observer
@@ -163,12 +162,8 @@ def loaded(run: Run, model: ModelName) -> Learner:
     Raises:
         RunError: There is no such model, or it is damaged.
     """
-    python, legacy = random.getstate(), np.random.get_state()
-    with torch.random.fork_rng():  # a library may seed the global generators when it makes a model
-        learner = load_model(run, model)
-    random.setstate(python)
-    np.random.set_state(legacy)
-    return learner
+    with random_numbers_kept():  # a library may seed the global generators when it makes a model
+        return load_model(run, model)
 
 
 def _values(part: Choices | ActionRange) -> list[ActionValue]:

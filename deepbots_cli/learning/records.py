@@ -334,19 +334,35 @@ class EvaluationRecord(Evaluation, frozen=True):
     @property
     def text(self) -> str:
         """Mean return and success rate with their intervals, and the circumstances."""
-        text = f"mean return {self.mean_return:.4g}"
-        if self.return_interval is not None:
-            equal = "; all returns are equal" * (self.std_return == 0)
-            text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*self.return_interval)
-        if self.success_rate is not None and self.success_interval is not None:
-            text += f", success rate {self.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
-                *self.success_interval
-            )
+        scores = [f"{name} {_scores_text(own)}" for name, own in self.agents.items()] or [_scores_text(self)]
         of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
         return (
-            f"{text}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f"{'; '.join(scores)}, over {self.episodes:,} held-out episodes{of}, from seed"
             f" {self.seed}{in_parentheses(self.remarks)}"
         )
+
+    def of_agent(self, agent: str) -> Self:
+        """Return the evaluation as it was for one of several agents."""
+        own = self.agents.get(agent)
+        if own is None:
+            return self
+        scores = {name: getattr(own, name) for name in Scores.model_fields}
+        defines_success = own.success_rate is not None
+        return self.model_copy(
+            update={**scores, "agents": {}, "agent": agent, "success_defined": defines_success}
+        )
+
+
+def _scores_text(scores: Scores) -> str:
+    text = f"mean return {scores.mean_return:.4g}"
+    if scores.return_interval is not None:
+        equal = "; all returns are equal" * (scores.std_return == 0)
+        text += f" (95 % interval {{:.4g}} .. {{:.4g}}{equal})".format(*scores.return_interval)
+    if scores.success_rate is not None and scores.success_interval is not None:
+        text += f", success rate {scores.success_rate:.1%} (95 % interval {{:.1%}} .. {{:.1%}})".format(
+            *scores.success_interval
+        )
+    return text
 
 
 class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False):

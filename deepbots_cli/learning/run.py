@@ -84,6 +84,24 @@ class Run:
     def digest(self) -> str:
         return self.compiled.digest
 
+    @property
+    def resolved(self) -> str:
+        """The scenario as its file in the run, with the agent that it is about."""
+        text = (self.path / RESOLVED_NAME).read_text(encoding="utf-8")
+        others, role = self.program.others, "\nrole:"
+        return (
+            text if others is None or role in text else f"{text.rstrip()}{role} {{agent: {others.agent}}}\n"
+        )
+
+    def of_agent(self, agent: str) -> Run:
+        """Return the run of all agents as that of one of them, beside which the others act by their first
+        scripts."""
+        source = Source.kept(self.path)
+        compiled = api.compile(source, overrides=[f"role={{agent: {agent}}}"])
+        is_changed = self.digest != self.record.digest
+        record = self.record if is_changed else self.record.model_copy(update={"digest": compiled.digest})
+        return Run(self.path, record, compiled)
+
     def model(self, name: ModelName, agent: str = ONLY_AGENT) -> Path:
         return self.path / MODELS_FOLDER / agent / f"{name}.zip"
 

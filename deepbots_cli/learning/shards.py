@@ -206,7 +206,7 @@ class Shard:
         self._collector = LocalCollector(worlds)
         if self._policy is None:
             self._action_space = worlds.action_space
-            with _random_numbers_kept():
+            with random_numbers_kept():
                 self._policy = self._make_policy(worlds)
         return self._collector.repeat([episode.history for episode in episodes])
 
@@ -234,7 +234,7 @@ class Shard:
         self._notes.clear()
         actor.load(order.parameters)
         actor.remember(memory)
-        with _random_numbers_kept():
+        with random_numbers_kept():
             self._seed(derive_seed(self._run.record.seed, "shard", self._number, order.begun))
             actor.begin()
             fragment = self._collector.collect(
@@ -256,7 +256,7 @@ class Shard:
         policy = self._begun()
         policy.actor().load(order.parameters)
         numbers = range(self._number, len(order.seeds), self._training.shards)
-        with _random_numbers_kept():
+        with random_numbers_kept():
             self._evaluation.enter(self._run.program.variant(None, order.stage), stage=order.stage)
             played = self._evaluation.play(policy, order.seeds, numbers)
         return Evaluated(dict(zip(numbers, played, strict=True)))
@@ -286,7 +286,7 @@ class Shard:
 
 
 @contextmanager
-def _random_numbers_kept() -> Iterator[None]:
+def random_numbers_kept() -> Iterator[None]:
     """Context after which the generators of this process continue as if nothing had been drawn in it."""
     states = torch.get_rng_state(), np.random.get_state(), random.getstate()
     try:

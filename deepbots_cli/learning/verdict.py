@@ -108,6 +108,13 @@ class RunVerdict:
     confirmed_after: int | None = None
     """The steps after which a confirmation showed that the task is solved."""
 
+    def of_agent(self, agent: str) -> RunVerdict:
+        """Return the verdict about one of several agents of the run; of a run of this agent alone, itself."""
+        evaluation = self.evaluation
+        if evaluation is None or not evaluation.agents:
+            return self
+        return RunVerdict(None, evaluation.of_agent(agent))
+
     @property
     def solved_after(self) -> int | None:
         """The steps of `confirmed_after` of a run that is solved. A later evaluation with more episodes may

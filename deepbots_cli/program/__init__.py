@@ -128,6 +128,18 @@ class Program:
         """Whether several agents act that have no success in common."""
         return bool(self.members) and not self.defines_success
 
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether there are two agents, one of which mirrors the other, and each has as many successes and
+        failures as the other."""
+        if len(self.members) != 2:
+            return False
+        one, two = self.members.values()
+        outcomes = [
+            (len(each.program.agent.success), len(each.program.failures)) for each in self.members.values()
+        ]
+        return two.names.mirrors == one.name and outcomes[0] == outcomes[1]
+
     def with_agents(self, **changes: Any) -> Program:
         """Return the program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})

@@ -9,7 +9,8 @@ agents have no controllers.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.expressions.scalar import Name, Scalar, renamed
@@ -43,12 +44,14 @@ class JointNames:
         signals: Its own signals; signals of the file are the same for all agents.
         names: Names of its action variables and its own signals, and what they are called there.
         previous: The names of the numbers of its last action, and what they are called there.
+        mirrors: The agent that it mirrors.
     """
 
     agent: str
     signals: frozenset[str]
     names: Mapping[str, str]
     previous: Mapping[str, str]
+    mirrors: str | None = None
 
     def scalars(self, scalars: Iterable[Scalar]) -> tuple[Scalar, ...]:
         return tuple(renamed(scalar, self._name, self._slot) for scalar in scalars)
@@ -133,12 +136,15 @@ class Others:
     Attributes:
         world: The program of all agents.
         agent: The name of the agent that the program is about.
-        drivers: Who acts for each other agent: the name of one of its scripts, `random` or `zero`.
+        drivers: Who acts for each other agent: the name of one of its scripts, `random` or `zero`, or the
+            digest of a model.
+        models: The files of the models that act for other agents.
     """
 
     world: Program
     agent: str
     drivers: Mapping[str, str]
+    models: Mapping[str, Path] = field(default_factory=dict)
 
     def digest_fields(self) -> dict[str, object]:
         return {"world": self.world, "agent": self.agent, "drivers": tuple(sorted(self.drivers.items()))}

@@ -7,7 +7,8 @@ One generated supervisor steps the world. Its action and its observation are tho
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +20,7 @@ from deepbots_cli.program.members import RANDOM, ZERO, Member, joint_name
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.spaces import (
     action_space,
+    by_part,
     canonical_action,
     compose_action,
     mask_of_space,
@@ -168,10 +170,18 @@ class AgentEnvironment(gym.Env[Any, Any]):
     Attributes:
         supervisor: The supervisor of the world.
         scenario: The program of the agent.
+
+    Args:
+        rebuild: Makes a copy of the environment in another process.
+        policies: The policies that act for other agents, by the name of the agent.
     """
 
     def __init__(
-        self, supervisor: Supervisor, scenario: Program, rebuild: Callable[[], Any] | None = None
+        self,
+        supervisor: Supervisor,
+        scenario: Program,
+        rebuild: Callable[[], Any] | None = None,
+        policies: Mapping[str, Policy] = MappingProxyType({}),
     ) -> None:
         others = scenario.others
         assert others is not None
@@ -179,8 +189,10 @@ class AgentEnvironment(gym.Env[Any, Any]):
         self._seats = seats_of(supervisor)
         self._own = others.agent
         self.seat = self._seats[others.agent]
-        self._acts = {
-            name: driven(supervisor, self._seats[name], driver) for name, driver in others.drivers.items()
+        self._policies = {name: PolicyAct(policy, self._seats[name]) for name, policy in policies.items()}
+        self._acts: dict[str, Act] = {
+            name: self._policies.get(name) or driven(supervisor, self._seats[name], driver)
+            for name, driver in others.drivers.items()
         }
         self.agent = scenario.agent
         self.agents = {self.agent.name: self}
@@ -194,6 +206,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """See `Supervisor.reset`."""
         self._observed, info = self.supervisor.reset(seed=seed, options=options)
+        for act in self._policies.values():
+            act.begin()
         if seed is not None:
             self.action_space.seed(seed)
         self._result = 0.0, self.seat.info(info)
@@ -261,6 +275,41 @@ class AgentEnvironment(gym.Env[Any, Any]):
         if self.rebuild is None:
             raise UsageError("this environment was built by hand and cannot be copied to another process")
         return self.rebuild, ()
+
+
+class Policy(Protocol):
+    """A policy that acts for an agent; see `learning.learner.Learner.predict`."""
+
+    takes_masks: bool
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
+        action_masks: Any = None,
+    ) -> tuple[Any, Any]: ...
+
+
+class PolicyAct:
+    """Acts for an agent with a policy, which takes its most likely action."""
+
+    def __init__(self, policy: Policy, seat: Seat) -> None:
+        self._policy, self._seat = policy, seat
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin an episode: a recurrent policy forgets the previous one."""
+        self._memory: Any = None
+        self._starts = np.ones(1, bool)
+
+    def __call__(self, observation: Any) -> Any:
+        masks = self._seat.action_mask()[None] if self._policy.takes_masks else None
+        rows = by_part(lambda part: part[None], observation)
+        actions, self._memory = self._policy.predict(rows, self._memory, self._starts, True, masks)
+        self._starts = np.zeros(1, bool)
+        return actions[0]
 
 
 def driven(world: Supervisor, seat: Seat, driver: str) -> Act:

@@ -196,5 +196,6 @@ class Role(Section):
     agent: AgentName
     """The agent that is trained and evaluated; `--agent` sets it."""
     others: dict[AgentName, Annotated[str, Reference("driver")]] = {}
-    """Who acts for each other agent: one of its scripts, `random`, or `zero`. `--against` sets it. Default:
-    the first script of the agent, else `random`."""
+    """Who acts for each other agent: one of its scripts, `random`, `zero`, or the policy of a run by the path
+    of the run or of one of its models. `--against` sets it. Default: the first script of the agent, else
+    `random`."""

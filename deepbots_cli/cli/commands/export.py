@@ -18,7 +18,7 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import check_new_folder, refuse_links_within
-from deepbots_cli.learning.run import ModelName, ModelRef
+from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -47,6 +47,10 @@ def command(
         option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED),
     ] = Form.bundle,
     force: Force = False,
+    agent: Annotated[
+        str | None,
+        option("--agent NAME", "Of several agents that a run trained, the one whose policy to export."),
+    ] = None,
     last: Annotated[
         bool, option("--last", "Export the last model instead of the best one.", ADVANCED)
     ] = False,
@@ -95,15 +99,15 @@ def command(
         check_new_folder(out, force=force)
         refuse_links_within(out)
     opened = Source.open(source, Permissions(), SourceKind.RUN, SourceKind.CHECKPOINT)
-    named = "" if opened.model is None else f"-{opened.model}"
+    named = ("" if agent is None else f"-{agent}") + ("" if opened.model is None else f"-{opened.model}")
     folder = out or Path(f"{opened.path.resolve().name}{named}-{to.value}")
     check_new_folder(folder, force=force)
     refuse_links_within(folder)
     ref = ModelRef.open(opened, model=model)
+    run = _run_of(ref.run, agent)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle
 
-        run = ref.run
         files = (
             bundle.bundle_files(run, ref.name, sign)
             if to is Form.bundle
@@ -115,6 +119,25 @@ def command(
         return
     write_new(files, folder, force=force)
     _show_bundle(folder, files, ref.name, source, as_json=as_json)
+
+
+def _run_of(run: Run, agent: str | None) -> Run:
+    """Return the run as that of the agent whose policy is exported.
+
+    Raises:
+        UsageError: The run trained several agents and none is named, or it trained one.
+    """
+    names = list(run.program.members)
+    if agent is None and not names:
+        return run
+    if agent in names:
+        return run.of_agent(agent)
+    if not names:
+        raise UsageError(f"{run.path} has the policy of one agent; leave out --agent")
+    raise UsageError(
+        f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export {run.path}"
+        f" --agent {names[0]}"
+    )
 
 
 def _show_bundle(

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.templates import render_template
@@ -86,7 +86,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         bundle.GRAPH_NAME: graph,
         bundle.PARITY_NAME: parity,
         bundle.README_NAME: readme.encode(),
-        bundle.SCENARIO_NAME: (run.path / RESOLVED_NAME).read_bytes(),
+        bundle.SCENARIO_NAME: run.resolved.encode(),
         **{f"{INPUTS_FOLDER}/{name}": (run.path / INPUTS_FOLDER / name).read_bytes() for name in robots},
     }
     info = msgspec.structs.replace(
@@ -133,6 +133,8 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
 
     program, record = run.program, run.record
     verdict = run_verdict(run.path, record) if name == "best" else RunVerdict(None, None)
+    if program.others is not None:
+        verdict = verdict.of_agent(program.others.agent)
     result = verdict.evaluation
     evaluation = None
     if result is not None:

@@ -99,7 +99,9 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
 def _as_exported(program: Program) -> Program:
     """Return the program without the noise that the supervisor adds, which a bundle leaves out. Rewards and
     endings in Python are removed too, because they are not needed."""
-    agent = program.agent
+    agent, others = program.agent, program.others
+    if others is not None:
+        program = replace(program, others=replace(others, world=_as_exported(others.world)))
     program = program.with_agents(
         observation=tuple(replace(entry, noise=None) for entry in agent.observation),
         goal=agent.goal and replace(agent.goal, achieved=replace(agent.goal.achieved, noise=None)),
@@ -116,13 +118,14 @@ def _as_exported(program: Program) -> Program:
 def _noted_observations(agent: Supervisor, watch: Watch) -> list[dict[str, Array]]:
     """Return a list that gets the inputs of each further timestep, after which the supervisor observes."""
     noted: list[dict[str, Array]] = []
-    observe = agent._observe  # type: ignore[attr-defined]
+    world: Any = getattr(agent, "supervisor", agent)  # that of several agents observes for all of them
+    observe = world._observe
 
     def observing(*action: Any) -> None:
         observe(*action)
         noted.append(watch.inputs())
 
-    agent._observe = observing  # type: ignore[attr-defined]
+    world._observe = observing
     return noted
 
 

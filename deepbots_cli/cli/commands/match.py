@@ -1,0 +1,119 @@
+"""`deepbots match`: policies and scripts of two agents against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli import engine_kinds, learning
+from deepbots_cli.cli import records, terminal
+from deepbots_cli.cli.command import ADVANCED, MAX_SEED, Json, integer, known_engine, option
+from deepbots_cli.cli.tables import table
+from deepbots_cli.learning.run import ModelRef
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.matches import Match, MatchTable
+
+
+def command(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RUN|MODEL",
+            help="Runs of a scenario with two agents, or models in them: of all agents, or of one.",
+        ),
+    ],
+    episodes: Annotated[
+        int | None,
+        integer("--episodes N", "Starts of each match; by default the episodes of the scenario."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        integer(
+            "--seed N",
+            "Root seed of the starts; by default the seed of the first training.",
+            0,
+            MAX_SEED,
+            group=ADVANCED,
+        ),
+    ] = None,
+    engine: Annotated[
+        str | None,
+        option(
+            "--engine NAME",
+            "Physics engine, by default that of the first training.",
+            ADVANCED,
+            callback=known_engine,
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Let policies and scripts of two agents play against each other."""
+    refs = [ModelRef.open(run) for run in runs]
+    with terminal.transient_line("loading the policies ..."):
+        play_matches = learning.play_matches
+    if engine is not None:
+        engine_kinds.chosen(engine)
+    with terminal.progress(always=False) as show:
+        result = play_matches(refs, episodes=episodes, seed=seed, engine=engine, on_episode=show)
+    terminal.show(result, *_lines(result), as_json=as_json)
+
+
+def _lines(result: MatchTable) -> Iterator[str]:
+    one, two = result.agents
+    starts = records.held_out(result.starts)
+    if result.is_symmetric:
+        measured = "share of decided episodes that the row wins against the column"
+        yield f"{result.scenario}: {measured}, on {starts} from seed {result.seed}, both sides of each"
+    else:
+        measured = "success rate" if result.success_defined else "mean return"
+        yield f"{result.scenario}: {measured} of {one} (rows) against {two} (columns)"
+        yield f"{starts} of each match, from seed {result.seed}"
+    cells = {(match.row, match.column): _cell(result, match) for match in result.matches}
+    if result.is_symmetric:
+        cells |= {(match.column, match.row): _cell(result, _swapped(match)) for match in result.matches}
+    head = "" if result.is_symmetric else one
+    yield table(
+        [
+            {head or "player": row, **{column: cells.get((row, column), "") for column in result.columns}}
+            for row in result.rows
+        ]
+    )
+    yield "in parentheses: intervals at 95 %"
+
+
+def _cell(result: MatchTable, match: Match) -> str:
+    """Return the measure of the row in a match, with its interval."""
+    if result.is_symmetric:
+        if match.win_rate is None:
+            return f"none of {match.episodes} decided"
+        undecided = match.episodes - (match.wins or 0) - (match.losses or 0)
+        text = _with_interval(match.win_rate, match.win_interval)
+        return f"{text}, {undecided} undecided" if undecided else text
+    scores = match.agents[result.agents[0]]
+    if scores.success_rate is not None:
+        return _with_interval(scores.success_rate, scores.success_interval)
+    interval = records.interval_text(scores.return_interval)
+    return f"{scores.mean_return:.4g}{f' ({interval})' if interval else ''}"
+
+
+def _with_interval(share: float, interval: tuple[float, float] | None) -> str:
+    return f"{share:.0%} ({records.interval_text(interval, '{:.0%}'.format)})"
+
+
+def _swapped(match: Match) -> Match:
+    """Return a match of both sides as it was for the column."""
+    if match.win_rate is None or match.win_interval is None:
+        return match
+    low, high = match.win_interval
+    return match.model_copy(
+        update={
+            "wins": match.losses,
+            "losses": match.wins,
+            "win_rate": 1 - match.win_rate,
+            "win_interval": (1 - high, 1 - low),
+        }
+    )

@@ -1,0 +1,250 @@
+"""Match-ups: policies and scripts of two agents against each other, all on the same held-out starts.
+
+Every player of the first agent meets every player of the second one. Where one agent mirrors the other,
+a player takes both sides: each pair plays every start twice, with the sides swapped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.episodes import Scores, agent_scores
+from deepbots_cli.learning.policy import loaded
+from deepbots_cli.learning.run import ModelRef
+from deepbots_cli.learning.sb3.algorithms import torch_settings
+from deepbots_cli.learning.statistics import Interval, wilson
+from deepbots_cli.program import Program, identity
+from deepbots_cli.program.members import RANDOM
+from deepbots_cli.rollout import Episode, Start, play
+from deepbots_cli.rollout.episode import Driver, OnEpisode
+from deepbots_cli.runtime import Supervisor
+from deepbots_cli.runtime.agents import Act, Policy, PolicyAct, Seat, driven, joint_action, seats_of
+
+POLICY = "policy"
+"""The name of the policy of the first run among the players."""
+
+
+class Match(BaseModel, frozen=True):
+    """The episodes of two players.
+
+    Attributes:
+        row: The player of the first agent.
+        column: The player of the second agent.
+        episodes: The number of episodes; twice that of the starts where players take both sides.
+        agents: The scores of each agent by name; empty where players take both sides.
+        wins: The number of episodes that are a success for the row alone; None unless players take both
+            sides. `losses` are successes of the column alone.
+        win_rate: The share of the wins among wins and losses, with `win_interval` at 95 %; None without any.
+    """
+
+    row: str
+    column: str
+    episodes: int
+    agents: Mapping[str, Scores] = {}
+    wins: int | None = None
+    losses: int | None = None
+    win_rate: float | None = None
+    win_interval: Interval | None = None
+
+
+class MatchTable(BaseModel, frozen=True):
+    """The matches of all players.
+
+    Attributes:
+        scenario: The name of the scenario.
+        agents: The first and the second agent.
+        rows: The players of the first agent; `columns` those of the second one.
+        is_symmetric: Whether every player takes both sides.
+        success_defined: Whether an ending is a success for the first agent.
+        starts: The number of held-out starts of each match, from `seed`.
+    """
+
+    scenario: str
+    agents: tuple[str, str]
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    is_symmetric: bool
+    success_defined: bool
+    starts: int
+    seed: int
+    matches: tuple[Match, ...]
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy, or the name of a driver, for each agent that it can play."""
+
+    name: str
+    drivers: Mapping[str, str | Policy]
+
+
+def play_matches(
+    runs: Sequence[str | Path | ModelRef],
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    engine: str | None = None,
+    on_episode: OnEpisode | None = None,
+) -> MatchTable:
+    """Play the policies of runs, the scripts of the scenario and random actions against each other.
+
+    Args:
+        runs: Runs of all agents or of one of them, or models of such runs. The scenario is that of the first
+            one.
+        episodes: The number of starts of each match; by default that of the scenario.
+        seed: Root seed of the starts; by default that of the first training.
+        engine: The physics engine; by default that of the first training.
+        on_episode: Called after each episode with the number of finished episodes, and of all.
+
+    Raises:
+        RunError: One of these is no run, or is damaged.
+        UsageError: The scenario does not have two agents, or the agents of a run are others.
+    """
+    refs = [run if isinstance(run, ModelRef) else ModelRef.open(run) for run in runs]
+    first = refs[0].run
+    program = _world_of(first.program)
+    if len(program.members) != 2:
+        raise UsageError(
+            f"a match needs a scenario with two agents; {program.name} has {max(1, len(program.members))}"
+        )
+    seed = first.evaluation_seed if seed is None else seed
+    starts = [
+        Start.of_evaluation(seed, number) for number in range(episodes or program.evaluation_episodes())
+    ]
+    one, two = program.members
+    is_symmetric = program.is_symmetric
+    players = _players(program, refs, is_symmetric=is_symmetric)
+    rows = [player for player in players if one in player.drivers]
+    columns = [player for player in players if two in player.drivers]
+    if is_symmetric:
+        pairs = [(a, b) for place, a in enumerate(rows) for b in rows[place + 1 :]]
+    else:
+        pairs = [(a, b) for a in rows for b in columns]
+    count, total = 0, len(pairs) * len(starts) * (2 if is_symmetric else 1)
+
+    def counted(done: Iterator[Episode]) -> Iterator[Episode]:
+        nonlocal count
+        for episode in done:
+            count += 1
+            if on_episode is not None:
+                on_episode(count, total)
+            yield episode
+
+    matches: list[Match] = []
+    with torch_settings(), closing(api.build(program, engine=engine or first.record.engine)) as world:
+        seats = seats_of(world)
+
+        def played(as_one: Player, as_two: Player) -> list[Episode]:
+            driver = MatchDriver(world, seats, {one: as_one.drivers[one], two: as_two.drivers[two]})
+            return [*counted(play(world, driver, start) for start in starts)]
+
+        for a, b in pairs:
+            done = played(a, b)
+            if is_symmetric:
+                matches.append(_both_sides(program, a, b, done, played(b, a)))
+            else:
+                scores = agent_scores(program.members, done)
+                matches.append(Match(row=a.name, column=b.name, episodes=len(done), agents=scores))
+    return MatchTable(
+        scenario=program.name,
+        agents=(one, two),
+        rows=tuple(player.name for player in rows),
+        columns=tuple(player.name for player in columns),
+        is_symmetric=is_symmetric,
+        success_defined=program.members[one].defines_success,
+        starts=len(starts),
+        seed=seed,
+        matches=tuple(matches),
+    )
+
+
+class MatchDriver(Driver):
+    """Drives all agents of a world, each by a policy or by the driver of a name."""
+
+    def __init__(
+        self, world: Supervisor, seats: Mapping[str, Seat], drivers: Mapping[str, str | Policy]
+    ) -> None:
+        self._world, self._seats = world, seats
+        self._acts: dict[str, Act] = {
+            name: driven(world, seats[name], driver)
+            if isinstance(driver, str)
+            else PolicyAct(driver, seats[name])
+            for name, driver in drivers.items()
+        }
+
+    def begin(self, start: Start) -> None:
+        for act in self._acts.values():
+            if isinstance(act, PolicyAct):
+                act.begin()
+
+    def act(self, observation: Any) -> Any:
+        actions = {name: act(self._seats[name].observation(observation)) for name, act in self._acts.items()}
+        return joint_action(self._world, self._seats, actions)
+
+
+def _world_of(program: Program) -> Program:
+    """Return the program of all agents."""
+    return program if program.others is None else program.others.world
+
+
+def _players(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) -> list[Player]:
+    players = [
+        Player(POLICY if ref is refs[0] else ref.label, _policies(program, ref, is_symmetric=is_symmetric))
+        for ref in refs
+    ]
+    scripts: dict[str, dict[str, str | Policy]] = {}
+    for agent, member in program.members.items():
+        for name in (*(script.name for script in member.program.agent.scripts), RANDOM):
+            scripts.setdefault(name, {})[agent] = name
+    players += [Player(name, drivers) for name, drivers in scripts.items()]
+    if is_symmetric:
+        players = [player for player in players if len(player.drivers) == len(program.members)]
+    return players
+
+
+def _policies(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Policy]:
+    """Return the policies in a model: of all agents, or of the one that its run trained."""
+    run, own = ref.run, _world_of(ref.run.program)
+    if differing := identity.differences(own, program):
+        lines = "\n  ".join(differing)
+        raise UsageError(f"the agents of {run.path} are others than those of {program.name}:\n  {lines}")
+    if run.program.others is None:
+        joint: Any = loaded(run, ref.name)
+        return dict(joint.learners)
+    agent = run.program.others.agent
+    policies: dict[str, str | Policy] = {agent: loaded(run, ref.name)}
+    if is_symmetric:
+        policies |= dict.fromkeys(program.members, policies[agent])
+    return policies
+
+
+def _both_sides(
+    program: Program, a: Player, b: Player, as_first: Sequence[Episode], as_second: Sequence[Episode]
+) -> Match:
+    """Return the match of two players: the episodes with `a` as the first agent, and as the second one."""
+    one, two = program.members.values()
+    wins = losses = 0
+    for done, mine, other in ((as_first, one, two), (as_second, two, one)):
+        for episode in done:
+            endings = () if episode.ended_by is None else (episode.ended_by,)
+            won, lost = mine.has_succeeded(endings), other.has_succeeded(endings)
+            wins += won and not lost
+            losses += lost and not won
+    decided = wins + losses
+    return Match(
+        row=a.name,
+        column=b.name,
+        episodes=len(as_first) + len(as_second),
+        wins=wins,
+        losses=losses,
+        win_rate=wins / decided if decided else None,
+        win_interval=wilson(wins, decided) if decided else None,
+    )

@@ -1,0 +1,179 @@
+"""Policies of runs beside an agent, and match-ups of policies and scripts."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.cli import main
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import RunError, ScenarioError, UsageError
+from deepbots_cli.learning.evaluation import evaluate, load_model
+from deepbots_cli.learning.matches import play_matches
+from deepbots_cli.learning.run import Run
+from deepbots_cli.runtime.streams import derive_seed
+from tests.agents.test_joint_training import SHARED, written
+from tests.worlds import RAIL
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run in which both agents have learned, beside its scenario."""
+    folder = tmp_path_factory.mktemp("rivals")
+    deepbots_cli.train(written(folder, SHARED), run=folder / "run", seed=1)
+    return folder / "run"
+
+
+def beside(trained: Path, driver: str | Path) -> api.Compiled:
+    """The scenario of the left agent, with a driver for the right one."""
+    role = f"role={{agent: left, others: {{right: {json.dumps(str(driver))}}}}}"
+    permissions = Permissions(folders=(trained,))
+    return api.compile(trained.parent / "several.yaml", overrides=[role], permissions=permissions)
+
+
+def test_the_policy_of_a_run_acts_for_the_other_agent(trained: Path) -> None:
+    policy = load_model(Run.open(trained), "best").learners["right"]
+    scenario = trained.parent / "several.yaml"
+    with (
+        closing(api.build(beside(trained, trained).program)) as world,
+        closing(deepbots_cli.parallel_env(scenario)) as all_agents,
+    ):
+        own, _ = world.reset(seed=4)
+        observed, _ = all_agents.reset(seed=4)
+        for step in range(20):
+            assert own.tolist() == observed["left"].tolist()
+            action = np.array([np.sin(step)], np.float32)
+            right, _ = policy.predict(observed["right"][None], deterministic=True)
+            own, reward, *_ = world.step(action)
+            observed, rewards, *_ = all_agents.step({"left": action, "right": right[0]})
+            assert reward == pytest.approx(rewards["left"])
+
+
+def test_a_run_keeps_the_policy_that_acts_beside_it(trained: Path, tmp_path: Path) -> None:
+    deepbots_cli.train(beside(trained, trained), run=tmp_path / "run", total_timesteps=64)
+    moved = tmp_path / "moved"
+    (tmp_path / "run").rename(moved)
+    kept = Run.open(moved)
+    assert kept.digest == kept.record.digest
+    assert next(iter(kept.program.others.models.values())).is_relative_to(moved)  # type: ignore[union-attr]
+    assert evaluate(moved, episodes=2).episodes == 2
+
+
+def test_a_model_has_the_digest_of_its_bytes_and_not_of_its_path(trained: Path, tmp_path: Path) -> None:
+    model = trained / "models" / "agent" / "best.zip"
+    assert beside(trained, trained).digest == beside(trained, model).digest
+    assert beside(trained, trained).digest != beside(trained, "random").digest
+
+
+@pytest.mark.parametrize("path", ["runs/nothing", "nothing/best.zip"])
+def test_a_policy_that_does_not_exist_is_a_finding_at_its_place(trained: Path, path: str) -> None:
+    with pytest.raises(ScenarioError, match="does not exist"):
+        beside(trained, path)
+
+
+def test_a_policy_with_other_layers_is_refused_with_the_reason(trained: Path, tmp_path: Path) -> None:
+    scenario = written(tmp_path, SHARED.replace("hidden: [8]", "hidden: [16]"))
+    role = f"role={{agent: left, others: {{right: {json.dumps(str(trained))}}}}}"
+    program = api.compile(scenario, overrides=[role], permissions=Permissions(folders=(trained,))).program
+    with pytest.raises(RunError, match="right") as refused:
+        api.build(program)
+    assert "the `train` of the scenario that it was trained in" in refused.value.full_message
+
+
+def test_an_agent_of_a_run_is_evaluated_against_a_driver(trained: Path) -> None:
+    result = evaluate(trained, scenario=beside(trained, "random"), episodes=3, seed=2)
+    assert set(result.term_means) == {"upright", "calm"}  # of the left agent alone
+    joint = load_model(Run.open(trained), "best").learners["left"]
+    with closing(api.build(beside(trained, "random").program)) as world:
+        observed, _ = world.reset(seed=derive_seed(2, "evaluation", 0))
+        total, ended = 0.0, False
+        while not ended:
+            action, _ = joint.predict(observed[None], deterministic=True)
+            observed, reward, terminated, truncated, _ = world.step(action[0])
+            total, ended = total + float(reward), terminated or truncated
+    assert result.outcomes[0].total_return == pytest.approx(total)
+
+
+def test_players_of_equal_agents_take_both_sides(trained: Path) -> None:
+    table = play_matches([trained], episodes=5, seed=3)
+    assert table.is_symmetric
+    assert table.rows == table.columns == ("policy", "lean", "random")
+    assert {(match.row, match.column) for match in table.matches} == {
+        ("policy", "lean"),
+        ("policy", "random"),
+        ("lean", "random"),
+    }
+    with closing(deepbots_cli.parallel_env(trained.parent / "several.yaml")) as environment:
+        wins = losses = 0
+        for number in range(5):
+            for lean, other in (("left", "right"), ("right", "left")):
+                environment.reset(seed=derive_seed(3, "evaluation", number))
+                infos: dict[str, dict[str, object]] = {}
+                while environment.agents:
+                    seats = environment._seats
+                    generator = environment.world.streams[f"agents.{other}.random"]
+                    actions = {
+                        lean: seats[lean].script("lean"),
+                        other: generator.uniform(-1.0, 1.0, 1).astype(np.float32),
+                    }
+                    *_, infos = environment.step(actions)
+                wins += bool(infos[lean]["is_success"])
+                losses += bool(infos[other]["is_success"])
+    match = table.matches[2]
+    assert (match.wins, match.losses, match.episodes) == (wins, losses, 10)
+
+
+def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp_path: Path) -> None:
+    text = SHARED.replace(
+        "{like: left, robots: [right]}", "{like: left, robots: [right], reward: {alive: 1}}"
+    )
+    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", total_timesteps=64)
+    table = play_matches([tmp_path / "run"], episodes=2)
+    assert not table.is_symmetric
+    assert len(table.matches) == 9
+    assert all(set(match.agents) == {"left", "right"} for match in table.matches)
+
+
+def test_a_match_prints_a_table_of_players(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["match", str(trained), "--episodes", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("Carts: share of decided episodes that the row wins")
+    assert [line.split()[0] for line in lines[3:6]] == ["policy", "lean", "random"]
+    assert main(["match", str(trained), "--episodes", "2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["agents"] == ["left", "right"]
+
+
+def test_a_match_of_one_agent_is_refused(tmp_path: Path) -> None:
+    deepbots_cli.train(
+        api.compile(
+            RAIL, overrides=["reward={one: 1}", "train={algorithm: PPO, total_timesteps: 32, n_steps: 32}"]
+        ),
+        run=tmp_path / "run",
+    )
+    with pytest.raises(UsageError, match="two agents"):
+        play_matches([tmp_path / "run"])
+
+
+def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnx")
+    assert main(["eval", str(trained), "--episodes", "3"]) == 0
+    folder = tmp_path / "bundle"
+    assert main(["export", str(trained), "--agent", "right", "-o", str(folder)]) == 0
+    described = json.loads((folder / "bundle.json").read_text())
+    assert [part["name"] for part in described["action"]] == ["drive"]
+    joint = json.loads((trained / "evaluations" / "0001.json").read_text())
+    assert described["evaluation"]["mean_return"] == joint["agents"]["right"]["mean_return"]
+    assert main(["export", str(folder), "--check", str(folder / "scenario.yaml")]) == 0
+
+
+def test_an_export_of_several_agents_asks_for_one(
+    trained: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["export", str(trained)]) == 2
+    assert f"deepbots export {trained} --agent left" in capsys.readouterr().err
