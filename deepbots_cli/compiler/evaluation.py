@@ -49,6 +49,7 @@ from deepbots_cli.program.task import (
     Schedule,
     ScriptedChoice,
     ScriptedRange,
+    SelfPlay,
     Teacher,
     Training,
     Truncation,
@@ -122,7 +123,20 @@ def training(
         _teacher(namespace, copies),
         spec.train.staleness,
         spec.train.patience,
+        self_play=_self_play(spec.train),
     )
+
+
+_SNAPSHOTS = 20
+"""The number of past policies that a training with self-play keeps in all by default."""
+
+
+def _self_play(train: TrainingSpec) -> SelfPlay | None:
+    spec = train.self_play
+    if spec is None:
+        return None
+    every = spec.every or max(1, train.total_timesteps // _SNAPSHOTS)
+    return SelfPlay(every, spec.pool, float(spec.newest))
 
 
 def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:

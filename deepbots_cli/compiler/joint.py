@@ -145,6 +145,7 @@ def _joint_training(trainings: Mapping[str, Training | None]) -> Training | None
         hyperparameters=(),
         symmetry=None,
         patience=None,
+        self_play=None,
         agents=of_agents,
     )
 

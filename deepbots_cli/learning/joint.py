@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import gymnasium as gym
 from pydantic import Field
@@ -28,7 +28,14 @@ from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3.logs import AgentLog
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import PolicyActor
-from deepbots_cli.rollout.seats import JointActor, SeatCollector, joined_actions, own_entries, own_name
+from deepbots_cli.rollout.seats import (
+    JointActor,
+    OfferedCollector,
+    SeatCollector,
+    joined_actions,
+    own_entries,
+    own_name,
+)
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.runtime.agents import Place
 from deepbots_cli.runtime.streams import derive_seed
@@ -55,7 +62,7 @@ class JointLearner(Learner):
         learners: The learner of each agent, by its name.
     """
 
-    State = JointState
+    State: ClassVar[type[CheckpointState]] = JointState
     takes_callbacks = False
 
     def __init__(self, setup: Setup) -> None:
@@ -69,35 +76,50 @@ class JointLearner(Learner):
             )
         program, seen = setup.program, setup.program.with_critic
         self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
-        self._seats: dict[str, SeatCollector] = {}
-        self.learners: dict[str, Learner] = {}
-        for name, training in setup.training.agents:
-            place = Place(seen.members[name], seen.agent)
-            collector = setup.collector
-            if collector is not None:
-                self._seats[name] = SeatCollector(place, collector)
-            self.learners[name] = learners.create(
-                Setup(
-                    training,
-                    place.observation_space,
-                    place.action_space,
-                    derive_seed(setup.seed, name),
-                    setup.total_timesteps,
-                    setup.longest_episode,
-                    self._seats.get(name),  # type: ignore[arg-type]  # checkpoints are of all agents
-                    rows=setup.rows,
-                    policy_columns=place.member.program.agent.policy_columns,
-                )
-            )
         self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
+        self._collectors: dict[str, OfferedCollector] = {}
+        self.learners = self._create_learners()
         self._masked = [name for name, own in self.learners.items() if own.takes_masks]
         self.takes_masks = bool(self._masked)
         self.is_off_policy = any(own.is_off_policy for own in self.learners.values())
         if setup.collector is not None:
             self.fragment_steps = self._common_steps()
 
+    def _create_learners(self) -> dict[str, Learner]:
+        collector = self.setup.collector
+        if collector is not None:
+            self._collectors.update(
+                {name: SeatCollector(place, collector) for name, place in self._critical.items()}
+            )
+        return {
+            name: self._create(name, training, self._collectors.get(name))
+            for name, training in self.setup.training.agents
+        }
+
+    def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
+        """Return a learner for an agent."""
+        setup, place = self.setup, self._critical[agent]
+        return learners.create(
+            Setup(
+                training,
+                place.observation_space,
+                place.action_space,
+                derive_seed(setup.seed, agent),
+                setup.total_timesteps,
+                setup.longest_episode,
+                collector,  # type: ignore[arg-type]  # checkpoints are of all agents
+                rows=setup.rows,
+                policy_columns=place.member.program.agent.policy_columns,
+            )
+        )
+
+    @property
+    def _own(self) -> Mapping[str, Learner]:
+        """The learners that learn."""
+        return self.learners
+
     def _common_steps(self) -> int:
-        steps = {name: own.fragment_steps for name, own in self.learners.items()}
+        steps = {name: own.fragment_steps for name, own in self._own.items()}
         if len(set(steps.values())) > 1:
             shown = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
             raise UsageError(
@@ -131,7 +153,7 @@ class JointLearner(Learner):
     @log.setter
     def log(self, log: Any) -> None:
         self._log = log
-        for name, own in self.learners.items():
+        for name, own in self._own.items():
             own.log = AgentLog(log, name)  # type: ignore[assignment]  # the part of the log that learners use
 
     # Acting and learning
@@ -139,12 +161,20 @@ class JointLearner(Learner):
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         self._monitor = monitor
         members = self.setup.program.members if self.setup.program is not None else {}
-        for name, own in self.learners.items():
+        for name, own in self._own.items():
             seat: Any = _SeatMonitor(members[name].program.defines_success)
-            own.begin(total, seat)
+            own.begin(self._own_steps(own, total), seat)
+
+    def _own_steps(self, own: Learner, steps: int) -> int:
+        """Return the number of steps of a learner, which may have more rows than there are worlds, after so
+        many steps of all agents."""
+        collector, of_all = own.setup.collector, self.setup.collector
+        assert collector is not None
+        assert of_all is not None
+        return steps * collector.rows // of_all.rows
 
     def start(self) -> None:
-        for own in self.learners.values():
+        for own in self._own.values():
             own.start()
 
     def collect(self) -> bool:
@@ -160,9 +190,9 @@ class JointLearner(Learner):
         fragment = collector.collect(actor, self.fragment_steps, on_step, with_masks=self.takes_masks)
         if fragment is None:
             return False
-        self._recent = fragment.observations, fragment.actions
-        for name, own in self.learners.items():
-            self._seats[name].offer(fragment)
+        self._last = fragment
+        for name, own in self._own.items():
+            self._collectors[name].offer(fragment)
             own.collect()
         self._monitor.on_collected()
         return True
@@ -172,11 +202,11 @@ class JointLearner(Learner):
         return JointActor(self._critical, actors, self._masked)
 
     def update(self) -> None:
-        for own in self.learners.values():
+        for own in self._own.values():
             own.update()
 
     def end(self) -> None:
-        for own in self.learners.values():
+        for own in self._own.values():
             own.end()
         self._monitor.on_end()
 
@@ -212,7 +242,7 @@ class JointLearner(Learner):
         return (of_all[0] if is_single else of_all), states
 
     def recent(self) -> tuple[Any, Array, Array | None]:
-        return *self._recent, None
+        return self._last.observations, self._last.actions, None
 
     def weights(self) -> dict[str, Array]:
         return {
@@ -254,50 +284,51 @@ class JointLearner(Learner):
     # Checkpoints
 
     def attach(self, folder: Path) -> None:
-        for name, own in self.learners.items():
+        for name, own in self._own.items():
             own.attach(folder / name)
 
     def state(self) -> dict[str, Any]:
-        return {"learners": {name: to_jsonable_python(own.state()) for name, own in self.learners.items()}}
+        return {"learners": {name: to_jsonable_python(own.state()) for name, own in self._own.items()}}
 
     def shared_files(self) -> Iterable[Path]:
-        return chain.from_iterable(own.shared_files() for own in self.learners.values())
+        return chain.from_iterable(own.shared_files() for own in self._own.values())
 
     def arrays(self) -> dict[str, Array]:
         return {
             _array_name(name, key): array
-            for name, own in self.learners.items()
+            for name, own in self._own.items()
             for key, array in own.arrays().items()
         }
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
         return {
             _array_name(name, key): spec
-            for name, own in self.learners.items()
-            for key, spec in own.specs(_own_state(state, name, own)).items()
+            for name, own in self._own.items()
+            for key, spec in own.specs(self._own_state(state, name, own)).items()
         }
 
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         self.steps = kept.steps
-        for name, own in self.learners.items():
-            own.restore(_own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same)
+        for name, own in self._own.items():
+            own.restore(self._own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same)
+
+
+    def _own_state(self, kept: Any, name: str, own: Learner) -> Any:
+        """Return the state of a checkpoint as the learner of an agent has it.
+
+        Raises:
+            ValueError: The agent has no state, or a damaged one.
+        """
+        if name not in kept.learners:
+            raise ValueError(f"there is no state of the agent '{name}'")
+        common = kept.model_dump(mode="json", include=set(CheckpointState.model_fields))
+        common["statistics"]["steps"] = self._own_steps(own, kept.steps)
+        return own.State.model_validate_json(json.dumps({**common, **kept.learners[name]}))
 
 
 def _array_name(agent: str, name: str) -> str:
     """Return the name of an array of an agent in a checkpoint, which has further arrays of its own."""
     return own_name(f"agents/{agent}", name)
-
-
-def _own_state(kept: Any, name: str, own: Learner) -> Any:
-    """Return the state of a checkpoint as the learner of an agent has it.
-
-    Raises:
-        ValueError: The agent has no state, or a damaged one.
-    """
-    if name not in kept.learners:
-        raise ValueError(f"there is no state of the agent '{name}'")
-    common = kept.model_dump(mode="json", exclude={"learners"})
-    return own.State.model_validate_json(json.dumps({**common, **kept.learners[name]}))
 
 
 def _member(agent: str) -> str:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.demonstrations import Demonstrations
     from deepbots_cli.learning.policy_teacher import PolicyTeacher
+    from deepbots_cli.learning.records import Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
     from deepbots_cli.learning.teacher import Plan
 
@@ -50,7 +51,10 @@ _STABLE = {
     True: "deepbots_cli.learning.sb3.learner:OnPolicyLearner",
     False: "deepbots_cli.learning.sb3.learner:OffPolicyLearner",
 }  # by whether the algorithm is on-policy; imported when it is used
-_JOINT = "deepbots_cli.learning.joint:JointLearner"
+_JOINT = {
+    False: "deepbots_cli.learning.joint:JointLearner",
+    True: "deepbots_cli.learning.self_play:SelfPlayLearner",
+}  # of several agents, by whether they share a policy that plays against itself
 
 
 @dataclass(frozen=True)
@@ -96,9 +100,11 @@ class Learner(ABC):
     Attributes:
         setup: The arguments that it was created with.
         fragment_steps: The steps of each row between two updates.
+        ratings: The ratings of a policy that plays against past versions of itself.
         steps: Timesteps, summed over all rows.
         log: The log for scalars.
         device: Device of the policy, by the name that torch uses.
+        ratings: The ratings of a policy that plays against past versions of itself.
     """
 
     State: ClassVar[type[CheckpointState]] = CheckpointState
@@ -111,6 +117,7 @@ class Learner(ABC):
     """Whether the learner has a replay buffer, so that a step of the training takes much longer than one of
     an evaluation."""
     device = "cpu"
+    ratings: Sequence[Rating] = ()
     fragment_steps: int
     setup: Setup
     steps: int
@@ -402,7 +409,8 @@ def class_of(training: Training) -> type[Learner]:
         UsageError: The class of another package cannot be imported, or is no learner.
     """
     if training.agents:
-        joint: type[Learner] = import_attribute(_JOINT)
+        has_self_play = any(own.self_play is not None for _, own in training.agents)
+        joint: type[Learner] = import_attribute(_JOINT[has_self_play])
         return joint
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Self, TypedDict
+from typing import Any, Literal, NamedTuple, Self, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -81,6 +81,18 @@ class BestModel(BaseModel):
         return f"{after}by {self.measure.replace('_', ' ')} {where}"
 
 
+class Rating(NamedTuple):
+    """The rating of a policy after so many steps of its training.
+
+    `mean` and `deviation` are those of its skill, 25 and 8.33 before the first game. Only differences between
+    the ratings of a training have a meaning.
+    """
+
+    steps: int
+    mean: float
+    deviation: float
+
+
 class RunResult(BaseModel):
     """The result of a training, or its progress so far.
 
@@ -101,6 +113,7 @@ class RunResult(BaseModel):
             `patience` where no evaluation was better for long enough.
         inexact: Reasons why a resumed training differs from one without interruption.
         agents: The mean return of each of several agents in the recent episodes; empty for one agent.
+        ratings: The ratings of a policy that played against past versions of itself.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -127,6 +140,7 @@ class RunResult(BaseModel):
     confirmations: int = 0
     confirmed_seed: int | None = None
     agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
+    ratings: tuple[Rating, ...] = Field(default=(), exclude_if=lambda ratings: not ratings)
 
     @property
     def confirmed_at(self) -> SolvedAt | None:

@@ -380,6 +380,11 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"total_timesteps must be at most {MAX_STEPS}, not {training.total_timesteps}")
+    if training.self_play is not None and program.others is None and not training.agents:
+        raise UsageError(
+            "`self_play` needs a scenario with two equal `agents`; remove it from `train`, or see"
+            " docs/several-agents.md"
+        )
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:

@@ -30,7 +30,15 @@ from deepbots_cli.learning.executor import Executor
 from deepbots_cli.learning.held_out import Evaluator
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.policy_teacher import PolicyTeacher
-from deepbots_cli.learning.records import BestModel, ChosenBy, RunRecord, Status, TrainingResult, write_record
+from deepbots_cli.learning.records import (
+    BestModel,
+    ChosenBy,
+    Rating,
+    RunRecord,
+    Status,
+    TrainingResult,
+    write_record,
+)
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
@@ -123,6 +131,7 @@ class TrainingProcess:
         self._status: Status = "failed"
         self._followers: list[plugins.PluginCallback] = []
         self._weights_digest = ""
+        self._ratings: tuple[Rating, ...] = ()
         self._evaluation_seconds = 0.0
 
     def _restore_counts(self) -> None:
@@ -179,6 +188,7 @@ class TrainingProcess:
             reporter.update(callback.progress())
         finally:
             self._weights_digest = learner.digest()
+            self._ratings = tuple(learner.ratings)
 
     def _open(self, stack: ExitStack) -> tuple[Learner, Collector, TrainingLog]:
         """Open the worlds, the learner and its log, and attach them to the callback and the checkpoints."""
@@ -321,6 +331,7 @@ class TrainingProcess:
             stopped_by=callback.stopped_by or by_follower,
             inexact=tuple(self.checkpoints.inexact),
             agents=agent_returns(self.run.program.members, statistics.term_means()),
+            ratings=self._ratings,
         )
 
     def _best_model(self) -> BestModel | None:

@@ -511,6 +511,21 @@ class Teacher:
 
 
 @dataclass(frozen=True)
+class SelfPlay:
+    """One policy for two equal agents, which plays against itself and against past versions of itself.
+
+    Attributes:
+        every: The number of steps after which the present policy becomes a member of the pool.
+        pool: The largest number of members.
+        newest: The share of the worlds in which the policy plays against itself.
+    """
+
+    every: int
+    pool: int
+    newest: float
+
+
+@dataclass(frozen=True)
 class Mirror:
     """A permutation of numbers with signs, between the ranges that map to [-1, 1].
 
@@ -557,6 +572,7 @@ class Training:
     patience: int | None = None
     symmetry: Symmetry | None = None
     agents: tuple[tuple[str, Training], ...] = ()
+    self_play: SelfPlay | None = None
 
     def digest_fields(self) -> dict[str, object]:
         later = {
@@ -566,6 +582,7 @@ class Training:
             "patience": None,
             "symmetry": None,
             "agents": (),
+            "self_play": None,
         }
         return {
             name: value for name, value in vars(self).items() if name not in later or value != later[name]

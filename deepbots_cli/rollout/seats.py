@@ -7,15 +7,16 @@ world of its own.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from deepbots_cli.program.members import Member
 from deepbots_cli.rollout.collector import (
-    Collector,
     CollectTimes,
     Decision,
     FetchingCollector,
@@ -26,6 +27,7 @@ from deepbots_cli.rollout.collector import (
 from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, WorldsStep
 from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.spaces import by_part
 
 _SEPARATOR = "/"
 """Between the name of an agent and a name of its own, in names of columns, weights and memories."""
@@ -53,43 +55,41 @@ def own_episode(member: Member, episode: Episode) -> Episode:
     )
 
 
-class SeatCollector(FetchingCollector):
-    """The part of one agent in the fragments of all agents.
+class _NoWorld:
+    """The world of an agent whose learner does not step it: only what a vector environment asks for."""
+
+    render_mode = None
+
+    def get_wrapper_attr(self, name: str) -> Any:
+        return getattr(self, name)
+
+
+class OfferedCollector(FetchingCollector):
+    """A collector that returns a part of the last fragment of all agents, which is offered to it.
 
     Args:
-        place: Its place among the agents.
         of_all: The collector of the worlds.
+        example: The place of an agent, which has the spaces.
     """
 
-    def __init__(self, place: Place, of_all: Collector) -> None:
-        self._place, self._of_all = place, of_all
-        self.rows, self.times, self.stale = of_all.rows, CollectTimes(), {}
-        self.observation_space, self.action_space = place.observation_space, place.action_space
-        self.agents = (object(),)
+    def __init__(self, of_all: Any, example: Place) -> None:
+        self._of_all = of_all
+        self.times, self.stale, self.agents = CollectTimes(), {}, (_NoWorld(),)
+        self.observation_space, self.action_space = example.observation_space, example.action_space
         self._fragment: Fragment | None = None
 
     @property
+    @abstractmethod
     def starts(self) -> Array:
         """Whether an episode begins with the observations on which the agent acts next."""
-        starts: Array = self._of_all.starts  # type: ignore[attr-defined]  # every collector has them
-        return starts
 
-    def begin(self) -> Any:
-        return self._place.observation(self._of_all.begin())  # type: ignore[attr-defined]  # as `starts`
+    @abstractmethod
+    def part_of(self, of_all: Fragment) -> Fragment:
+        """Return the part of a fragment of all agents."""
 
     def offer(self, of_all: Fragment) -> None:
-        """Take the part of the agent in a fragment of all agents, which `fetch` then returns."""
-        place, name = self._place, self._place.member.name
-        self._fragment = replace(
-            of_all,
-            observations=place.observation(of_all.observations),
-            actions=place.actions(of_all.actions),
-            rewards=of_all.agent_rewards[name],
-            columns=own_entries(of_all.columns, name),
-            following=place.observation(of_all.following),
-            endings=[(number, self._own(ending)) for number, ending in of_all.endings],
-            agent_rewards={},
-        )
+        """Take the part of a fragment of all agents, which `fetch` then returns."""
+        self._fragment = self.part_of(of_all)
 
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
@@ -100,27 +100,58 @@ class SeatCollector(FetchingCollector):
         self._replay = self._steps(fragment)
         return fragment
 
-    def _own(self, ending: Ending) -> Ending:
-        return ending._replace(
-            episode=own_episode(self._place.member, ending.episode),
-            observation=self._place.observation(ending.observation),
-        )
-
     def _steps(self, fragment: Fragment) -> Iterator[WorldsStep]:
         endings: dict[int, list[Ending]] = {}
         for number, ending in fragment.endings:
             endings.setdefault(number, []).append(ending)
-        observations = fragment.observations
         for number, rewards in enumerate(fragment.rewards):
             is_last = number + 1 == len(fragment.rewards)
-            if is_last:
-                following = fragment.following
-            elif isinstance(observations, dict):
-                following = {key: part[number + 1] for key, part in observations.items()}
-            else:
-                following = observations[number + 1]
+            following = (
+                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+            )
             dones = fragment.following_starts if is_last else fragment.starts[number + 1]
             yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
+
+
+def own_ending(place: Place, ending: Ending) -> Ending:
+    """Return the last step of an episode as it was for an agent."""
+    return ending._replace(
+        episode=own_episode(place.member, ending.episode), observation=place.observation(ending.observation)
+    )
+
+
+class SeatCollector(OfferedCollector):
+    """The part of one agent in the fragments of all agents.
+
+    Args:
+        place: Its place among the agents.
+        of_all: The collector of the worlds.
+    """
+
+    def __init__(self, place: Place, of_all: Any) -> None:
+        super().__init__(of_all, place)
+        self._place, self.rows = place, of_all.rows
+
+    @property
+    def starts(self) -> Array:
+        starts: Array = self._of_all.starts
+        return starts
+
+    def begin(self) -> Any:
+        return self._place.observation(self._of_all.begin())
+
+    def part_of(self, of_all: Fragment) -> Fragment:
+        place, name = self._place, self._place.member.name
+        return replace(
+            of_all,
+            observations=place.observation(of_all.observations),
+            actions=place.actions(of_all.actions),
+            rewards=of_all.agent_rewards[name],
+            columns=own_entries(of_all.columns, name),
+            following=place.observation(of_all.following),
+            endings=[(number, own_ending(place, ending)) for number, ending in of_all.endings],
+            agent_rewards={},
+        )
 
 
 class JointActor:

@@ -73,6 +73,19 @@ class Teacher(Section):
     drives for a third of it."""
 
 
+class SelfPlay(Section):
+    """One policy for two equal agents, which plays against itself and against past versions of itself."""
+
+    every: Annotated[int, WholeNumber(1, 10**12)] | None = None
+    """Number of timesteps after which the present policy becomes a member of the pool. Default: a twentieth of
+    `total_timesteps`."""
+    pool: Annotated[int, WholeNumber(1, 100)] = 10
+    """Largest number of past policies in the pool. A new one replaces the oldest."""
+    newest: Fraction = 0.5
+    """Share of the environments in which the policy plays against itself, and learns from both sides. In the
+    others it plays against a random member of the pool."""
+
+
 class PolicyNetwork(Section):
     """The network of the policy."""
 
@@ -158,6 +171,8 @@ class Training(Section):
     the original rewards."""
     teacher: Annotated[Teacher | PlainText, FORMS] | None = None
     """A script that teaches the policy."""
+    self_play: SelfPlay | None = None
+    """Train one policy for two equal agents, against itself and past versions of itself."""
     symmetry: Symmetry | None = None
     """The mirror symmetry of the task: the policy also learns from the mirror image of each step."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"

@@ -120,7 +120,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
         with closing(env):
             generator = np.random.default_rng(1)
             for _ in range(120):
-                observations, rewards, dones, _, endings = env.step_all(generator.integers(0, 2, env.rows))
+                observations, rewards, dones, _, endings, _ = env.step_all(generator.integers(0, 2, env.rows))
                 seen.append(
                     (
                         observations.tolist(),

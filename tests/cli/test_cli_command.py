@@ -182,7 +182,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
             ("mujoco",),
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO,"
-            " several agents as an environment of PettingZoo, the page of view and play, policies"
+            " several agents as an environment of PettingZoo, self-play, the page of view and play, policies"
             " as ONNX,"
             " --cluster, searches by tune",
         ),

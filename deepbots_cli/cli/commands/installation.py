@@ -44,7 +44,7 @@ _EXTRAS = {
     "train": "training",
     "contrib": "MaskablePPO, RecurrentPPO and TQC",
     "rsl": "rsl_rl.PPO",
-    "agents": "several agents as an environment of PettingZoo",
+    "agents": "several agents as an environment of PettingZoo, self-play",
     "view": "the page of view and play",
     "editor": "the language server",
     "export": "policies as ONNX",

@@ -1,0 +1,421 @@
+"""One policy for two equal agents, which plays against itself and against past versions of itself.
+
+In some worlds both agents are the present policy, and it learns from both sides. In the others it plays one
+side, against a member of a pool of past policies that is drawn anew for each episode (fictitious self-play;
+J. Heinrich, M. Lanctot, D. Silver, ICML 2015). The results of these episodes give ratings (OpenSkill, in the
+model of Plackett and Luce; R. Weng, C.-J. Lin, JMLR 2011).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field, NonNegativeInt
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
+from deepbots_cli.learning.joint import JointLearner, JointState
+from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.records import Rating
+from deepbots_cli.program.task import SelfPlay, Training
+from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
+from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
+from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.scenario.training import ALGORITHMS
+
+if TYPE_CHECKING:
+    from deepbots_cli.learning.callbacks import TrainingCallback
+
+_OPPONENTS = "opponents"
+"""The column of a fragment with the opponent in each world: its place in the pool, or `_PRESENT`."""
+_PRESENT = -1
+"""The opponent of a world without one from the pool: the present policy."""
+_POOL = "pool"
+
+
+class Sides(NamedTuple):
+    """The worlds in which the policy plays each side.
+
+    Attributes:
+        first: The worlds in which it learns as the first agent.
+        second: The worlds in which it learns as the second agent.
+        past: The worlds in which a past policy plays the other side.
+    """
+
+    first: Array
+    second: Array
+    past: Array
+
+    @classmethod
+    def divided(cls, worlds: int, newest: float) -> Sides:
+        """Divide the worlds: the first ones play against the present policy; in the others, the policy takes
+        each side in turn."""
+        both = min(worlds, round(newest * worlds))
+        past = np.arange(both, worlds)
+        return cls(
+            np.concatenate([np.arange(both), past[::2]]), np.concatenate([np.arange(both), past[1::2]]), past
+        )
+
+
+class SidesCollector(OfferedCollector):
+    """The part of the learning policy in the fragments of two equal agents: a row for each side that it
+    plays, those of the first agent first."""
+
+    def __init__(self, of_all: Any, places: Sequence[Place], sides: Sides) -> None:
+        super().__init__(of_all, places[0])
+        self._places, self._sides = places, sides
+        self.rows = len(sides.first) + len(sides.second)
+
+    @property
+    def starts(self) -> Array:
+        starts: Array = self.rows_of(self._of_all.starts, self._of_all.starts)
+        return starts
+
+    def begin(self) -> Any:
+        return self.seen(self._of_all.begin())
+
+    def rows_of(self, first: Any, second: Any, axis: int = 0) -> Any:
+        """Return the rows of the policy, given those of the first and of the second agent in all worlds."""
+
+        def rows(one: Array, two: Array) -> Array:
+            parts = one.take(self._sides.first, axis), two.take(self._sides.second, axis)
+            return np.concatenate(parts, axis)
+
+        return by_part(rows, first, second)
+
+    def seen(self, of_all: Any, axis: int = 0) -> Any:
+        """Return the observations of the policy, given those of all agents in all worlds."""
+        first, second = (place.observation(of_all) for place in self._places)
+        return self.rows_of(first, second, axis)
+
+    def part_of(self, of_all: Fragment) -> Fragment:
+        one, two = self._places
+        rewards = of_all.agent_rewards
+        return replace(
+            of_all,
+            observations=self.seen(of_all.observations, 1),
+            actions=self.rows_of(one.actions(of_all.actions), two.actions(of_all.actions), 1),
+            rewards=self.rows_of(rewards[one.member.name], rewards[two.member.name], 1),
+            starts=self.rows_of(of_all.starts, of_all.starts, 1),
+            columns={name: array for name, array in of_all.columns.items() if name != _OPPONENTS},
+            following=self.seen(of_all.following),
+            following_starts=self.rows_of(of_all.following_starts, of_all.following_starts),
+            endings=[*self._endings(of_all)],
+            agent_rewards={},
+        )
+
+    def _endings(self, of_all: Fragment) -> Iterator[tuple[int, Any]]:
+        """Yield the endings of each side that the policy plays, in the order of steps and rows."""
+        offset = len(self._sides.first)
+        rows = [
+            {int(world): row for row, world in enumerate(self._sides.first)},
+            {int(world): offset + row for row, world in enumerate(self._sides.second)},
+        ]
+        of_rows = [
+            (number, own_ending(place, ending)._replace(row=places[ending.row]))
+            for number, ending in of_all.endings
+            for place, places in zip(self._places, rows, strict=True)
+            if ending.row in places
+        ]
+        yield from sorted(of_rows, key=lambda entry: (entry[0], entry[1].row))
+
+
+@dataclass
+class PastPolicy:
+    """A member of the pool."""
+
+    rating: Rating
+    weights: Mapping[str, Array]
+    policy: Learner
+
+
+class RatingState(CheckpointPart):
+    """A rating in a checkpoint."""
+
+    steps: NonNegativeInt
+    mean: float
+    deviation: Annotated[float, Field(gt=0)]
+
+
+class SelfPlayState(JointState):
+    """The JSON part of a checkpoint; `pool` has the ratings of the members of the pool, and `ratings` those
+    of the policy so far, the present one last."""
+
+    pool: Annotated[list[RatingState], Field(max_length=100)]
+    ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
+
+
+class SelfPlayLearner(JointLearner):
+    """The learner of two equal agents with one policy.
+
+    Attributes:
+        ratings: The ratings of the policy each time that it became a member of the pool, and now.
+        pool: The past policies, the oldest one first.
+    """
+
+    State: ClassVar[type[CheckpointState]] = SelfPlayState
+    ratings: list[Rating]
+
+    def __init__(self, setup: Setup) -> None:
+        self.pool: list[PastPolicy] = []
+        super().__init__(setup)
+        if setup.collector is not None:
+            self.ratings = [self._rater.new()]
+            self._opponents = np.full(setup.training.environments, _PRESENT)
+
+    @classmethod
+    def check(cls, training: Training) -> None:
+        (_, first), *others = training.agents
+        if any(replace(own, agents=()) != first for _, own in others):
+            raise UsageError(
+                "agents that share a policy have the same `train`; write it, with `self_play`, at the top level"
+            )
+        model = ALGORITHMS[first.algorithm]
+        if not model.on_policy or model.base() == "RecurrentPPO":
+            raise UsageError(f"{first.algorithm} does not support `self_play`; use PPO")
+        if first.shards > 1:
+            raise UsageError("`self_play` does not support `shards`; leave one of them out")
+        super().check(training)
+
+    @property
+    def _settings(self) -> SelfPlay:
+        _, training = self.setup.training.agents[0]
+        assert training.self_play is not None
+        return training.self_play
+
+    def _create_learners(self) -> dict[str, Learner]:
+        setup = self.setup
+        if setup.collector is None:
+            return super()._create_learners()
+        assert setup.program is not None
+        if not setup.program.is_symmetric:
+            raise UsageError(
+                "`self_play` needs two equal agents: `like` with no action, observation or reward of its own,"
+                " and as many successes and failures for each; without it, each agent learns a policy of its own"
+            )
+        self._rater = _Rater()
+        (name, training), _ = setup.training.agents
+        places = [self._critical[each] for each, _ in setup.training.agents]
+        self._sides = Sides.divided(training.environments, self._settings.newest)
+        self._collector = SidesCollector(setup.collector, places, self._sides)
+        self._collectors[name] = self._collector
+        learner = self._create(name, training, self._collector)
+        return {each: learner for each, _ in setup.training.agents}
+
+    @property
+    def _own(self) -> Mapping[str, Learner]:
+        if self.setup.collector is None:
+            return self.learners
+        name, learner = next(iter(self.learners.items()))
+        return {name: learner}
+
+    @property
+    def _learner(self) -> Learner:
+        return next(iter(self.learners.values()))
+
+    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
+        super().begin(total, monitor, followers)
+        self._total = total
+
+    def actor(self) -> PolicyActor:
+        return _SidesActor(self)
+
+    def decide(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        """Return the actions of both agents in all worlds, to learn from."""
+        names = [*self.learners]
+        places = [self._critical[name] for name in names]
+        own_masks = [None, None] if masks is None else [masks[:, place.masks] for place in places]
+        self._draw_opponents(starts)
+        collector, sides = self._collector, self._sides
+        decision = self._learner.actor()(
+            collector.seen(observations),
+            collector.rows_of(starts, starts),
+            None if masks is None else collector.rows_of(*own_masks),
+        )
+        shape = (len(starts), *decision.actions.shape[1:])
+        actions = [np.zeros(shape, decision.actions.dtype) for _ in names]
+        actions[0][sides.first] = decision.actions[: len(sides.first)]
+        actions[1][sides.second] = decision.actions[len(sides.first) :]
+        # In the first of the worlds with a past policy, the present one is the first agent.
+        for side, worlds in ((1, sides.past[::2]), (0, sides.past[1::2])):
+            self._let_opponents_act(
+                worlds, places[side].observation(observations), own_masks[side], actions[side]
+            )
+        columns = {**decision.columns, _OPPONENTS: self._opponents.copy()}
+        return Decision(joined_actions(actions), columns)
+
+    def _draw_opponents(self, starts: Array) -> None:
+        """Draw an opponent in each world of the past in which an episode begins."""
+        for world in self._sides.past[starts[self._sides.past]]:
+            self._opponents[world] = np.random.randint(len(self.pool)) if self.pool else _PRESENT
+
+    def _let_opponents_act(self, worlds: Array, seen: Any, masks: Array | None, actions: Array) -> None:
+        """Write the actions of past policies in some worlds; each samples from its distribution."""
+        for place in np.unique(self._opponents[worlds]):
+            rows = worlds[self._opponents[worlds] == place]
+            policy = self._learner if place == _PRESENT else self.pool[place].policy
+            actions[rows], _ = policy.predict(
+                by_part(lambda part, rows=rows: part[rows], seen),
+                action_masks=None if masks is None or not policy.takes_masks else masks[rows],
+            )
+
+    def collect(self) -> bool:
+        if not super().collect():
+            return False
+        self._rate()
+        return True
+
+    def update(self) -> None:
+        super().update()
+        every = self._settings.every
+        before = self.steps - self.fragment_steps * self.setup.training.environments
+        if self.steps // every > before // every:
+            self._add_to_pool()
+
+    # Ratings and the pool
+
+    def _rate(self) -> None:
+        """Rate the policies by the results of the episodes against past policies."""
+        one, two = (self._critical[name].member for name in self.learners)
+        fragment = self._last
+        wins = losses = 0
+        for number, ending in fragment.endings:
+            place = int(fragment.columns[_OPPONENTS][number, ending.row])
+            if place == _PRESENT:
+                continue
+            is_first = ending.row in self._sides.first
+            mine, other = (one, two) if is_first else (two, one)
+            by = ending.episode.ended_by
+            endings = () if by is None else (by,)
+            score = int(mine.has_succeeded(endings)) - int(other.has_succeeded(endings))
+            wins, losses = wins + (score > 0), losses + (score < 0)
+            past = self.pool[place]
+            self.ratings[-1], past.rating = self._rater.rated(self.ratings[-1], past.rating, score)
+        self.ratings[-1] = self.ratings[-1]._replace(steps=self.steps)
+        self.log.record("self_play/rating", self.ratings[-1].mean)
+        self.log.record("self_play/pool", len(self.pool))
+        if wins + losses:
+            self.log.record("self_play/win_rate", wins / (wins + losses))
+
+    def _add_to_pool(self) -> None:
+        """Make the present policy a member of the pool, with its rating."""
+        rating = self.ratings[-1]._replace(steps=self.steps)
+        weights = {name: np.array(array) for name, array in self._learner.weights().items()}
+        self.pool.append(self._past(rating, weights))
+        self.ratings.append(rating)
+        if len(self.pool) > self._settings.pool:
+            self.pool.pop(0)
+            past = self._sides.past
+            # The episodes against the removed member go on against the one that is now the oldest.
+            self._opponents[past] = np.where(
+                self._opponents[past] == _PRESENT, _PRESENT, np.maximum(self._opponents[past] - 1, 0)
+            )
+
+    def _past(self, rating: Rating, weights: Mapping[str, Array]) -> PastPolicy:
+        from deepbots_cli.learning.shards import random_numbers_kept
+
+        name, training = self.setup.training.agents[0]
+        with random_numbers_kept():
+            policy = self._create(name, training, None)
+        policy.actor().load(weights)
+        return PastPolicy(rating, weights, policy)
+
+    # Checkpoints
+
+    def state(self) -> dict[str, Any]:
+        return super().state() | {
+            "pool": [past.rating._asdict() for past in self.pool],
+            "ratings": [rating._asdict() for rating in self.ratings],
+        }
+
+    def arrays(self) -> dict[str, Array]:
+        return super().arrays() | {
+            _OPPONENTS: self._opponents,
+            **{
+                _pool_name(number, name): array
+                for number, past in enumerate(self.pool)
+                for name, array in past.weights.items()
+            },
+        }
+
+    def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
+        assert isinstance(state, SelfPlayState)
+        weights = {name: ArraySpec.like(array) for name, array in self._learner.weights().items()}
+        return super().specs(state) | {
+            _pool_name(number, name): spec
+            for number in range(len(state.pool))
+            for name, spec in weights.items()
+        }
+
+    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+        super().restore(kept, arrays, same)
+        names = [*self._learner.weights()]
+        self.pool = [
+            self._past(
+                Rating(**rating.model_dump()), {name: arrays[_pool_name(number, name)] for name in names}
+            )
+            for number, rating in enumerate(kept.pool)
+        ]
+        self.ratings = [Rating(**rating.model_dump()) for rating in kept.ratings]
+        opponents = arrays[_OPPONENTS]
+        if opponents.min() < _PRESENT or opponents.max() >= len(self.pool):
+            raise ValueError("an opponent is no member of the pool")
+        self._opponents[:] = opponents
+
+
+class _SidesActor:
+    """The actor of a learner that plays against itself."""
+
+    def __init__(self, learner: SelfPlayLearner) -> None:
+        self._learner = learner
+
+    def begin(self) -> None:
+        self._learner._learner.actor().begin()
+
+    def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
+        return self._learner.decide(observations, starts, masks)
+
+    def parameters(self) -> Mapping[str, Any]:
+        return self._learner.weights()
+
+    def memory(self) -> Mapping[str, Array]:
+        return {}
+
+    def load(self, parameters: Mapping[str, Any]) -> None:
+        raise UsageError("`self_play` does not support `shards`; leave one of them out")
+
+    def remember(self, memory: Mapping[str, Array]) -> None:
+        """The policy has no memory between two fragments."""
+
+
+class _Rater:
+    """Ratings of two players by the results of their games."""
+
+    def __init__(self) -> None:
+        try:
+            from openskill.models import PlackettLuce
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("agents", "self-play") from error
+        self._model = PlackettLuce()
+
+    def new(self) -> Rating:
+        """Return the rating of a player before its first game."""
+        fresh = self._model.rating()
+        return Rating(0, fresh.mu, fresh.sigma)
+
+    def rated(self, one: Rating, two: Rating, score: int) -> tuple[Rating, Rating]:
+        """Return the ratings after a game, in which `score` is 1 if `one` has won, -1 if `two` has, else 0."""
+        teams = [[self._model.rating(mu=each.mean, sigma=each.deviation)] for each in (one, two)]
+        ((a,), (b,)) = self._model.rate(teams, ranks=[1 + (score < 0), 1 + (score > 0)])
+        return (
+            one._replace(mean=a.mu, deviation=a.sigma),
+            two._replace(mean=b.mu, deviation=b.sigma),
+        )
+
+
+def _pool_name(number: int, name: str) -> str:
+    return f"{_POOL}/{number}/{name}"
