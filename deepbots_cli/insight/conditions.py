@@ -138,7 +138,11 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
     seen = [
         entry.value
         for entry in program.agent.observation
-        if include_observation and entry.numbers and entry.value.foreign is None
+        if include_observation
+        and entry.numbers
+        and entry.value.foreign is None
+        # What several agents see has the names of each agent, and not those of the program of all.
+        and not program.members
     ]
     kept = {value.name: builder.probe(value.typed, value) for value in seen if builder.is_measurable(value)}
     signals = (*program.signals, *builder.probes.values())

@@ -310,8 +310,9 @@ class JointLearner(Learner):
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         self.steps = kept.steps
         for name, own in self._own.items():
-            own.restore(self._own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same)
-
+            own.restore(
+                self._own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same
+            )
 
     def _own_state(self, kept: Any, name: str, own: Learner) -> Any:
         """Return the state of a checkpoint as the learner of an agent has it.

@@ -24,9 +24,9 @@ from deepbots_cli.learning.statistics import Interval, wilson
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
-from deepbots_cli.rollout.episode import Driver, OnEpisode
-from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.agents import Act, Policy, PolicyAct, Seat, driven, joint_action, seats_of
+from deepbots_cli.rollout.drivers import AgentsDriver
+from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.runtime.agents import Policy
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""
@@ -140,10 +140,9 @@ def play_matches(
 
     matches: list[Match] = []
     with torch_settings(), closing(api.build(program, engine=engine or first.record.engine)) as world:
-        seats = seats_of(world)
 
         def played(as_one: Player, as_two: Player) -> list[Episode]:
-            driver = MatchDriver(world, seats, {one: as_one.drivers[one], two: as_two.drivers[two]})
+            driver = AgentsDriver(world, {one: as_one.drivers[one], two: as_two.drivers[two]})
             return [*counted(play(world, driver, start) for start in starts)]
 
         for a, b in pairs:
@@ -164,30 +163,6 @@ def play_matches(
         seed=seed,
         matches=tuple(matches),
     )
-
-
-class MatchDriver(Driver):
-    """Drives all agents of a world, each by a policy or by the driver of a name."""
-
-    def __init__(
-        self, world: Supervisor, seats: Mapping[str, Seat], drivers: Mapping[str, str | Policy]
-    ) -> None:
-        self._world, self._seats = world, seats
-        self._acts: dict[str, Act] = {
-            name: driven(world, seats[name], driver)
-            if isinstance(driver, str)
-            else PolicyAct(driver, seats[name])
-            for name, driver in drivers.items()
-        }
-
-    def begin(self, start: Start) -> None:
-        for act in self._acts.values():
-            if isinstance(act, PolicyAct):
-                act.begin()
-
-    def act(self, observation: Any) -> Any:
-        actions = {name: act(self._seats[name].observation(observation)) for name, act in self._acts.items()}
-        return joint_action(self._world, self._seats, actions)
 
 
 def _world_of(program: Program) -> Program:

@@ -11,13 +11,14 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
-from deepbots_cli.rollout.episode import Driver
+from deepbots_cli.rollout.episode import Driver, Start
 
 if TYPE_CHECKING:
     import gymnasium as gym
 
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
+    from deepbots_cli.runtime.agents import Policy
 
 HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
 """The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
@@ -40,6 +41,9 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     if name in scripts:
         act = partial(world.get_wrapper_attr("script"), name)
         return Driver(lambda _: act())
+    of_agents = _drivers_of_agents(program, name)
+    if of_agents:
+        return AgentsDriver(world.unwrapped, of_agents)  # type: ignore[arg-type]  # the supervisor
     if name == POLICY:
         raise UsageError(
             "only a run has a policy; train one with `deepbots train`, and name the run instead of the"
@@ -50,6 +54,9 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     options = [option.name for part in program.agent.choices for option in part.options]
     if not name.isidentifier() or name in options:
         return repeated_actions(world, name)
+    if program.members:
+        of_all = [each.program.agent.scripts for each in program.members.values()]
+        scripts = list(dict.fromkeys(script.name for own in of_all for script in own))
     names = (*scripts, RANDOM, ZERO)
     near = nearest_word(name, (*names, *options))
     hint = f" (did you mean {near}?)" if near else ""
@@ -66,6 +73,45 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
         f"there is no driver '{name}'{hint}; the drivers are {', '.join(names)}, and actions such as"
         f" {example}"
     )
+
+
+def _drivers_of_agents(program: Program, script: str) -> dict[str, str]:
+    """Return the driver of each of several agents: the script of this name, or else the first script of the
+    agent, or `random`; empty if no agent has such a script."""
+    scripts = {
+        name: [each.name for each in member.program.agent.scripts] for name, member in program.members.items()
+    }
+    if not any(script in own for own in scripts.values()):
+        return {}
+    return {name: script if script in own else next(iter(own), RANDOM) for name, own in scripts.items()}
+
+
+class AgentsDriver(Driver):
+    """Drives all agents of a world, each by a policy or by the driver of a name."""
+
+    def __init__(self, world: Supervisor, drivers: Mapping[str, str | Policy]) -> None:
+        from deepbots_cli.runtime import agents
+
+        self._world, self._seats, self._join = world, agents.seats_of(world), agents.joint_action
+        self._policies = {
+            name: agents.PolicyAct(driver, self._seats[name])
+            for name, driver in drivers.items()
+            if not isinstance(driver, str)
+        }
+        self._acts: dict[str, Callable[[Any], Any]] = {
+            name: agents.driven(world, self._seats[name], driver)
+            if isinstance(driver, str)
+            else self._policies[name]
+            for name, driver in drivers.items()
+        }
+
+    def begin(self, start: Start) -> None:
+        for act in self._policies.values():
+            act.begin()
+
+    def act(self, observation: Any) -> Any:
+        actions = {name: act(self._seats[name].observation(observation)) for name, act in self._acts.items()}
+        return self._join(self._world, self._seats, actions)
 
 
 def random_driver(world: gym.Env[Any, Any]) -> Driver:

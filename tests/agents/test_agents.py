@@ -14,6 +14,9 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
+from deepbots_cli.errors import UsageError
+from deepbots_cli.rollout import Start
+from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import joint_action, seats_of
 
 SHARED = """\
@@ -244,3 +247,17 @@ def test_a_run_of_a_mirrored_agent_has_the_learner_that_was_chosen_for_it(severa
     write_copies(folder, compiled.resolved, compiled.inputs)
     assert compiled.program.agent.training is not None
     assert api.compile(folder / RESOLVED_NAME).digest == compiled.digest
+
+
+def test_a_driver_lets_each_agent_act_by_its_script_of_this_name(several: Path) -> None:
+    with closing(api.make(several)) as world:
+        driver = named_driver(world, "lean")
+        driver.begin(Start())
+        observed, _ = world.reset(seed=3)
+        for _ in range(5):
+            expected = {name: seat.script("lean") for name, seat in seats_of(world).items()}
+            action = driver.act(observed)
+            assert action.tolist() == joint_action(world, seats_of(world), expected).tolist()
+            observed, *_ = world.step(action)
+        with pytest.raises(UsageError, match="the drivers are lean, random, zero"):
+            named_driver(world, "nothing")
