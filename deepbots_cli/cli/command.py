@@ -374,7 +374,20 @@ def _command(name: str) -> Any:
 
 
 _WITH_ROLES = frozenset(
-    {"bench", "compile", "eval", "inspect", "lint", "play", "render", "test", "train", "try", "view"}
+    {
+        "bench",
+        "compile",
+        "eval",
+        "inspect",
+        "lint",
+        "play",
+        "render",
+        "robustness",
+        "test",
+        "train",
+        "try",
+        "view",
+    }
 )
 """The commands of a scenario, of which one of several agents may be named."""
 Role = Annotated[

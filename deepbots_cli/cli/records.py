@@ -344,6 +344,20 @@ def drawn_text(result: EvaluationResult) -> str:
     )
 
 
+def _group_of_rivals_text(group: GroupResult) -> str:
+    """Return a row for each seed with the mean return of each agent, which have no common measure."""
+    first = group.evaluations[0]
+    rows = [
+        {"run": result.run.name, **{name: own.mean_return for name, own in result.agents.items()}}
+        for result in group.evaluations
+    ]
+    head = (
+        f"evaluation of {first.scenario}, group {group.name}: mean return of each agent, on"
+        f" {held_out(first.episodes)} of each run, from seed {first.seed}"
+    )
+    return f"{head}\n{table(rows)}"
+
+
 def group_text(group: GroupResult) -> str:
     """Return a row for each seed, and the statistics over the seeds."""
     first, count, has_success = group.evaluations[0], len(group.evaluations), group.success_defined
@@ -365,6 +379,8 @@ def group_text(group: GroupResult) -> str:
     seeds = f"over {count} seed{'' if count == 1 else 's'}"
     if group.return_interval is not None or group.success_interval is not None:
         seeds += ": what another training may give; more seeds narrow the intervals"
+    if first.agents and not has_success:
+        return _group_of_rivals_text(group)
     starts = f"over {group.starts:,} start{'' if group.starts == 1 else 's'}"
     notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
     notes += [

@@ -18,6 +18,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.environments import WorldFactory
+from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate, until_enough
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.group import Group
@@ -288,6 +289,7 @@ def compare(
         raise UsageError("a comparison needs at least two runs")
     first = members[0].models[0].run
     judged = first.compiled if scenario is None else api.compile(scenario)
+    check_common_measure(judged.program, "let them play: deepbots match RUN RUN")
     worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
     count = judged.program.evaluation_episodes(case) if episodes is None else episodes
     options: dict[str, Any] = {

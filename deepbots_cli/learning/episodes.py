@@ -20,10 +20,11 @@ from typing import Annotated, Any, BinaryIO, Self, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
 
-from deepbots_cli.errors import RunError, StorageError
+from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.generations import Generations
 from deepbots_cli.learning.statistics import UNBOUNDED, Interval, interquartile_mean, mean_interval, wilson
+from deepbots_cli.program import Program
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
@@ -539,6 +540,18 @@ def agent_scores(members: Mapping[str, Member], done: Sequence[Episode]) -> dict
         )
         scores[name] = own.model_copy(update=undefined)
     return scores
+
+
+def check_common_measure(program: Program, instead: str) -> None:
+    """Check that a number measures all agents of a scenario.
+
+    Raises:
+        UsageError: The agents compete; `instead` is what to do.
+    """
+    if program.has_rivals:
+        raise UsageError(
+            f"the agents of {program.name} compete, so no number measures all of them; {instead}"
+        )
 
 
 def agent_returns(members: Mapping[str, Member], term_means: Mapping[str, float]) -> dict[str, float]:

@@ -32,6 +32,7 @@ from deepbots_cli.document.nodes import NodePath, entries_at, node_at, without_p
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
+from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor, results
 from deepbots_cli.learning.run import ModelName, ModelRef, Run
@@ -260,6 +261,7 @@ def evaluate_robustness(
     )
     plain = api.compile(base.checked(overrides=overrides))
     program = plain.program.variant(case, stage)
+    check_common_measure(program, "name one of them: deepbots robustness RUN --agent NAME")
     document = base_document(base, overrides, case, stage)
     usual = plain.program.evaluation.episodes if case is None else plain.program.case(case).episodes
     evaluation_options: dict[str, Any] = {

@@ -112,7 +112,7 @@ class Member:
 
     def reward(self, terms: Mapping[str, float]) -> float:
         """Return its reward, given the last value of each term of all agents."""
-        return sum(terms[name] for name in self.terms.values())
+        return sum(map(terms.__getitem__, self.terms.values()))
 
     @property
     def defines_success(self) -> bool:
@@ -122,6 +122,8 @@ class Member:
     def has_succeeded(self, endings: Sequence[str]) -> bool:
         """Return whether an episode that these endings ended is a success for the agent: failure has
         precedence."""
+        if not endings:
+            return False
         success = self.program.agent.success
         return any(name in success for name in endings) and self.program.failures.isdisjoint(endings)
 

@@ -177,3 +177,39 @@ def test_an_export_of_several_agents_asks_for_one(
 ) -> None:
     assert main(["export", str(trained)]) == 2
     assert f"deepbots export {trained} --agent left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "instead"),
+    [
+        (["compare", "RUN", "RUN/models/agent/last.zip"], "deepbots match RUN RUN"),
+        (["robustness", "RUN"], "--agent NAME"),
+        (["transfer", "RUN"], "--agent NAME"),
+        (["eval", "RUN", "--min-return", "1"], "--agent NAME"),
+    ],
+)
+def test_a_number_about_all_agents_that_compete_is_refused(
+    trained: Path, words: list[str], instead: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([word.replace("RUN", str(trained)) for word in words]) == 2
+    assert instead in capsys.readouterr().err
+
+
+def test_robustness_is_that_of_one_agent(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        main(["robustness", str(trained), "--agent", "left", "--episodes", "2", "--min-return", "-1000"]) == 0
+    )
+    assert "mass of" in capsys.readouterr().out
+
+
+def test_a_group_of_agents_that_compete_shows_the_return_of_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = written(tmp_path, SHARED)
+    deepbots_cli.learning.train_group(
+        api.compile(scenario), [1, 2], group=tmp_path / "group", total_timesteps=64
+    )
+    assert main(["eval", str(tmp_path / "group"), "--episodes", "2"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["run", "left", "right"]
+    assert [line.split()[0] for line in lines[3:5]] == ["seed-1", "seed-2"]

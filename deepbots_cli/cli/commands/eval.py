@@ -37,6 +37,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
+from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.run import ModelRef, Run
@@ -494,6 +495,8 @@ class Gates:
             UsageError: The scenario lacks success, or `solved`.
         """
         solved = program.agent.solved
+        if self.solved or self.min_success is not None or self.min_return is not None:
+            check_common_measure(program, "require something of one: --agent NAME")
         if self.min_success is not None and not program.defines_success:
             others = "--min-return" if solved is None else "--min-return or --require-solved"
             raise UsageError(

@@ -33,6 +33,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -115,6 +116,9 @@ def command(
     """Check that a policy works in another engine or world."""
     opened = [ModelRef.open(path, permissions) for path in runs]
     for ref in opened:
+        check_common_measure(
+            ref.run.program, "evaluate one: deepbots eval RUN --agent NAME --engine NAME,NAME"
+        )
         Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
         _compare_log(
