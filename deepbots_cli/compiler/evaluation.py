@@ -124,6 +124,7 @@ def training(
         spec.train.staleness,
         spec.train.patience,
         self_play=_self_play(spec.train),
+        turns=spec.train.turns,
     )
 
 

@@ -43,7 +43,7 @@ from deepbots_cli.runtime.streams import derive_seed
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
 
-_SHARED = ("total_timesteps", "environments", "shards", "device", "staleness")
+_SHARED = ("total_timesteps", "environments", "shards", "device", "staleness", "turns")
 """The settings that agents that learn in the same worlds have in common."""
 _DATA = "data"
 _MAX_DATA_BYTES = 8_000_000
@@ -202,8 +202,13 @@ class JointLearner(Learner):
         return JointActor(self._critical, actors, self._masked)
 
     def update(self) -> None:
-        for own in self._own.values():
-            own.update()
+        turns = self.setup.training.turns
+        own = [*self._own.values()]
+        if turns is not None:
+            begun = self.steps - self.fragment_steps * self.setup.training.environments
+            own = [own[begun // turns % len(own)]]
+        for learner in own:
+            learner.update()
 
     def end(self) -> None:
         for own in self._own.values():

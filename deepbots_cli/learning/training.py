@@ -7,7 +7,7 @@ import platform
 import shutil
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -39,6 +39,7 @@ from deepbots_cli.learning.records import (
     versions,
 )
 from deepbots_cli.learning.report import Reporter, reporter
+from deepbots_cli.learning.rivals import model_of
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms, plugins
 from deepbots_cli.learning.training_loop import OnIteration, TrainingProcess, create_learner
@@ -158,7 +159,8 @@ def train(
     with run_lock(path):
         new = Run.create(path, record, compiled)
         if source is not None:
-            shutil.copyfile(source.path, new.model("initial"))
+            with _initial_model(source, compiled.program) as model:
+                shutil.copyfile(model, new.model("initial"))
         if teacher is not None:
             copy_teacher(teacher, new.teacher)
         elif demonstrations is not None:
@@ -380,11 +382,13 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")
     if training.total_timesteps > MAX_STEPS:
         raise UsageError(f"total_timesteps must be at most {MAX_STEPS}, not {training.total_timesteps}")
-    if training.self_play is not None and program.others is None and not training.agents:
-        raise UsageError(
-            "`self_play` needs a scenario with two equal `agents`; remove it from `train`, or see"
-            " docs/several-agents.md"
-        )
+    of_several = {"self_play": training.self_play, "turns": training.turns}
+    for name, value in of_several.items():
+        if value is not None and program.others is None and not training.agents:
+            raise UsageError(
+                f"`{name}` needs a scenario with several `agents`; remove it from `train`, or see"
+                " docs/several-agents.md"
+            )
     kind = learners.class_of(training)
     kind.check(training)
     if callbacks and not kind.takes_callbacks:
@@ -394,6 +398,13 @@ def _training_of(program: Program, total_timesteps: int | None, callbacks: Seque
         )
     algorithms.check_memory(training.environments)
     return training
+
+
+def _initial_model(source: ModelRef, program: Program) -> AbstractContextManager[Path]:
+    """Return a context with the model that initializes a policy: for one of several agents, its part of a
+    model of all of them."""
+    others = program.others
+    return nullcontext(source.path) if others is None else model_of(source.path, others.agent)
 
 
 def _validate_setup(
@@ -413,7 +424,8 @@ def _validate_setup(
             learner.actor()
         if source is None:
             return None
-        initialized = learner.initialize(source.path)
+        with _initial_model(source, program) as model:
+            initialized = learner.initialize(model)
         shown = source.path if source.is_named else source.run.path
         new = ", ".join(f"{name} ({reason})" for name, reason in initialized.not_copied.items())
         changed = "; ".join(identity.differences(source.run.program, program))

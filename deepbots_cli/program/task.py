@@ -573,6 +573,7 @@ class Training:
     symmetry: Symmetry | None = None
     agents: tuple[tuple[str, Training], ...] = ()
     self_play: SelfPlay | None = None
+    turns: int | None = None
 
     def digest_fields(self) -> dict[str, object]:
         later = {
@@ -583,6 +584,7 @@ class Training:
             "symmetry": None,
             "agents": (),
             "self_play": None,
+            "turns": None,
         }
         return {
             name: value for name, value in vars(self).items() if name not in later or value != later[name]

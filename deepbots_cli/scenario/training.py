@@ -173,6 +173,9 @@ class Training(Section):
     """A script that teaches the policy."""
     self_play: SelfPlay | None = None
     """Train one policy for two equal agents, against itself and past versions of itself."""
+    turns: Annotated[int, WholeNumber(1, 10**12)] | None = None
+    """Of several agents that are trained together: number of timesteps for which one of them learns, before it is
+    the turn of the next one. Default: all learn all the time."""
     symmetry: Symmetry | None = None
     """The mirror symmetry of the task: the policy also learns from the mirror image of each step."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"

@@ -6,6 +6,7 @@ import json
 import shutil
 import zipfile
 from contextlib import closing
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,7 @@ def test_all_agents_learn_in_one_run(trained: Path) -> None:
     assert (result.best.chosen_by, result.best.steps) == ("newest", result.steps)  # the agents compete
     weights = load_model(run, "best").weights()
     assert {name.partition("/")[0] for name in weights} == {"left", "right"}
-    layer = "policy/mlp_extractor.policy_net.0.weight".partition("/")[2]
+    layer = "mlp_extractor.policy_net.0.weight"
     assert not np.array_equal(weights[f"left/{layer}"], weights[f"right/{layer}"])
 
 
@@ -168,6 +169,27 @@ def test_agents_that_cannot_learn_in_the_same_worlds_are_told_what_to_write(
     with pytest.raises(UsageError, match=message):
         deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_agents_learn_in_turns(tmp_path: Path) -> None:
+    text = SHARED.replace("n_steps: 64", "n_steps: 64, turns: 128").replace("768", "192")
+    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", seed=1, keep_checkpoints=3)
+    run = Run.open(tmp_path / "run")
+    weights = [load_model(run, f"step-{steps:09d}").weights() for steps in (64, 128, 192)]
+    layer = "mlp_extractor.policy_net.0.weight"
+    changed = [
+        {name for name in ("left", "right") if not np.array_equal(a[f"{name}/{layer}"], b[f"{name}/{layer}"])}
+        for a, b in pairwise(weights)
+    ]
+    assert changed == [{"left"}, {"right"}]
+
+
+def test_an_agent_begins_with_its_policy_of_a_run_of_all(trained: Path, tmp_path: Path) -> None:
+    alone = api.compile(written(tmp_path, SHARED), overrides=["role={agent: right}"])
+    result = deepbots_cli.train(alone, run=tmp_path / "run", total_timesteps=64, initialize_from=trained)
+    assert result.initialized_from is not None
+    with own_model(trained / "models" / "agent" / "best.zip", "right") as file:
+        assert (tmp_path / "run" / "models" / "agent" / "initial.zip").read_bytes() == file.read_bytes()
 
 
 def test_a_teacher_of_all_agents_is_refused(trained: Path, tmp_path: Path) -> None:
