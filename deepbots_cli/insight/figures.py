@@ -22,6 +22,7 @@ from deepbots_cli.view.plots import (
     THEMES,
     TrainingLog,
     ending_colors,
+    plot_agents,
     plot_band,
     plot_decline,
     plot_endings,
@@ -68,6 +69,9 @@ def returns(logs: Sequence[TrainingLog], theme: str) -> Figure:
     """Draw returns of training episodes, the mean over seeds with a band from the lowest to the highest,
     evaluations, and the teacher."""
     figure, ((panel,),) = new_figure(theme, 2.9)
+    if any(log.agents for log in logs):
+        plot_agents(panel, logs)
+        return _with_legend(figure, style_panel(panel, "return", theme, stages=[logs]))
     plot_band(
         panel,
         [log.returns for log in logs if log.returns is not None],

@@ -93,7 +93,10 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
         RunError: Its evaluations cannot be read.
     """
     best = record.result.best_model if record.result is not None else None
-    return None if best is None else decline(read_evaluations(run), best.measure)
+    # A rival that has learned more is no decline.
+    return (
+        None if best is None or best.chosen_by == "newest" else decline(read_evaluations(run), best.measure)
+    )
 
 
 def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:

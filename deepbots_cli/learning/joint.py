@@ -154,7 +154,7 @@ class JointLearner(Learner):
     def log(self, log: Any) -> None:
         self._log = log
         for name, own in self._own.items():
-            own.log = AgentLog(log, name)  # type: ignore[assignment]  # the part of the log that learners use
+            own.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]  # the part of the log that learners use
 
     # Acting and learning
 

@@ -75,7 +75,8 @@ class TrainingLog:
     was saved, None if they are unknown. `evaluation_stages` are the stages in which the policy acted in
     `evaluations`, empty for none. `teacher` is the result of `teacher_of`, and `lessons` are its curves:
     `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
-    `success_rate`, of a script from the starts of the evaluations.
+    `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
+    several agents.
     """
 
     path: Path
@@ -95,6 +96,7 @@ class TrainingLog:
     teacher: str | None = None
     lessons: dict[str, Curve] = field(default_factory=dict)
     decline: Decline | None = None
+    agents: dict[str, Curve] = field(default_factory=dict)
 
 
 def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
@@ -177,11 +179,20 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log.terms = {
         tag.removeprefix("reward/"): curve for tag, curve in curves.items() if tag.startswith("reward/")
     }
+    log.agents = {
+        tag.removesuffix(_AGENT_RETURNS): curve
+        for tag, curve in curves.items()
+        if tag.endswith(_AGENT_RETURNS) and tag.count("/") == _AGENT_RETURNS.count("/")
+    }
     if teacher is not None:
         log.lessons = {
             tag.removeprefix("teacher/"): curve for tag, curve in curves.items() if tag.startswith("teacher/")
         }
     return log
+
+
+_AGENT_RETURNS = "/rollout/ep_rew_mean"
+"""The end of the tags of the returns of several agents, whose names come before it."""
 
 
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
@@ -406,12 +417,16 @@ def _plot_group(
         "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
         "label": label,
     }
-    plot_band(returns, [log.returns for log in members if log.returns is not None], style)
+    has_agents = bool(members[0].agents)
+    if has_agents:
+        plot_agents(returns, members, "" if is_only else f"{name}: ")
+    else:
+        plot_band(returns, [log.returns for log in members if log.returns is not None], style)
+        plot_evaluations(returns, members, color)
     plot_band(successes, [log.successes for log in members if log.successes is not None], style)
-    plot_evaluations(returns, members, color)
     plot_evaluations(successes, members, color, successes=True)
     for log in members:
-        plot_evaluation(returns, successes, log, color)
+        plot_evaluation(None if has_agents else returns, successes, log, color)
         plot_decline(returns, successes, log)
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
     plot_teacher(returns, members, "mean_return", color, script)
@@ -453,6 +468,17 @@ def ending_colors(logs: Sequence[TrainingLog]) -> dict[str, str]:
 def _paler(color: str, rounds: int) -> str:
     parts = [int(color[place : place + 2], 16) for place in (1, 3, 5)]
     return "#" + "".join(f"{round(255 - (255 - part) * 0.6**rounds):02x}" for part in parts)
+
+
+def plot_agents(panel: Axes, logs: Sequence[TrainingLog], prefix: str = "") -> None:
+    """Plot the returns of each of several agents, which have no common measure."""
+    for number, agent in enumerate(dict.fromkeys(agent for log in logs for agent in log.agents)):
+        style = {
+            "color": COLORS[number % len(COLORS)],
+            "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
+            "label": f"{prefix}{agent}",
+        }
+        plot_band(panel, [log.agents[agent] for log in logs if agent in log.agents], style)
 
 
 def plot_band(panel: Axes, curves: Sequence[Curve], style: Mapping[str, Any]) -> None:

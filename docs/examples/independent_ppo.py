@@ -61,7 +61,9 @@ class Learner:
             for batch in torch.randperm(len(seen)).split(256):
                 log_probs = Normal(self.actor(seen[batch]), self.log_std.exp()).log_prob(taken[batch]).sum(-1)
                 ratio = (log_probs - old[batch]).exp()
-                gains = torch.min(weights[batch] * ratio, weights[batch] * ratio.clamp(1.0 - clip, 1.0 + clip))
+                gains = torch.min(
+                    weights[batch] * ratio, weights[batch] * ratio.clamp(1.0 - clip, 1.0 + clip)
+                )
                 errors = (self.critic(seen[batch]).flatten() - targets[batch]).square()
                 self.optimizer.zero_grad()
                 (0.5 * errors.mean() - gains.mean()).backward()
@@ -69,7 +71,9 @@ class Learner:
                 self.optimizer.step()
 
 
-def main(scenario: str = "carry", cpu_seconds: float = 60.0, rollout: int = 2048, seed: int = 0) -> list[float]:
+def main(
+    scenario: str = "carry", cpu_seconds: float = 60.0, rollout: int = 2048, seed: int = 0
+) -> list[float]:
     """Train all agents of a scenario, and return the returns of the episodes, summed over the agents."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -85,10 +86,16 @@ class TrainingLog(Logger):
 
 
 class AgentLog(Logger):
-    """The log of one of several agents: its scalars have the name of the agent before theirs."""
+    """The log of one of several agents: its scalars have the name of the agent before theirs.
 
-    def __init__(self, log: Logger, agent: str) -> None:
-        self._log, self._agent = log, agent
+    Args:
+        log: The log of the training.
+        agent: The name of the agent.
+        steps: Returns the steps of the training.
+    """
+
+    def __init__(self, log: Logger, agent: str, steps: Callable[[], int]) -> None:
+        self._log, self._agent, self._steps = log, agent, steps
         self.dir, self.output_formats, self.level = log.dir, [], log.level
 
     @property
@@ -102,7 +109,9 @@ class AgentLog(Logger):
         self._log.record_mean(self._name(key), value, exclude)
 
     def dump(self, step: int = 0) -> None:
-        self._log.dump(step)
+        """Write the scalars at the present step of all agents, which a learner with more rows counts
+        otherwise."""
+        self._log.dump(self._steps())
 
     def _name(self, key: str) -> str:
         """Return the name of a scalar; the speed of a training is that of all agents."""
