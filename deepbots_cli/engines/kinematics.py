@@ -20,6 +20,7 @@ from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.port import Engine, Kinematics, Part
     from deepbots_cli.robots.model import Joint, RobotModel
 
     FloatArray = NDArray[np.float64]
@@ -169,6 +170,13 @@ class Chain:
         for row, (_, leader, mimic) in zip(rows[count:], self._followers, strict=True):
             rows[leader] += mimic.multiplier * row
         return rows[:count]
+
+
+def inverse_kinematics(engine: Engine, model: RobotModel, part: Part, joints: Sequence[str]) -> Kinematics:
+    """Return `Engine.inverse_kinematics` for a robot of this model."""
+    chain = Chain(model, part[1] or model.root, joints)
+    root, read = engine.pose(part[0]), engine.joint_states(part[0], chain.moving_joints)
+    return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
 
 
 def _path(model: RobotModel, link: str) -> list[Joint]:

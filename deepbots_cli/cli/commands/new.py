@@ -20,7 +20,7 @@ from deepbots_cli.cli.command import OUTPUT, Force, Json, option
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
@@ -251,8 +251,6 @@ def from_shipped(shipped_name: str, name: str) -> Files:
     first = shipped.scenario_path(shipped_name)
     if first is None:
         names = shipped.scenario_names()
-        near = nearest_word(shipped_name, names)
-        hint = f" (did you mean {near}?)" if near else ""
         if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
             own = (
                 f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends:"
@@ -262,7 +260,8 @@ def from_shipped(shipped_name: str, name: str) -> Files:
                 f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}"
             )
         raise UsageError(
-            f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}"
+            f"there is no shipped scenario '{shipped_name}'{did_you_mean(shipped_name, names)}; shipped"
+            f" scenarios are: {', '.join(names)}"
         )
     target = PurePosixPath(f"{name}.yaml")
     text, waiting = _rewritten(first.resolve())
