@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +25,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensordict import TensorDict
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.learning import evaluate, learner, resume, train
 from deepbots_cli.learning.evaluation import load_model
@@ -41,7 +40,6 @@ from deepbots_cli.rollout.worlds import Worlds
 from tests.learning.interruption import At
 from tests.private_members import private_members
 
-ROOT = Path(__file__).parents[2]
 MODULE = Path(internals.__file__)
 RANGES = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
 SHORT = Training("rsl_rl.PPO", 2_000, 4, hyper(num_steps_per_env=32))
@@ -175,28 +173,19 @@ def test_an_exported_policy_acts_as_the_policy(tmp_path: Path, training: Trainin
 TRAIN = "train={algorithm: rsl_rl.PPO, total_timesteps: 2_000, environments: 4, num_steps_per_env: 64}"
 
 
-def deepbots(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "deepbots_cli", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-    )
-
-
-def test_the_commands_train_evaluate_and_export(tmp_path: Path) -> None:
+def test_the_commands_train_evaluate_and_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("onnx")
+    monkeypatch.chdir(tmp_path)
     changes = ("--set", TRAIN, "--set", "world.engine=mujoco", "--set", "evaluation={episodes: 3}")
-    trained = deepbots(tmp_path, "train", "cartpole_continuous", "--run", "run", *changes)
-    assert trained.returncode == 0, trained.stderr
-    result = json.loads((tmp_path / "run" / "run.json").read_text())["result"]
-    assert result["steps"] == 2_048
-    evaluated = deepbots(tmp_path, "eval", "run", "--last", "--json")
-    assert evaluated.returncode == 0, evaluated.stderr
-    exported = deepbots(tmp_path, "export", "run", "--output", "bundle.zip")
-    assert exported.returncode == 0, exported.stderr + exported.stdout
+    for words in (
+        ("train", "cartpole_continuous", "--run", "run", *changes),
+        ("eval", "run", "--last", "--json"),
+        ("export", "run", "--output", "bundle.zip"),
+    ):
+        assert main([*words]) == 0, capfd.readouterr().err
+    assert json.loads(Path("run/run.json").read_text())["result"]["steps"] == 2_048
 
 
 def test_a_choice_is_refused_in_a_finding_and_in_an_error() -> None:
