@@ -66,9 +66,10 @@ def test_an_interrupted_training_continues_without_the_run_of_its_teacher(
     teacher: TrainingResult, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(teacher.run, tmp_path / "teacher")
-    path, whole, parts = student(tmp_path), tmp_path / "whole", tmp_path / "parts"
-    train(path, run=whole, demonstrations=copy, total_timesteps=2048)
-    train(path, run=parts, demonstrations=copy, total_timesteps=2048, progress=At(1000))
+    compiled = api.compile(student(tmp_path), overrides=["train.n_steps=32", "world.engine=pybullet"])
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train(compiled, run=whole, demonstrations=copy, total_timesteps=768)
+    train(compiled, run=parts, demonstrations=copy, total_timesteps=768, progress=At(300))
     shutil.rmtree(copy)
     resume(parts)
     expected, continued = outcome(whole), outcome(parts)
