@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program.levels import SUCCESS, Levels
@@ -29,6 +32,18 @@ ENGINES = [pytest.param("pybullet", id="single worlds"), pytest.param("mujoco", 
 
 def compiled(*overrides: str) -> Compiled:
     return api.compile(SCENARIO, overrides=overrides)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., TrainingResult]:
+    """Trains once in an engine and in shards; the runs are not to be changed."""
+
+    @cache
+    def train_whole(engine: str = "mujoco", shards: int = 1) -> TrainingResult:
+        task = compiled(f"train.shards={shards}")
+        return train(task, run=tmp_path_factory.mktemp("whole") / "run", engine=engine)
+
+    return train_whole
 
 
 def levels_of(compiled: Compiled) -> Levels:
@@ -132,14 +147,14 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
         assert after == levels.next(before, [row["ended_by"]], none_drawn)
 
 
-def test_a_batch_gives_the_levels_of_single_worlds(tmp_path: Path) -> None:
+def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., TrainingResult]) -> None:
     from contextlib import ExitStack
 
     from deepbots_cli.learning.environments import supervisor_factory
     from deepbots_cli.learning.run import Run
     from deepbots_cli.learning.shards import WorldPlan
 
-    run = Run.open(train(compiled(), run=tmp_path / "run", engine="mujoco").run)
+    run = Run.open(whole().run)
     steps: list[list[Any]] = []
 
     def alone(program: Any, **settings: Any) -> Any:
@@ -183,16 +198,16 @@ def test_a_batch_gives_the_levels_of_single_worlds(tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("shards", [1, 2])
 def test_a_resumed_training_is_one_without_interruption_to_the_bit(
-    tmp_path: Path, engine: str, shards: int
+    tmp_path: Path, engine: str, shards: int, whole: Callable[..., TrainingResult]
 ) -> None:
+    expected = whole(engine, shards).run
     task = compiled(f"train.shards={shards}")
-    whole = train(task, run=tmp_path / "whole", engine=engine)
     parts = train(task, run=tmp_path / "parts", engine=engine, progress=At(400))
     assert parts.status == "interrupted"
     again = resume(parts.run)
     assert again.inexact == ()
-    assert {drawn_level(row) for row in monitor(whole.run)} == {0, 1, 2, 3, 4, 5}
-    one, other = outcome(whole.run), outcome(again.run)
+    assert {drawn_level(row) for row in monitor(expected)} == {0, 1, 2, 3, 4, 5}
+    one, other = outcome(expected), outcome(again.run)
     for part in one:
         assert other[part] == one[part], part
 
@@ -213,8 +228,10 @@ def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> Non
     assert {drawn_level(row) for row in monitor(runs[0])} == set(range(6))
 
 
-def test_results_show_the_levels_and_an_evaluation_draws_all(tmp_path: Path) -> None:
-    result = train(compiled(), run=tmp_path / "run")
+def test_results_show_the_levels_and_an_evaluation_draws_all(
+    whole: Callable[..., TrainingResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = whole()
     assert isinstance(result.levels, LevelSpread)
     assert 0 <= result.levels.lowest <= result.levels.mean <= result.levels.highest < 6
     assert f"level           {result.levels}" in training_text(result)
@@ -222,11 +239,6 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(tmp_path: Path) -> 
     assert scalars["curriculum/mean_level"][-1][1] == pytest.approx(result.levels.mean)
     evaluation = evaluate(result.run, episodes=60)
     assert {episode.drawn["level"] for episode in evaluation.outcomes} == set(range(6))
-
-
-def test_the_list_of_runs_shows_the_mean_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = train(compiled(), run=tmp_path / "run")
-    assert result.levels is not None
     assert main(["runs", str(result.run), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean_level"] == result.levels.mean
 
@@ -263,13 +275,14 @@ def test_a_level_that_the_scenario_does_not_have_is_refused(tmp_path: Path) -> N
         resume(run)
 
 
-def test_a_training_in_one_level_can_be_evaluated_in_another(tmp_path: Path) -> None:
-    result = train(compiled("level=3"), run=tmp_path / "run", total_timesteps=256)
+def test_a_training_in_one_level_can_be_evaluated_in_another(
+    whole: Callable[..., TrainingResult], tmp_path: Path
+) -> None:
+    result = train(compiled("level=3"), run=tmp_path / "run", total_timesteps=256, engine="mujoco")
     assert result.levels is None
     assert evaluate(result.run, episodes=2).episodes == 2
-    of_all = evaluate(train(compiled(), run=tmp_path / "all", total_timesteps=256).run, episodes=2)
-    assert of_all.episodes == 2
-    assert main(["eval", str(tmp_path / "all"), "--set", "level=5", "--episodes", "2"]) == 0
+    of_all = shutil.copytree(whole().run, tmp_path / "all")
+    assert main(["eval", str(of_all), "--set", "level=5", "--episodes", "2"]) == 0
 
 
 def test_a_failure_repeats_in_the_level_of_its_world(tmp_path: Path) -> None:
