@@ -70,7 +70,7 @@ class Chain:
         ]
         """The followers of driven joints: their place, that of the leader among the driven joints, and their
         linear relation."""
-        ranges = [_range(model.joint(name)) for name in driven]
+        ranges = [model.joint(name).ends(inf) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
     def solve(
@@ -187,13 +187,6 @@ def _path(model: RobotModel, link: str) -> list[Joint]:
         path.append(above[link])
         link = above[link].parent
     return path[::-1]
-
-
-def _range(joint: Joint) -> tuple[float, float]:
-    if joint.type == "continuous":
-        return -inf, inf
-    lower, upper = joint.limit.lower, joint.limit.upper
-    return -inf if lower is None else lower, inf if upper is None else upper
 
 
 def _rotation_vector(q: Quaternion) -> Triple:

@@ -35,7 +35,7 @@ def hyper(**settings: float) -> tuple[Hyperparameter, ...]:
 def run_on_policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return trained(
         tmp_path_factory.mktemp("trained"),
-        Training("PPO", 2_000, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)),
+        Training("PPO", 640, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)),
     )
 
 

@@ -158,7 +158,7 @@ def _row(result: TestResult) -> Row:
 
 
 def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
-    """Return the command that shows the episode of a miss, with the options that were `given`."""
+    """Return the command that shows the episode of a miss, with the options of this one."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *options])
