@@ -62,7 +62,10 @@ def evaluations_with(*rates: float, stage: str = "", every: int = 1000, returns:
 
 def train_shuttle(folder: Path, *overrides: str) -> Path:
     compiled = api.compile(
-        api.load(SHUTTLE, overrides=["train.environments=2", "train.n_steps=32", *overrides])
+        api.load(
+            SHUTTLE,
+            overrides=["world.engine=mujoco", "train.environments=2", "train.n_steps=32", *overrides],
+        )
     )
     return train(compiled, total_timesteps=128, seed=2, run=folder / "shuttle").run
 

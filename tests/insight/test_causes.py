@@ -64,9 +64,15 @@ def _played(run: Run, actions: list[float], mark: float) -> Trace:
 # The reward against the success
 
 
-def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
+@pytest.fixture(scope="module")
+def held(tmp_path_factory) -> Path:
+    """A training of the shuttle that holds its mark; not to be changed."""
+    return train_shuttle(tmp_path_factory.mktemp("held"), *HELD)
+
+
+def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(held):
     """Returns of 268 against the 57.6 of the script, and a success rate of 9 %: nothing was said of it."""
-    training = read_training(Run.open(train_shuttle(tmp_path, *HELD)))
+    training = read_training(Run.open(held))
     run_probes(training)
     script = np.mean([trace.returns for trace in training.scripts["by_hand"]])
     good = outcomes(400, 0.2, 0.09, 0.09)
@@ -87,12 +93,11 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
     assert "reward_exploited" not in _causes(replace(succeeds, scripts=training.scripts))
 
 
-def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(tmp_path):
+def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(held):
     """The policy succeeded in all episodes with 295, and those of the training returned 829 without a
     success."""
-    path = train_shuttle(tmp_path, *HELD)
     curves = {"reward__parked": np.linspace(50, 800, 20), "reward__closer": [2.0] * 20}
-    logged = with_logs(path, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
+    logged = with_logs(held, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
     succeeding = [Episode(295.0, 117, True, "found", {"parked": 242.0, "closer": 3.0}) for _ in range(100)]
     solved = replace(logged, final_episodes=succeeding, verdict=replace(logged.verdict, solved=True))
     named = _named(solved, "reward_exploited")
@@ -101,7 +106,7 @@ def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_
         in named.text
     )
     assert "'parked' pays most of the difference" in named.text
-    fewer = with_logs(path, np.full(400, 250.0), FLAT, success=0.5, **curves)
+    fewer = with_logs(held, np.full(400, 250.0), FLAT, success=0.5, **curves)
     assert "reward_exploited" not in _causes(
         replace(fewer, final_episodes=succeeding, verdict=solved.verdict)
     )
