@@ -195,8 +195,15 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
     assert steps[0] == steps[1]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("shards", [1, 2])
+@pytest.mark.parametrize(
+    ("engine", "shards"),
+    [
+        pytest.param("mujoco", 1, id="batch"),
+        pytest.param("mujoco", 2, id="batches", marks=pytest.mark.slow),
+        pytest.param("pybullet", 1, id="single worlds", marks=pytest.mark.slow),
+        pytest.param("pybullet", 2, id="shards of single worlds"),
+    ],
+)
 def test_a_resumed_training_is_one_without_interruption_to_the_bit(
     tmp_path: Path, engine: str, shards: int, whole: Callable[..., TrainingResult]
 ) -> None:

@@ -95,8 +95,12 @@ def test_a_training_changes_the_weights_and_its_policy_is_evaluated(tmp_path: Pa
 
 @pytest.mark.parametrize(
     "training",
-    [SHORT, EVERYTHING, replace(SHORT, shards=2), replace(EVERYTHING, shards=2, staleness=1)],
-    ids=["usual", "everything", "shards", "stale shards"],
+    [
+        pytest.param(SHORT, id="usual"),
+        pytest.param(EVERYTHING, id="everything", marks=pytest.mark.slow),
+        pytest.param(replace(SHORT, shards=2), id="shards", marks=pytest.mark.slow),
+        pytest.param(replace(EVERYTHING, shards=2, staleness=1), id="stale shards of everything"),
+    ],
 )
 def test_an_interrupted_training_has_the_weights_of_one_that_was_not(
     tmp_path: Path, training: Training
