@@ -17,7 +17,7 @@ from deepbots_cli.analysis.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, hull, single
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, children
 from deepbots_cli.expressions.types import INEQUALITIES
 
 RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
@@ -298,7 +298,7 @@ class Course(Ranges):
         if identity not in self._is_varied:
             self._is_varied[identity] = True  # a definition that refers to itself
             self._is_varied[identity] = self._is_source(node, identity) or any(
-                map(self._varies, _parts(node))
+                map(self._varies, children(node))
             )
         return self._is_varied[identity]
 
@@ -393,10 +393,6 @@ def has_memory(analysis: Analysis, node: Scalar) -> bool:
 
 def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:
     return iv.add(iv.multiply(before, iv.subtract(single(1.0), share)), iv.multiply(x, share))
-
-
-def _parts(node: Scalar) -> tuple[Scalar, ...]:
-    return node.args if isinstance(node, (Op, State, Draw)) else ()
 
 
 # Values that a way allows

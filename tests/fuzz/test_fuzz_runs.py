@@ -11,11 +11,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "learning"))
 
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program.task import Hyperparameter, Network, Solved, Training
+from deepbots_cli.program.task import Network, Solved, Training
 from tests.fuzz.run_files import files_of, problems
 
 
@@ -25,10 +26,6 @@ def trained(folder: Path, training: Training) -> Path:
     run = train(task, run=folder / training.algorithm.lower(), build=stand_in.build).run
     write_evaluation(Run.open(run), evaluation_json(evaluate(run, episodes=4, build=stand_in.build), ()))
     return run
-
-
-def hyper(**settings: float) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in settings.items())
 
 
 @pytest.fixture(scope="module")

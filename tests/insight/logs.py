@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepbots_cli import api
+from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.run import Run
@@ -58,6 +59,11 @@ def evaluations_with(*rates: float, stage: str = "", every: int = 1000, returns:
         {"steps": every * (k + 1), "stage": stage, "returns": [returns] * 20, "successes": won}
         for k, won in enumerate(wins)
     ]
+
+
+def causes_of(training: TrainingEvidence) -> list[str]:
+    """The names of the causes of a training, the most likely first."""
+    return [cause.cause for cause in diagnose(training)]
 
 
 def train_shuttle(folder: Path, *overrides: str) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import shutil
@@ -24,7 +23,7 @@ from deepbots_cli.learning.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program.levels import SUCCESS, Levels
 from deepbots_cli.rollout import Episode
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import At, monitor_rows, outcome
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
 ENGINES = [pytest.param("pybullet", id="single worlds"), pytest.param("mujoco", id="batch")]
@@ -126,10 +125,6 @@ def test_groups_of_endings_are_the_endings_of_the_scenario() -> None:
     assert levels.down == frozenset({"fallen", "off_track", "max_steps"})
 
 
-def monitor(run: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
-
-
 def drawn_level(row: dict[str, str]) -> int:
     return int(json.loads(row["drawn"])["level"])
 
@@ -139,7 +134,7 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
     """With one world, the order of the log is that of its episodes."""
     task = compiled("train.environments=1", "train.total_timesteps=512", "curriculum.at_top=stay")
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows, levels = monitor(result.run), levels_of(task)
+    rows, levels = monitor_rows(result.run), levels_of(task)
     visited = [drawn_level(row) for row in rows]
     assert visited[0] == 0
     assert len(set(visited)) > 2
@@ -213,7 +208,7 @@ def test_a_resumed_training_is_one_without_interruption_to_the_bit(
     assert parts.status == "interrupted"
     again = resume(parts.run)
     assert again.inexact == ()
-    assert {drawn_level(row) for row in monitor(expected)} == {0, 1, 2, 3, 4, 5}
+    assert {drawn_level(row) for row in monitor_rows(expected)} == {0, 1, 2, 3, 4, 5}
     one, other = outcome(expected), outcome(again.run)
     for part in one:
         assert other[part] == one[part], part
@@ -230,9 +225,9 @@ def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> Non
         for shards in (1, 2)
     }
     runs = [train(task[shards], run=tmp_path / str(shards)).run for shards in (1, 2)]
-    one, two = ([(row["ended_by"], row["l"], row["drawn"]) for row in monitor(run)] for run in runs)
+    one, two = ([(row["ended_by"], row["l"], row["drawn"]) for row in monitor_rows(run)] for run in runs)
     assert one == two
-    assert {drawn_level(row) for row in monitor(runs[0])} == set(range(6))
+    assert {drawn_level(row) for row in monitor_rows(runs[0])} == set(range(6))
 
 
 def test_results_show_the_levels_and_an_evaluation_draws_all(
@@ -262,7 +257,7 @@ def test_a_world_with_copies_of_a_robot_has_one_level(tmp_path: Path, engine: st
         ],
     )
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows = monitor(result.run)
+    rows = monitor_rows(result.run)
     endings: dict[int, list[str]] = {}
     for row in rows:
         endings.setdefault(drawn_level(row), []).append(row["ended_by"])

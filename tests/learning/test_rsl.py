@@ -286,8 +286,3 @@ def test_the_libraries_have_each_private_member() -> None:
     used = {name for _, name in private_members(MODULE)}
     assert used == {"_validate_args"}
     assert all(hasattr(torch.distributions.Distribution, name) for name in used)
-
-
-@pytest.mark.parametrize("path", sorted(MODULE.parent.glob("*.py")), ids=lambda path: path.stem)
-def test_no_other_module_names_a_private_member(path: Path) -> None:
-    assert path == MODULE or [*private_members(path)] == []
