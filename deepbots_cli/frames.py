@@ -55,6 +55,11 @@ def inverse(q: Quaternion) -> Quaternion:
     return (-q[0], -q[1], -q[2], q[3])
 
 
+def wxyz(q: Quaternion) -> Quaternion:
+    """Return a quaternion as MuJoCo and viser write it, with w first."""
+    return (q[3], q[0], q[1], q[2])
+
+
 def roll_pitch_yaw(q: Quaternion) -> Triple:
     """Return roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this
     order."""

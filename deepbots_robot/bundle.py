@@ -121,15 +121,6 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
     return bundle
 
 
-def read_info(folder: Path) -> BundleInfo:
-    """Read bundle.json alone, without the graph.
-
-    Raises:
-        BundleError: The file is missing, damaged or of another format.
-    """
-    return model.decode(_read(folder, BUNDLE_NAME, _MAX_JSON_BYTES))
-
-
 def description_digest(info: BundleInfo) -> str:
     """Return the digest of everything in a bundle.json except for the digests of the files."""
     return hashlib.sha256(msgspec.json.encode(msgspec.structs.replace(info, files={}))).hexdigest()

@@ -27,6 +27,11 @@ sys.path.insert(0, str(Path(__file__).parent / "exact"))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Bytecode is cached whatever the shell says: tests start a hundred processes, and without it each takes 6 s of
+# CPU instead of 3 to import torch and deepbots.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # No deadline: a busy machine, or the first import of scipy, takes seconds. A run draws other examples than
 # the one before.
 hypothesis.settings.register_profile("few", deadline=None, max_examples=30)

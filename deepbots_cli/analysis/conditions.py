@@ -11,7 +11,7 @@ from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
-from deepbots_cli.expressions.types import Invocation, Known, Operation, Reference, Typed
+from deepbots_cli.expressions.types import INEQUALITIES, Invocation, Known, Operation, Reference, Typed
 from deepbots_cli.program.values import Expression
 
 if TYPE_CHECKING:
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """The functions with a memory that rise with their argument."""
-_COMPARISONS = ("less", "less_equal", "greater", "greater_equal")
 _CLOCK_NAMES = frozenset({"time", "step", "episode_return", "previous_reward"})
 _MIN_LEAD_SHARE = 0.02
 """The share of its limit by which another ending has to hold first: a value may pass both limits within a
@@ -49,7 +48,7 @@ def _compared(
     analysis: Analysis, value: Expression, node: Typed, met: set[str]
 ) -> Iterator[ConditionComparison]:
     match node:
-        case Operation(operator=operator) if operator in _COMPARISONS:
+        case Operation(operator=operator) if operator in INEQUALITIES:
             long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
             is_long = (
                 isinstance(long, Invocation)
@@ -74,7 +73,7 @@ def only_comparison(analysis: Analysis, condition: Expression) -> ConditionCompa
     meaning = analysis.resolve_aliases(analysis.scalars(condition)[0])
     compared = list(comparisons(analysis, condition))
     return (
-        compared[0] if len(compared) == 1 and isinstance(meaning, Op) and meaning.op in _COMPARISONS else None
+        compared[0] if len(compared) == 1 and isinstance(meaning, Op) and meaning.op in INEQUALITIES else None
     )
 
 

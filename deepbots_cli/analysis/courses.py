@@ -17,11 +17,12 @@ from deepbots_cli.analysis.analysis import Analysis
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, hull, single
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State, children
+from deepbots_cli.expressions.types import INEQUALITIES
 
-_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
-_COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal"})
-_CLOCKS = frozenset({"time", "step"})
+RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
+"""The facts that are 0 while nothing moves."""
+CLOCKS = frozenset({"time", "step"})
 _GOES_ON: Mapping[str, Interval] = dict.fromkeys(("terminated", "truncated", "ended"), NEVER)
 _OF_ITS_VALUES = frozenset({"running_max", "running_min", "low_pass", "hold", "previous"})
 """The functions with a memory that keep the values of their argument."""
@@ -67,7 +68,7 @@ def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[W
             if (op == "and") == truth:
                 return _together(parts)
             return [way for part in parts for way in part][:_MAX_WAYS]
-        case Op(op, (a, b)) if op in _COMPARISONS:
+        case Op(op, (a, b)) if op in INEQUALITIES:
             return _compared(analysis, node, a, b, rising=op.startswith("greater") == truth, truth=truth)
         case State("rising_edge" | "previous" | "hold", (inner, *_)):
             return ways(analysis, inner, truth=truth)
@@ -114,7 +115,7 @@ def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bo
 
 def is_clock(analysis: Analysis, node: Scalar) -> bool:
     meaning = analysis.resolve_aliases(node)
-    return isinstance(meaning, Name) and meaning.name in _CLOCKS
+    return isinstance(meaning, Name) and meaning.name in CLOCKS
 
 
 def _is_settled(analysis: Analysis, node: Scalar) -> bool:
@@ -297,14 +298,14 @@ class Course(Ranges):
         if identity not in self._is_varied:
             self._is_varied[identity] = True  # a definition that refers to itself
             self._is_varied[identity] = self._is_source(node, identity) or any(
-                map(self._varies, _parts(node))
+                map(self._varies, children(node))
             )
         return self._is_varied[identity]
 
     def _is_source(self, node: Scalar, identity: int) -> bool:
         if identity in self._course or identity in self._same or isinstance(node, State):
             return True
-        return isinstance(node, Name) and (node.name in _GOES_ON or node.name in _CLOCKS)
+        return isinstance(node, Name) and (node.name in _GOES_ON or node.name in CLOCKS)
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         if op == "sub":
@@ -331,7 +332,7 @@ class Course(Ranges):
         return self._flags[node.name] if node.name in self._flags else super()._leaf(node)
 
     def _world(self, node: EngineRead) -> Interval:
-        if node.function in _RATE_FUNCTIONS and not self._is_moving:
+        if node.function in RATE_FUNCTIONS and not self._is_moving:
             return NEVER
         return super()._world(node)
 
@@ -394,10 +395,6 @@ def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:
     return iv.add(iv.multiply(before, iv.subtract(single(1.0), share)), iv.multiply(x, share))
 
 
-def _parts(node: Scalar) -> tuple[Scalar, ...]:
-    return node.args if isinstance(node, (Op, State, Draw)) else ()
-
-
 # Values that a way allows
 
 
@@ -421,7 +418,7 @@ def beyond(threshold: float, side: float) -> float:
 def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Scalar, float]]:
     """Yield the quantities of the present that trees compare with a value, and each finite value."""
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
-        if isinstance(part, Op) and part.op in _COMPARISONS:
+        if isinstance(part, Op) and part.op in INEQUALITIES:
             for quantity, other in (part.args, part.args[::-1]):
                 bound = analysis.ranges.of(other)
                 is_compared = (
@@ -445,7 +442,7 @@ def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:
     """Return the times (s) with which trees compare how long something lasts."""
     times: set[float] = set()
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
-        if isinstance(part, Op) and part.op in _COMPARISONS:
+        if isinstance(part, Op) and part.op in INEQUALITIES:
             for quantity, other in (part.args, part.args[::-1]):
                 counted = _counted(analysis, quantity)
                 if (

@@ -27,6 +27,7 @@ from deepbots_cli.document.nodes import (
     follow_dotted,
     without_paths,
 )
+from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import Constant, Context, Operation, Typed, walk
@@ -493,7 +494,6 @@ MAX_TESTS = 200
 MAX_STEPS = 1_000_000
 """The maximum number of timesteps of a test: a few minutes in a light world."""
 PLAIN_DRIVERS = ("random", "zero")
-_COMPARISONS = frozenset({"less", "less_equal", "greater", "greater_equal", "equal", "not_equal"})
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
 _MAX_SHOWN_VALUES = 4
@@ -715,7 +715,9 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     """Yield the single values that comparisons of a condition compare, except constants."""
     seen: set[tuple[int, int]] = set()
     for node in walk(tree):
-        for part in node.args if isinstance(node, Operation) and node.operator in _COMPARISONS else ():
+        for part in (
+            node.args if isinstance(node, Operation) and node.operator in COMPARISONS.values() else ()
+        ):
             single = part.type.components is None and not part.type.boolean
             if (
                 single

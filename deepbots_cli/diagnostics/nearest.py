@@ -45,6 +45,12 @@ def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
     return longer[0] if len(longer) == 1 else None
 
 
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ` (did you mean x?)` with the nearest of the `known` words; empty if there is none."""
+    near = nearest_word(word, known)
+    return f" (did you mean {near}?)" if near else ""
+
+
 def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
     """Return the nearest of the `known` words as a replacement.
 

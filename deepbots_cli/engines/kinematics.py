@@ -20,6 +20,7 @@ from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.port import Engine, Kinematics, Part
     from deepbots_cli.robots.model import Joint, RobotModel
 
     FloatArray = NDArray[np.float64]
@@ -69,7 +70,7 @@ class Chain:
         ]
         """The followers of driven joints: their place, that of the leader among the driven joints, and their
         linear relation."""
-        ranges = [_range(model.joint(name)) for name in driven]
+        ranges = [model.joint(name).ends(inf) for name in driven]
         self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
 
     def solve(
@@ -171,6 +172,13 @@ class Chain:
         return rows[:count]
 
 
+def inverse_kinematics(engine: Engine, model: RobotModel, part: Part, joints: Sequence[str]) -> Kinematics:
+    """Return `Engine.inverse_kinematics` for a robot of this model."""
+    chain = Chain(model, part[1] or model.root, joints)
+    root, read = engine.pose(part[0]), engine.joint_states(part[0], chain.moving_joints)
+    return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
+
+
 def _path(model: RobotModel, link: str) -> list[Joint]:
     """Return the joints from the root to a link, in this order."""
     above = {joint.child: joint for joint in model.joints}
@@ -179,13 +187,6 @@ def _path(model: RobotModel, link: str) -> list[Joint]:
         path.append(above[link])
         link = above[link].parent
     return path[::-1]
-
-
-def _range(joint: Joint) -> tuple[float, float]:
-    if joint.type == "continuous":
-        return -inf, inf
-    lower, upper = joint.limit.lower, joint.limit.upper
-    return -inf if lower is None else lower, inf if upper is None else upper
 
 
 def _rotation_vector(q: Quaternion) -> Triple:

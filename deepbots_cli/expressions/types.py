@@ -307,6 +307,9 @@ class ComponentSelection(NamedTuple):
     indices: tuple[int, ...]
 
 
+INEQUALITIES = frozenset({"less", "less_equal", "greater", "greater_equal"})
+
+
 class Operation(NamedTuple):
     """An operator applied elementwise: `add`, `less`, `and` ... (the names of `scalar.Op`)."""
 

@@ -211,7 +211,7 @@ def _of_scale(evidence: TrainingEvidence, fall: Decline, name: str, scale: _Scal
             weight *= 1.2 if rise > 0 else 0.8
             reason += f"; the entropy went from {before.mean():.2g} to {after.mean():.2g}"
     now = evidence.settings.get(name)
-    text = f"{now.start:g} -> {now.end:g}" if isinstance(now, Schedule) else f"{value:g}"
+    text = now.text if isinstance(now, Schedule) else f"{value:g}"
     return Suspect(f"train.{name}", text, _advised(evidence, name, usual, default), reason, weight)
 
 
@@ -351,25 +351,11 @@ def _noise(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     sigma = getattr(noise, "sigma", None)
     if sigma is None:
         return None
-    value = _at(sigma, evidence, fall.since_steps)
-    now = f"{sigma.start:g} -> {sigma.end:g}" if sigma.start != sigma.end else f"{sigma.start:g}"
+    value = sigma.at(evidence.progress(fall.since_steps))
     weight = math.log(value / 0.2) / math.log(4) if value > 0 else 0.7
-    is_given = (
-        evidence.program.agent.training is not None
-        and evidence.program.agent.training.action_noise is not None
-    )
-    path, advised = (
-        ("train.action_noise.sigma", "0.3 -> 0.1")
-        if is_given
-        else ("train.action_noise", "{type: normal, sigma: 0.3 -> 0.1}")
-    )
-    return Suspect(
-        path,
-        now,
-        advised,
-        f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual",
-        weight,
-    )
+    path, advised = evidence.noise_setting("0.3 -> 0.1")
+    reason = f"the noise on actions has a standard deviation of {value:.2g}, and 0.1 to 0.4 is usual"
+    return Suspect(path, sigma.text, advised, reason, weight)
 
 
 def _advantages(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
@@ -430,25 +416,19 @@ def _base(evidence: TrainingEvidence) -> str:
 
 def _rows(evidence: TrainingEvidence) -> int:
     """Return the steps of all rows between two updates of an on-policy algorithm; 0 for another one."""
-    training, steps, copies = (
-        evidence.program.agent.training,
-        evidence.number_setting("n_steps"),
-        evidence.program.agent.copies,
-    )
+    training, copies = evidence.program.agent.training, evidence.program.agent.copies
+    steps = evidence.number_setting("n_steps")
     if training is None or steps is None or "buffer_size" in evidence.settings:
         return 0
     return int(steps) * training.environments * (copies.count if copies else 1)
 
 
-def _at(value: Schedule, evidence: TrainingEvidence, steps: float) -> float:
-    share = min(1.0, steps / max(1, evidence.run.record.total_timesteps))
-    return value.start + share * (value.end - value.start)
-
-
 def _value_at(evidence: TrainingEvidence, name: str, steps: float) -> float | None:
     """Return a hyperparameter after so many steps; None where it is no number."""
     value = evidence.settings.get(name)
-    return _at(value, evidence, steps) if isinstance(value, Schedule) else evidence.number_setting(name)
+    if isinstance(value, Schedule):
+        return value.at(evidence.progress(steps))
+    return evidence.number_setting(name)
 
 
 def _before_and_after(fall: Decline) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -26,6 +26,7 @@ StepValues = Mapping[str, Sequence[float]]
 
 _SIGNAL_PREFIX = "insight_"
 _GOAL_SIGNAL = f"{_SIGNAL_PREFIX}goal"
+_GOAL_BOUND = f"{_GOAL_SIGNAL}_bound"
 SIGN_OF_OPERATOR = {name: sign for sign, name in COMPARISONS.items()}
 _NEGATED = {"less": "greater_equal", "less_equal": "greater", "equal": "not_equal"}
 _NEGATED |= {negated: name for name, negated in _NEGATED.items()}
@@ -112,20 +113,15 @@ class InstrumentedProgram:
     def read(self, agent: Supervisor) -> StepValues:
         """Read the values that this step left in a supervisor of the program."""
         signals = {name: getattr(agent, generated.last(name)) for name in self.program.stored_signals}
-        goal = self.program.agent.goal
         values = {
             name: tuple(value) if isinstance(value, list | tuple) else (float(value),)
             for name, value in signals.items()
         }
-        return (
-            values
-            if goal is None
-            else {
-                **values,
-                _GOAL_SIGNAL: (_distance(goal, agent),),
-                f"{_GOAL_SIGNAL}_bound": (goal.tolerance,),
-            }
-        )
+        goal = self.program.agent.goal
+        if goal is not None:
+            values[_GOAL_SIGNAL] = (_distance(goal, agent),)
+            values[_GOAL_BOUND] = (goal.tolerance,)
+        return values
 
 
 def instrument_program(program: Program, *, include_observation: bool = False) -> InstrumentedProgram:
@@ -176,7 +172,7 @@ class _ConditionBuilder:
             "goal_reached",
             "greater" if negated else "less_equal",
             _GOAL_SIGNAL,
-            f"{_GOAL_SIGNAL}_bound",
+            _GOAL_BOUND,
             goal.unit,
             sides,
         )

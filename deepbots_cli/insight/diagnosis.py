@@ -398,16 +398,12 @@ def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
     " --episode failed` shows the value and the threshold.",
 )
 def ending_at_once(evidence: TrainingEvidence) -> Numbers | None:
-    lengths, longest = (
-        evidence.episodes.lengths,
-        evidence.program.truncation.max_episode_steps(evidence.program.period),
-    )
+    lengths = evidence.episodes.lengths
+    longest = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if len(lengths) < MIN_EPISODES:
         return None
-    long, (name, count) = (
-        float(np.quantile(lengths, 0.9)),
-        Counter(evidence.episodes.endings).most_common(1)[0],
-    )
+    long = float(np.quantile(lengths, 0.9))
+    name, count = Counter(evidence.episodes.endings).most_common(1)[0]
     if long > min(12, 0.2 * longest) or name not in evidence.program.failures:
         return None
     return {
@@ -522,11 +518,8 @@ def _usual_rate(evidence: TrainingEvidence) -> float:
     advice="Set `train.learning_rate` to {usual}.",
 )
 def learning_rate_too_low(evidence: TrainingEvidence) -> Numbers | None:
-    rate, usual, kl = (
-        evidence.number_setting("learning_rate"),
-        _usual_rate(evidence),
-        evidence.curve("train/approx_kl"),
-    )
+    rate, usual = evidence.number_setting("learning_rate"), _usual_rate(evidence)
+    kl = evidence.curve("train/approx_kl")
     if not rate or len(evidence.episodes) < 2 * MIN_EPISODES or returns_rise(evidence) is not None:
         return None
     # In an update of PPO with a usual rate, the KL divergence is about 0.01.
@@ -736,16 +729,11 @@ def _exploration_changes(evidence: TrainingEvidence, factor: float) -> list[Chan
             )
         )
     if noise is not None and (noise.end or factor > 1):
-        now = f"{noise.start:g}" if noise.start == noise.end else f"{noise.start:g} -> {noise.end:g}"
         wanted = (
             f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
         )
-        training = evidence.program.agent.training
-        is_given = training is not None and training.action_noise is not None
-        path, value = ("train.action_noise.sigma", wanted)
-        if not is_given:
-            path, value = ("train.action_noise", f"{{type: normal, sigma: {wanted}}}")
-        changes.append(Change(path, now, value, verb))
+        path, value = evidence.noise_setting(wanted)
+        changes.append(Change(path, noise.text, value, verb))
     if chance is not None and (chance or factor > 1):
         wanted_chance = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance
         changes.append(Change("train.exploration_final_eps", f"{chance:g}", f"{wanted_chance:.2g}", verb))

@@ -719,7 +719,7 @@ def _training(scenario: Program, root: Node, run: Run | None, learner: Sequence[
 def _setting(value: object) -> object:
     match value:
         case Schedule(start=start, end=end):
-            return f"{start:g} -> {end:g}" if start != end else start
+            return start if start == end else value.text
         case AdaptiveRate(kl=kl, start=start):
             return f"{{kl: {kl:g}, start: {start:g}}}"
         case ActionNoise(type=kind, sigma=sigma, theta=theta):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.rollout.robot_logs import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest number of steps in a log, and the largest number of its steps and of the simulation that are
@@ -138,12 +139,9 @@ def explain_log(episode: LoggedEpisode) -> list[str]:
     lines = [
         f"episode {episode.number}: {episode.steps:,} steps of the policy in {episode.seconds:.1f} s{answer}"
     ]
-    words = {
-        "safe": "safe posture: ",
-        "resumed": "the policy acts again: ",
-        "refused": "a message was refused: ",
-    }
-    lines += [f"  {each.time:8.2f} s  {words.get(each.kind, '')}{each.text}" for each in episode.events]
+    lines += [
+        f"  {each.time:8.2f} s  {EVENT_PREFIXES.get(each.kind, '')}{each.text}" for each in episode.events
+    ]
     if episode.safe_steps:
         lines.append(f"  {episode.safe_steps:,} commands of the safe posture in all")
     return lines

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from deepbots_cli.expressions.scalar import Const, Name, Scalar, State, children, names_in
 from deepbots_cli.program import Program
@@ -14,9 +13,6 @@ from deepbots_cli.program.robots import (
     Robot,
     Route,
 )
-
-if TYPE_CHECKING:
-    pass
 
 Ages = dict[str, float]
 """The age of each named value in timesteps; infinite where it varies."""

@@ -225,6 +225,18 @@ class TrainingEvidence:
         value = value.start if isinstance(value, Schedule | AdaptiveRate) else value
         return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
+    def noise_setting(self, sigma: str) -> tuple[str, str]:
+        """Return the path and the value of the setting that gives the action noise the standard deviation
+        `sigma`."""
+        training = self.program.agent.training
+        if training is not None and training.action_noise is not None:
+            return "train.action_noise.sigma", sigma
+        return "train.action_noise", f"{{type: normal, sigma: {sigma}}}"
+
+    def progress(self, steps: float) -> float:
+        """Return the progress of the training after these steps: 1 after its planned steps."""
+        return steps / max(1, self.run.record.total_timesteps)
+
     @cached_property
     def decline(self) -> Decline | None:
         """The decline of the evaluations in the present stage; None if there is none."""

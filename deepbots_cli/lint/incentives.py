@@ -7,7 +7,7 @@ from math import ceil, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import Threshold, comparisons, has_choice, is_clock, thresholds
-from deepbots_cli.analysis.courses import has_memory
+from deepbots_cli.analysis.courses import CLOCKS, RATE_FUNCTIONS, has_memory
 from deepbots_cli.analysis.ranges import Ranges
 from deepbots_cli.analysis.returns import RewardTerms, Terms, is_progress, total_range
 from deepbots_cli.diagnostics import Finding, Label
@@ -19,9 +19,6 @@ from deepbots_cli.lint.report import SimulatedEpisode
 from deepbots_cli.lint.simulation import HELD_RANDOM, IDLE, RANDOM
 from deepbots_cli.program.values import Expression
 
-_RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "joint_velocity"})
-"""The facts that are 0 while nothing moves."""
-_CLOCKS = frozenset({"time", "step"})
 _MIN_FACTOR = 1e-12
 """The largest factor that is left by rounding when factors cancel."""
 MIN_BREAK_EVEN = 0.5
@@ -205,7 +202,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
         return
     if _total_sum(ordinary, _short_of_the_goal(reward), horizon(reward)) < 0.0:
         return  # the static rule knows the costs
-    if any(not _CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
+    if any(not CLOCKS.isdisjoint(simulation.analysis.dependencies(node)) for _, node in ordinary):
         return  # later steps cost something else
     cost, ending = failure
     prize, success = max(
@@ -250,7 +247,7 @@ class _StillRanges(Ranges):
     change."""
 
     def _world(self, node: EngineRead) -> Interval:
-        return NEVER if node.function in _RATE_FUNCTIONS else super()._world(node)
+        return NEVER if node.function in RATE_FUNCTIONS else super()._world(node)
 
     def _state(self, node: State) -> Interval:
         match node.function:
@@ -397,7 +394,7 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
                 clock = analysis.resolve_aliases(late)
                 if isinstance(clock, State) and clock.function == "duration":
                     clock = Name("time")
-                if isinstance(clock, Name) and clock.name in _CLOCKS:
+                if isinstance(clock, Name) and clock.name in CLOCKS:
                     first = max(
                         first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
                     )
@@ -513,7 +510,7 @@ def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
 def _is_motion(analysis: Analysis, node: Scalar) -> bool:
     """Return whether a value depends on a speed."""
     return any(
-        isinstance(part, EngineRead) and part.function in _RATE_FUNCTIONS
+        isinstance(part, EngineRead) and part.function in RATE_FUNCTIONS
         for part in analysis.walk_definitions(node)
     )
 

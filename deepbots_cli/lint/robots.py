@@ -821,8 +821,7 @@ def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
 
 
 def _position(joint: Joint, share: float) -> float:
-    low = -pi if joint.limit.lower is None or joint.type == "continuous" else joint.limit.lower
-    high = pi if joint.limit.upper is None or joint.type == "continuous" else joint.limit.upper
+    low, high = joint.ends(pi)
     return low + share * (high - low)
 
 

@@ -41,6 +41,7 @@ from deepbots_cli.lsp.lookup import (
     summary,
 )
 from deepbots_cli.lsp.workspace import CursorView, DocumentAnalysis
+from deepbots_cli.robots.meshes import MESH_SUFFIXES
 from deepbots_cli.scenario.base import (
     Kinds,
     MappingOf,
@@ -254,7 +255,7 @@ def _field_choices(view: CursorView, field: FieldType, path: NodePath) -> Iterat
             yield Choice(example, CompletionItemKind.Value, describe_shape(field))
 
 
-_SUFFIXES = {"robot file": (".urdf",), "mesh file": (".obj", ".stl", ".dae"), "picture": (".png",)}
+_SUFFIXES = {"robot file": (".urdf",), "mesh file": MESH_SUFFIXES, "picture": (".png",)}
 
 
 def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:

@@ -38,7 +38,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.engine_kinds import DEFAULT_ENGINE
 from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
@@ -270,10 +270,9 @@ class Program:
         match = next((entry for entry in entries if entry.name == name), None)
         if match is None:
             names = [entry.name for entry in entries]
-            near = nearest_word(name, names)
-            hint = f" (did you mean {near}?)" if near else ""
             if not names:
                 raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")
+            hint = did_you_mean(name, names)
             raise UsageError(f"{self.name} has no {what} '{name}'{hint}; there are: {', '.join(names)}")
         return match
 

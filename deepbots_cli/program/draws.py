@@ -261,10 +261,9 @@ def _places(
     for body in group.copies if group else (place.body,):
         member, here = body if group else "", f"{path}.{body}"
         if group:
-            coordinates = zip(("x", "y", "z", "roll", "pitch", "yaw"), (*place.xyz, *place.rpy), strict=True)
             trees = [
                 (f"{here}.{axis}", value)
-                for axis, value in coordinates
+                for axis, value in place.pose.items()
                 if place.spot is None or axis not in _PLANE
             ]
             trees += [

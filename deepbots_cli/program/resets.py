@@ -154,8 +154,13 @@ class Placement:
         )
         return {name: getattr(self, name) for name in names}
 
+    @property
+    def pose(self) -> dict[str, Scalar]:
+        """The values of x, y, z, roll, pitch and yaw."""
+        return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), (*self.xyz, *self.rpy), strict=True))
+
     def drawn(self, path: str) -> Iterator[NamedScalars]:
-        for axis, value in zip(("x", "y", "z", "roll", "pitch", "yaw"), (*self.xyz, *self.rpy), strict=True):
+        for axis, value in self.pose.items():
             yield NamedScalars(f"{path}.{self.body}.{axis}", (), (value,))
         for key, values in self.velocities:
             yield NamedScalars(f"{path}.{self.body}.{key}", ("x", "y", "z"), values)

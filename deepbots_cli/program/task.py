@@ -461,6 +461,15 @@ class Schedule:
     start: float
     end: float
 
+    @property
+    def text(self) -> str:
+        """The schedule as a scenario writes it, such as `0.3 -> 0.1`, or its only value."""
+        return f"{self.start:g}" if self.start == self.end else f"{self.start:g} -> {self.end:g}"
+
+    def at(self, progress: float) -> float:
+        """Return the value at a progress of the training, from 0 to 1."""
+        return self.start + min(1.0, progress) * (self.end - self.start)
+
 
 @dataclass(frozen=True)
 class AdaptiveRate:

@@ -13,7 +13,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Actuator, Robot, Sensor
 from deepbots_robot.topics import Field, Topic, first_mapping
 
-_VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
+VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
 
 
 def sensor_fields(program: Program) -> list[Field]:
@@ -51,7 +51,7 @@ def reading_fields(program: Program) -> list[Field]:
                 shared = LENGTH
             else:
                 shared = ANGLE
-            components = _VECTORS.get(leaf.function, ())
+            components = VECTORS.get(leaf.function, ())
             name = f"{leaf.function}({', '.join(roots.get(subject, subject) for subject in leaf.subjects)})"
             unit = "1" if function.boolean else str(function.result(shared))
             fields.setdefault(

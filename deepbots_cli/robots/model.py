@@ -205,6 +205,14 @@ class Joint:
         """Whether the joint has exactly one degree of freedom, which an actuator may drive."""
         return self.type in ("revolute", "continuous", "prismatic")
 
+    def ends(self, unlimited: float) -> tuple[float, float]:
+        """Return the lower and the upper limit (rad or m); an absent one is `unlimited` away from 0."""
+        limit = Limit() if self.type == "continuous" else self.limit
+        return (
+            -unlimited if limit.lower is None else limit.lower,
+            unlimited if limit.upper is None else limit.upper,
+        )
+
 
 def _without_default(part: Link | Joint, name: str) -> dict[str, object]:
     """Return the fields of a part by name; without the one called `name` where it has its default."""

@@ -7,7 +7,7 @@ from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
@@ -58,8 +58,7 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
         of_all = [each.program.agent.scripts for each in program.members.values()]
         scripts = list(dict.fromkeys(script.name for own in of_all for script in own))
     names = (*scripts, RANDOM, ZERO)
-    near = nearest_word(name, (*names, *options))
-    hint = f" (did you mean {near}?)" if near else ""
+    hint = did_you_mean(name, (*names, *options))
     slots = [
         part.options if isinstance(part, Choices) else ()
         for each in program.agent.action

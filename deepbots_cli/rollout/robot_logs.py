@@ -144,7 +144,7 @@ def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator
             episodes.append((int(text) if text.isdecimal() else 0, []))
             begun, events = stamp, []
         elif topic == "/event":
-            events.append(f"{_KINDS.get(kind, '')}{text}"[:200])
+            events.append(f"{EVENT_PREFIXES.get(kind, '')}{text}"[:200])
         elif topic == "/step":
             if not episodes:
                 episodes.append((0, []))
@@ -161,7 +161,7 @@ def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator
         yield LoggedEpisode(place if twice else number, steps)
 
 
-_KINDS = {
+EVENT_PREFIXES = {
     "safe": "safe posture: ",
     "resumed": "the policy acts again: ",
     "refused": "a message was refused: ",

@@ -117,10 +117,6 @@ def shaded_mesh(vertices: Any, faces: Any, color: Color) -> Any:
     )
 
 
-def wxyz(turn: frames.Quaternion) -> tuple[float, float, float, float]:
-    return turn[3], turn[0], turn[1], turn[2]
-
-
 def _rgb(color: Color) -> tuple[int, int, int]:
     return int(255 * color[0]), int(255 * color[1]), int(255 * color[2])
 
@@ -341,7 +337,7 @@ class WorldScene:
         place, turn = frames.compose(within, frames.frame(geometry.origin))
         options: dict[str, Any] = {
             "position": place,
-            "wxyz": wxyz(turn),
+            "wxyz": frames.wxyz(turn),
             "opacity": None if color[3] >= 0.99 else color[3],
         }
         match shape:
@@ -388,7 +384,7 @@ class WorldScene:
         for row, part in enumerate(self._parts):
             pose = frame.links.get(part)
             if pose is not None:
-                rows[row, :3], rows[row, 3:] = pose[0], wxyz(pose[1])
+                rows[row, :3], rows[row, 3:] = pose[0], frames.wxyz(pose[1])
         self._rays_before = self._rays_now
         if self._layout.sensor_rays:
             self._rays_now = np.concatenate(

@@ -19,19 +19,10 @@ from onnx import TensorProto, helper, numpy_helper
 import deepbots_robot
 from deepbots_cli.insight.templates import plain_markdown
 from deepbots_robot import BundleError, bundle, model, onnx_file, signature
-from tests.bundle.untrained import write, written
+from tests.bundle.forged_graphs import varint
+from tests.bundle.untrained import write
 
 FLOAT = TensorProto.FLOAT
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("bundle") / "balancer", "balancer")
-
-
-@pytest.fixture(scope="module")
-def choosing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
 
 
 @pytest.fixture
@@ -43,17 +34,8 @@ def forged(folder: Path, tmp_path: Path) -> Path:
 # Graphs
 
 
-def _varint(number: int, length: int = 0) -> bytes:
-    """An integer of the wire format, in at least `length` bytes."""
-    parts = []
-    while number >= 128 or len(parts) + 1 < length:
-        parts.append(number & 127 | 128)
-        number >>= 7
-    return bytes([*parts, number])
-
-
 def _part(key: bytes, content: bytes) -> bytes:
-    return key + _varint(len(content)) + content
+    return key + varint(len(content)) + content
 
 
 def _graph(
@@ -101,11 +83,11 @@ _WIDE = helper.make_tensor_value_info("x", FLOAT, [1, 30_000])
 GRAPHS: dict[str, tuple[bytes, str]] = {
     "a plain one": (_graph(_node()), ""),
     "another operator behind a field number of 33 bits": (
-        _with_bytes_in_node(_part(_varint((1 << 32) + (4 << 3 | 2)), b"RandomNormal")),
+        _with_bytes_in_node(_part(varint((1 << 32) + (4 << 3 | 2)), b"RandomNormal")),
         "is damaged",
     ),
     "a field number that is longer than it needs to be": (
-        _with_bytes_in_node(_part(_varint(4 << 3 | 2, 3), b"Loop")),
+        _with_bytes_in_node(_part(varint(4 << 3 | 2, 3), b"Loop")),
         "is damaged",
     ),
     "a second operator in a node": (

@@ -23,21 +23,9 @@ from onnx import numpy_helper
 
 import deepbots_robot
 from deepbots_robot import BundleError, InputError, bundle, model, onnx_file, schema
-from tests.bundle.untrained import write, written
+from tests.bundle.untrained import write
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A policy with two memories, that of a filter on board and the last action."""
-    return written(tmp_path_factory.mktemp("bundle") / "balancer", "balancer")
-
-
-@pytest.fixture(scope="module")
-def choosing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A policy that chooses."""
-    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
 
 
 def values_of(known: deepbots_robot.Bundle, dice: np.random.Generator) -> dict[str, Any]:

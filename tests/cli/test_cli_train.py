@@ -30,7 +30,10 @@ from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.verdict import run_verdict
 from tests.cli.conftest import Ran
 
-FAST = ("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64")
+FAST = (
+    *("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64"),
+    *("--set", "world.engine=mujoco"),  # half of the time
+)
 SOLVED = ("--set", "solved=mean_return >= 195 over 4 episodes")
 TINY = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", "evaluation={episodes: 4}")
 
@@ -127,6 +130,8 @@ def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepb
         "train.n_steps=50",
         "--set",
         "train.batch_size=50",
+        "--set",
+        "world.engine=mujoco",
         "--run",
         "mine",
         "-q",
@@ -425,7 +430,8 @@ def test_a_run_is_not_evaluated_in_a_scenario_that_does_not_fit(deepbots, traine
 
 def test_an_evaluation_elsewhere_says_where_and_whether_that_is_another_world(deepbots, trained, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
-    text = (tmp_path / "cartpole.yaml").read_text()
+    text = (tmp_path / "cartpole.yaml").read_text().replace("world:\n", "world:\n  engine: mujoco\n")
+    (tmp_path / "cartpole.yaml").write_text(text)
     (tmp_path / "wider.yaml").write_text(text.replace("track:       0.39 m", "track:       0.42 m"))
     assert (
         "cartpole.yaml, with the same episodes as the training\n"
@@ -570,7 +576,7 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
     alone = json.loads(deepbots("eval", "mine", "--engine", "mujoco", "--json").out)
     assert alone["mean_return"] == other["mean_return"]
     told = deepbots("eval", "mine", "--engine", "pybullet,mujoco").out
-    assert "trained in pybullet" in told
+    assert "trained in mujoco" in told
     assert "mujoco - pybullet" in told
 
 
@@ -671,6 +677,7 @@ def interrupted(tmp_path_factory):
         "--full",
         "--timesteps",
         "10000000",
+        *FAST,
         "--run",
         "mine",
     ]

@@ -36,3 +36,10 @@ def sleep(item: int, attempt: Attempt) -> None:
 
 def priority(item: int, attempt: Attempt) -> int:
     return os.nice(0)
+
+
+class Echo:
+    """Work of a worker: it returns what it gets."""
+
+    def work(self, value: int) -> int:
+        return value

@@ -22,6 +22,7 @@ from deepbots_cli.learning import resume, train
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.run import Run
+from tests.cluster.calls import Echo
 from tests.learning.interruption import At
 
 TIMES = ("cpu_seconds", "wall_seconds", "solved_at")
@@ -154,13 +155,6 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(tmp_path: Pat
             trained("PPO", tmp_path / "run", cluster, progress=kill)
     resume(tmp_path / "run")
     assert outcome(tmp_path / "run") == trained("PPO", tmp_path / "here", SERIAL)
-
-
-class Echo:
-    """Work of a worker: it returns what it gets."""
-
-    def work(self, value: int) -> int:
-        return value
 
 
 def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> None:

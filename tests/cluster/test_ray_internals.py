@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("ray")
 from deepbots_cli.cluster import ray_internals
-from tests.private_members import private_members
 
 MODULE = Path(ray_internals.__file__)
 
@@ -22,8 +21,3 @@ def test_the_library_starts_the_function_that_is_replaced() -> None:
     with ray_internals.messages_left_out():
         assert worker.listen_error_messages is not original
     assert worker.listen_error_messages is original
-
-
-@pytest.mark.parametrize("path", sorted(MODULE.parent.glob("*.py")), ids=lambda path: path.stem)
-def test_no_other_module_names_a_private_member(path: Path) -> None:
-    assert path == MODULE or [*private_members(path)] == []

@@ -138,7 +138,7 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package with all diffs."""
     folder = tmp_path_factory.mktemp("changed")
     for name in ("deepbots_cli", "scenarios", "robots"):
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("*.pyc.*"))
     for section in SECTIONS:
         apply(section, folder)
     return folder

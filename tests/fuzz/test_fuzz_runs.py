@@ -11,11 +11,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "learning"))
 
 import stand_in
+from stand_in import hyper
 
 from deepbots_cli.cli.records import evaluation_json, write_evaluation
 from deepbots_cli.learning import evaluate, train
 from deepbots_cli.learning.run import Run
-from deepbots_cli.program.task import Hyperparameter, Network, Solved, Training
+from deepbots_cli.program.task import Network, Solved, Training
 from tests.fuzz.run_files import files_of, problems
 
 
@@ -27,15 +28,11 @@ def trained(folder: Path, training: Training) -> Path:
     return run
 
 
-def hyper(**settings: float) -> tuple[Hyperparameter, ...]:
-    return tuple(Hyperparameter(name, value) for name, value in settings.items())
-
-
 @pytest.fixture(scope="module")
 def run_on_policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return trained(
         tmp_path_factory.mktemp("trained"),
-        Training("PPO", 2_000, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)),
+        Training("PPO", 640, 2, hyper(n_steps=32, batch_size=32, n_epochs=1)),
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepbots_cli import api
+from deepbots_cli.insight.diagnosis import diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.run import Run
@@ -60,9 +61,17 @@ def evaluations_with(*rates: float, stage: str = "", every: int = 1000, returns:
     ]
 
 
+def causes_of(training: TrainingEvidence) -> list[str]:
+    """The names of the causes of a training, the most likely first."""
+    return [cause.cause for cause in diagnose(training)]
+
+
 def train_shuttle(folder: Path, *overrides: str) -> Path:
     compiled = api.compile(
-        api.load(SHUTTLE, overrides=["train.environments=2", "train.n_steps=32", *overrides])
+        api.load(
+            SHUTTLE,
+            overrides=["world.engine=mujoco", "train.environments=2", "train.n_steps=32", *overrides],
+        )
     )
     return train(compiled, total_timesteps=128, seed=2, run=folder / "shuttle").run
 

@@ -29,7 +29,15 @@ from deepbots_cli.learning.episodes import SolvedAt
 from deepbots_cli.learning.records import BestModel
 from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout import Episode
-from tests.insight.logs import SHUTTLE, evaluations_with, outcomes, returns_of, train_shuttle, with_logs
+from tests.insight.logs import (
+    SHUTTLE,
+    causes_of,
+    evaluations_with,
+    outcomes,
+    returns_of,
+    train_shuttle,
+    with_logs,
+)
 
 FLAT = np.full(400, 60)
 HELD = (
@@ -46,10 +54,6 @@ def _named(training: TrainingEvidence, cause: str) -> Statement:
     return found
 
 
-def _causes(training: TrainingEvidence) -> list[str]:
-    return [each.cause for each in diagnose(training)]
-
-
 def _played(run: Run, actions: list[float], mark: float) -> Trace:
     """An episode of the carriage with these actions."""
     watch = instrument_program(run.program, include_observation=True)
@@ -64,9 +68,15 @@ def _played(run: Run, actions: list[float], mark: float) -> Trace:
 # The reward against the success
 
 
-def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
+@pytest.fixture(scope="module")
+def held(tmp_path_factory) -> Path:
+    """A training of the shuttle that holds its mark; not to be changed."""
+    return train_shuttle(tmp_path_factory.mktemp("held"), *HELD)
+
+
+def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(held):
     """Returns of 268 against the 57.6 of the script, and a success rate of 9 %: nothing was said of it."""
-    training = read_training(Run.open(train_shuttle(tmp_path, *HELD)))
+    training = read_training(Run.open(held))
     run_probes(training)
     script = np.mean([trace.returns for trace in training.scripts["by_hand"]])
     good = outcomes(400, 0.2, 0.09, 0.09)
@@ -82,17 +92,16 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(tmp_path):
     assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
     assert "Let 'parked' pay once" in first.advice
     poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
-    assert "reward_exploited" not in _causes(replace(poorer, scripts=training.scripts))
+    assert "reward_exploited" not in causes_of(replace(poorer, scripts=training.scripts))
     succeeds = with_logs(training.run.path, np.full(400, 5 * script), FLAT, success=1.0, **curves)
-    assert "reward_exploited" not in _causes(replace(succeeds, scripts=training.scripts))
+    assert "reward_exploited" not in causes_of(replace(succeeds, scripts=training.scripts))
 
 
-def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(tmp_path):
+def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_succeeds(held):
     """The policy succeeded in all episodes with 295, and those of the training returned 829 without a
     success."""
-    path = train_shuttle(tmp_path, *HELD)
     curves = {"reward__parked": np.linspace(50, 800, 20), "reward__closer": [2.0] * 20}
-    logged = with_logs(path, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
+    logged = with_logs(held, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
     succeeding = [Episode(295.0, 117, True, "found", {"parked": 242.0, "closer": 3.0}) for _ in range(100)]
     solved = replace(logged, final_episodes=succeeding, verdict=replace(logged.verdict, solved=True))
     named = _named(solved, "reward_exploited")
@@ -101,8 +110,8 @@ def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_
         in named.text
     )
     assert "'parked' pays most of the difference" in named.text
-    fewer = with_logs(path, np.full(400, 250.0), FLAT, success=0.5, **curves)
-    assert "reward_exploited" not in _causes(
+    fewer = with_logs(held, np.full(400, 250.0), FLAT, success=0.5, **curves)
+    assert "reward_exploited" not in causes_of(
         replace(fewer, final_episodes=succeeding, verdict=solved.verdict)
     )
 
@@ -112,7 +121,7 @@ def test_a_reward_that_disagrees_with_the_success_comes_before_the_noise_on_the_
     good = outcomes(400, 0.5, 0.7, 0.7)
     done = evaluations_with(*[0.2] * 20)
     training = with_logs(carriage, returns_of(good, 5) - 12 * good, FLAT, success=good, evaluations=done)
-    causes = _causes(training)
+    causes = causes_of(training)
     assert causes.index("reward_apart_from_success") < causes.index("success_needs_exploration")
 
 
@@ -167,7 +176,7 @@ def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
     assert (found.evidence["kept_at"], found.evidence["best_at"]) == (2000, 1000)
     assert "chosen by its return, 9 against 1" in found.text
     same = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.85, returns=9.0)]
-    assert "kept_by_return" not in _causes(replace(training, all_evaluations=same))
+    assert "kept_by_return" not in causes_of(replace(training, all_evaluations=same))
 
 
 # Failing
@@ -196,7 +205,7 @@ def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp
     assert "'effort' went from -28 to -9 per episode and 'time' went from -1.2 to -0.4" in first.text
     paid = {**curves, "reward__effort": [-9.0] * 20, "reward__closer": [-9.0] + [9.0] * 19}
     training = with_logs(run, -returns, lengths, ending=ending, **paid)
-    assert "ending_early_pays" not in _causes(training)  # it drives there, which pays
+    assert "ending_early_pays" not in causes_of(training)  # it drives there, which pays
 
 
 # The ceiling of the return
@@ -216,9 +225,9 @@ def test_a_return_that_every_episode_reaches_is_not_told_to_explore_more(tmp_pat
     assert first.cause == "return_at_ceiling"
     assert "`solved` asks for 60" in first.text
     assert "mean_return >= 38" in first.advice
-    assert "exploration_collapsed" not in _causes(with_logs(run, grown, FLAT, **ending))
+    assert "exploration_collapsed" not in causes_of(with_logs(run, grown, FLAT, **ending))
     stuck = with_logs(run, np.where(np.arange(400) == 9, 50.0, grown), FLAT, **ending)
-    assert "exploration_collapsed" in _causes(stuck)  # an episode returned more
+    assert "exploration_collapsed" in causes_of(stuck)  # an episode returned more
 
 
 # Teachers and conditions
@@ -238,9 +247,9 @@ def test_a_teacher_that_fails_itself_is_named_when_its_pupil_does_as_well(tmp_pa
     able = with_logs(
         run, returns_of(good, 0), FLAT, success=good, evaluations=done, teacher__success_rate=[1.0]
     )
-    assert "teacher_fails" not in _causes(able)
+    assert "teacher_fails" not in causes_of(able)
     poor = [Episode(0.0, 60, k < 10, "max_steps") for k in range(100)]
-    assert "teacher_fails" not in _causes(replace(pupil, final_episodes=poor))
+    assert "teacher_fails" not in causes_of(replace(pupil, final_episodes=poor))
 
 
 SLOW = (
@@ -330,7 +339,7 @@ def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
     run = Path(shutil.copytree(carriage, tmp_path / "run"))
     assert main(["eval", str(run), "--episodes", "9"]) == 0
     report = Report.read(run)
-    report.find_causes()
+    report.findcauses_of()
     assert "too_few_steps" in [each.cause for each in report.causes]
     page = report.html()
     assert "Why it is not solved" in page
@@ -366,7 +375,7 @@ def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_pa
     assert {float(trace.observations[0, -1]) for trace in training.random} == {
         0.0
     }  # 0.5 m/s is the middle of the range
-    assert "sensor_without_reading" not in _causes(training)
+    assert "sensor_without_reading" not in causes_of(training)
 
 
 def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):

@@ -19,7 +19,6 @@ from deepbots_cli.document import shipped
 from deepbots_cli.insight.collapse import suspects
 from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training
-from deepbots_cli.learning import train
 from deepbots_cli.learning.decline import Decline
 from deepbots_cli.learning.run import Run
 from tests.few import few
@@ -58,12 +57,6 @@ def _fallen(
         for name, values in scalars.items()
     }
     return replace(training, run=opened, all_evaluations=_lines(means), scalars=curves)
-
-
-@pytest.fixture(scope="session")
-def short(tmp_path_factory) -> Path:
-    """A training of two rollouts; not to be changed."""
-    return train("cartpole", total_timesteps=1024, seed=2, run=tmp_path_factory.mktemp("runs") / "short").run
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from deepbots_cli.insight.episode import ROWS, explain, explanation_json
 from deepbots_cli.insight.stages import present_stage
 from deepbots_cli.insight.statements import statements_about
 from deepbots_cli.insight.trace import TraceRecorder, trace_episodes
-from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
+from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.episodes import SolvedAt
@@ -35,28 +35,24 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.insight.broken import BROKEN, all_causes
-from tests.insight.logs import evaluations_with, outcomes, returns_of, train_shuttle, with_logs
+from tests.insight.logs import causes_of, evaluations_with, outcomes, returns_of, train_shuttle, with_logs
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
 SEED = 1
 
 
-def _causes(training: TrainingEvidence) -> list[str]:
-    return [cause.cause for cause in diagnose(training)]
-
-
-def test_logs_alone_tell_some_causes(short):
+def test_logs_alone_tell_somecauses_of(short):
     noise = np.random.default_rng(0).normal(0, 3, 200)
-    assert _causes(with_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
-    assert _causes(with_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
-    assert _causes(with_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
+    assert causes_of(with_logs(short, -30 + noise, 30 - noise))[0] == "ending_early_pays"
+    assert causes_of(with_logs(short, np.full(50, 3.0)))[0] == "ending_at_once"
+    assert causes_of(with_logs(short, 30 + np.arange(200) / 4 + noise))[0] == "too_few_steps"
     leveled = diagnose(with_logs(short, 100 - 70 * np.exp(-np.arange(200) / 40) + noise))
     assert not any("still learns" in cause.text for cause in leveled)
     # 1 % of the planned timesteps: later episodes may end in other ways, or succeed
     assert [cause.text.partition(".")[0] for cause in diagnose(with_logs(short, 30 + noise))] == [
         "The training is short"
     ]
-    assert "exploration_collapsed" in _causes(
+    assert "exploration_collapsed" in causes_of(
         with_logs(short, 30 + noise, train__entropy_loss=[-0.6] * 4 + [-0.001] * 10)
     )
 
@@ -88,7 +84,7 @@ def test_a_training_that_stays_at_a_local_optimum_is_told_the_term_that_pays_it(
 
 def test_a_training_without_a_success_is_not_first_told_to_train_on(aiming):
     rising = 30 + np.arange(200) / 4 + np.random.default_rng(0).normal(0, 3, 200)
-    causes = _causes(with_logs(aiming, rising, np.full(200, 100), reward__alive=rising))
+    causes = causes_of(with_logs(aiming, rising, np.full(200, 100), reward__alive=rising))
     assert causes.index("success_never_seen") < causes.index("too_few_steps")
 
 
@@ -159,8 +155,8 @@ def test_returns_of_different_stages_are_not_compared(staged):
     stages = np.repeat(["wide", "exact"], [200, 400]).astype(object)
     training = with_logs(staged, returns, np.full(600, 60), success=good, stages=stages)
     assert (training.first_step, training.stage_steps) == (12_000, 24_000)
-    assert set(_causes(training)) & {"too_few_steps", "reward_apart_from_success"} == set()
-    assert _causes(training)[0] == "success_plateau"
+    assert set(causes_of(training)) & {"too_few_steps", "reward_apart_from_success"} == set()
+    assert causes_of(training)[0] == "success_plateau"
 
 
 def test_a_step_to_a_stage_that_is_too_hard_is_named_with_the_settings_that_change(staged):
@@ -180,7 +176,7 @@ def test_a_stage_that_its_criterion_never_ends_is_told_with_what_it_reaches(stag
     assert "the stage ends at 80%" in first.text
     assert "`until: success_rate >= 4" in first.advice
     rising = outcomes(400, 0, 0.1, 0.2, 0.75)
-    assert "stuck_in_stage" not in _causes(
+    assert "stuck_in_stage" not in causes_of(
         with_logs(staged, returns_of(rising, 0), np.full(400, 60), success=rising, stages="wide")
     )
 
@@ -188,11 +184,11 @@ def test_a_stage_that_its_criterion_never_ends_is_told_with_what_it_reaches(stag
 def test_a_success_rate_that_is_flat_is_a_plateau_whatever_the_return_does(carriage):
     """It was told to train on."""
     good = outcomes(400, 0, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5)
-    causes = _causes(with_logs(carriage, returns_of(good, 0, 4), np.full(400, 60), success=good))
+    causes = causes_of(with_logs(carriage, returns_of(good, 0, 4), np.full(400, 60), success=good))
     assert causes[0] == "success_plateau"
     assert "too_few_steps" not in causes
     rising = outcomes(400, 0, 0.2, 0.4, 0.7)
-    assert _causes(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == [
+    assert causes_of(with_logs(carriage, returns_of(rising, 0, 4), np.full(400, 60), success=rising)) == [
         "too_few_steps"
     ]
 
@@ -224,7 +220,7 @@ def test_starts_that_fail_are_named_though_the_evaluations_succeed_in_four_of_fi
         drawn=drawn,
         evaluations=evaluations_with(*[0.8] * 20),
     )
-    assert _causes(training) == ["some_starts_fail"]
+    assert causes_of(training) == ["some_starts_fail"]
 
 
 def test_one_success_among_thousands_is_as_good_as_none(carriage):
@@ -234,7 +230,7 @@ def test_one_success_among_thousands_is_as_good_as_none(carriage):
     assert first.cause == "success_never_seen"
     assert "Only 1 of 2,706 episodes is a success" in first.text
     late = np.concatenate([np.zeros(380), np.tile([0.0, 1.0], 10)])  # success has just begun
-    assert "success_never_seen" not in _causes(
+    assert "success_never_seen" not in causes_of(
         with_logs(carriage, returns_of(late, 0, 2), np.full(400, 60), success=late)
     )
 
@@ -275,11 +271,11 @@ def test_a_learning_rate_that_is_far_too_low_is_not_told_to_train_on(tmp_path):
     first = diagnose(with_logs(run, flat, np.full(400, 60), train__approx_kl=[1e-7] * 20))[0]
     assert (first.cause, first.settings) == ("learning_rate_too_low", {"train.learning_rate": "0.003"})
     assert "300 times lower than the usual 0.003" in first.text
-    assert "learning_rate_too_low" not in _causes(
+    assert "learning_rate_too_low" not in causes_of(
         with_logs(run, flat, np.full(400, 60), train__approx_kl=[0.01] * 20)
     )
     rising = with_logs(run, returns_of(np.zeros(400), 0, 9), np.full(400, 60), train__approx_kl=[1e-7] * 20)
-    assert "learning_rate_too_low" not in _causes(rising)
+    assert "learning_rate_too_low" not in causes_of(rising)
 
 
 def test_a_training_that_stopped_by_luck_is_continued_to_its_planned_steps(carriage):
@@ -320,10 +316,10 @@ def test_rewards_that_the_critic_cannot_follow_are_normalized(short):
     training = with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.02] * 20)
     (found,) = [each for each in diagnose(training) if each.cause == "rewards_too_large"]
     assert found.settings == {"train.normalize": "reward"}
-    assert "rewards_too_large" not in _causes(
+    assert "rewards_too_large" not in causes_of(
         with_logs(short, 30_000 + 1000 * noise, 30 + noise, train__explained_variance=[0.9] * 20)
     )
-    assert "rewards_too_large" not in _causes(
+    assert "rewards_too_large" not in causes_of(
         with_logs(short, 30 + noise, 30 + noise, train__explained_variance=[0.02] * 20)
     )
 
@@ -335,7 +331,7 @@ def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_
         "horizon_too_short",
         {"train.gamma": "0.95"},
     )  # at most 60 steps: 0.95^60 is 5 %
-    assert "horizon_too_short" not in _causes(
+    assert "horizon_too_short" not in causes_of(
         with_logs(train_shuttle(tmp_path / "near", "train.gamma=0.95"), **flat)
     )
 
@@ -359,7 +355,7 @@ def test_a_success_that_needs_exploration_is_named(carriage):
     )
     assert first.settings == {"train.total_timesteps": "50_000"}
     high = evaluations_with(*[0.9] * 20)
-    assert "success_needs_exploration" not in _causes(
+    assert "success_needs_exploration" not in causes_of(
         replace(training, all_evaluations=high, final_episodes=poor)
     )
 
@@ -376,7 +372,7 @@ def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_pat
     assert found.settings == {"train.teacher": "by_hand"}
     assert "'by_hand' succeeds in 100% (68% to 100%) of 8 episodes, and the policy in 6%" in found.text
     good = [Episode(0.0, 60, k < 70, "parked") for k in range(100)]
-    assert "script_succeeds" not in _causes(replace(training, final_episodes=good))
+    assert "script_succeeds" not in causes_of(replace(training, final_episodes=good))
 
 
 def test_a_stage_that_exploration_prolonged_is_named(staged):
@@ -470,7 +466,7 @@ def test_a_sensor_that_saw_nothing_is_not_told_to_have_a_smaller_range(tmp_path)
     (found,) = [each for each in diagnose(training) if each.cause == "sensor_without_reading"]
     assert "shuttle.ray.r0 always 0.3 m" in found.text
     assert "Narrow their ranges" not in found.advice
-    assert "constant_observation" not in _causes(training)
+    assert "constant_observation" not in causes_of(training)
 
 
 def test_staying_near_the_success_is_named_where_it_pays_more(carriage, tmp_path):
@@ -505,16 +501,16 @@ def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys)
         )
     training = read_training(Run.open(tmp_path / "run"))
     run_probes(training)
-    assert _causes(training) == ["ending_at_reset"]
+    assert causes_of(training) == ["ending_at_reset"]
     assert main(["diagnose", str(tmp_path / "run"), "--episode", "0"]) == 2
     assert "deepbots diagnose" in capsys.readouterr().err
 
 
-def test_a_training_that_solves_its_task_has_no_causes(short):
+def test_a_training_that_solves_its_task_has_nocauses_of(short):
     """The same logs as a collapsed exploration, and an evaluation that meets `solved`."""
     training = with_logs(short, np.full(200, 200.0), ending="max_steps", train__entropy_loss=[-0.001] * 20)
     evaluation = {"returns": [200.0] * 20, "successes": [False] * 20}
-    assert _causes(replace(training, all_evaluations=[evaluation])) == []
+    assert causes_of(replace(training, all_evaluations=[evaluation])) == []
 
 
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
@@ -529,9 +525,9 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     training = read_training(
         Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run)
     )
-    assert "action_without_effect" not in _causes(training)
+    assert "action_without_effect" not in causes_of(training)
     run_probes(training)
-    assert _causes(training)[0] == "action_without_effect"
+    assert causes_of(training)[0] == "action_without_effect"
     assert {trace.ended_by for trace in training.policy} == {"fallen"}
     (warned,) = [cause for cause in diagnose(training) if cause.cause == "lint_warns"]
     assert warned.evidence["likelihood"] > 0.9  # the required return is out of reach
@@ -542,7 +538,7 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     assert min(clipped.evidence["shares"]["x"], clipped.evidence["shares"]["tilt"]) > 0.4
     assert clipped.evidence["names"] == "x"
     # Its evaluations, which do not explore, may solve the task all the same.
-    assert _causes(replace(training, all_evaluations=[{"returns": [200.0], "successes": [False]}])) == [
+    assert causes_of(replace(training, all_evaluations=[{"returns": [200.0], "successes": [False]}])) == [
         "exploration_too_large"
     ]
 

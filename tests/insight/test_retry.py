@@ -27,6 +27,7 @@ SCENARIO = """\
 deepbots: 1
 extends: cartpole
 name: Mine
+world: {engine: mujoco}
 evaluation: {episodes: 4}
 solved: mean_return >= 150 over 4 episodes
 train:
@@ -80,7 +81,12 @@ def test_a_group_that_was_killed_before_an_attempt_continues_with_it_to_the_bit(
 
 
 def test_an_attempt_that_only_trains_longer_continues_a_copy(tmp_path):
-    settings = ["evaluation={episodes: 4}", "train.environments=2", "train.total_timesteps=1024"]
+    settings = [
+        "world.engine=mujoco",
+        "evaluation={episodes: 4}",
+        "train.environments=2",
+        "train.total_timesteps=1024",
+    ]
     found = train_with_retries(
         api.compile("cartpole", overrides=settings), 1, group=tmp_path / "group", total_timesteps=256
     )

@@ -32,7 +32,11 @@ PERIOD = 0.032
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("runs") / "cartpole"
-    train(api.compile("cartpole", overrides=[BRIEF, "evaluation.episodes=2"]), run=folder, seed=3)
+    train(
+        api.compile("cartpole", overrides=[BRIEF, "evaluation.episodes=2", "world.engine=mujoco"]),
+        run=folder,
+        seed=3,
+    )
     return Run.open(folder)
 
 

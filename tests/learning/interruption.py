@@ -36,6 +36,11 @@ class At(Reporter):
         self.notes.append(text)
 
 
+def monitor_rows(run: Path) -> list[dict[str, str]]:
+    """The log of the episodes of a training."""
+    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
+
+
 def outcome(folder: Path) -> dict[str, Any]:
     """Everything that a training has made, without times."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -45,13 +50,10 @@ def outcome(folder: Path) -> dict[str, Any]:
     events = EventAccumulator(str(run.tensorboard), size_guidance={"scalars": 0})
     events.Reload()
     last = checkpoints.latest_checkpoint(run)
-    with run.monitor.open(newline="") as file:
-        next(file)
-        rows = [{name: value for name, value in row.items() if name != "t"} for row in csv.DictReader(file)]
     return {
         "result": {name: value for name, value in run.record.result if name not in TIMES},
         "solved": run.record.result.solved_at and run.record.result.solved_at.steps,
-        "monitor": rows,
+        "monitor": [row | {"t": ""} for row in monitor_rows(folder)],
         "scalars": {
             tag: [(event.step, event.value) for event in events.Scalars(tag)]
             for tag in events.Tags()["scalars"]

@@ -51,6 +51,7 @@ name: PrivilegedCart
 parameters: {{drag: uniform(-1 .. 1)}}
 signals: {{spin: angular_velocity(cart.pole).y}}
 critic: {{drag: -1 .. 1, spin: -4 .. 4 rad/s}}
+evaluation: {{episodes: 4}}
 solved: mean_return >= 1000000 over 2 episodes
 {more}
 train: {{algorithm: {algorithm}, total_timesteps: 512, environments: 4, {settings}}}

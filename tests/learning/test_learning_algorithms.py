@@ -104,7 +104,7 @@ def test_an_adaptive_rate_moves_against_the_divergence_within_its_limits(diverge
 def test_a_training_writes_the_rate_that_it_took(tmp_path: Path) -> None:
     path = tmp_path / "cart.yaml"
     path.write_text(
-        "deepbots: 1\nextends: cartpole\nname: Adaptive\ntrain: {algorithm: PPO, total_timesteps: 1024, n_steps: 64,"
+        "deepbots: 1\nextends: cartpole\nname: Adaptive\nworld: {engine: mujoco}\ntrain: {algorithm: PPO, total_timesteps: 1024, n_steps: 64,"
         " environments: 2, batch_size: 64, learning_rate: {kl: 1.0e-5, start: 2e-3}}\n"
     )
     result = train(path, run=tmp_path / "run", loggers=["csv"], stop_when_solved=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from pathlib import Path
@@ -22,7 +21,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Criterion, Solved, Training
 from deepbots_cli.rollout import Episode
-from tests.learning.interruption import At
+from tests.learning.interruption import At, monitor_rows
 
 PPO = Training(
     "PPO",
@@ -54,10 +53,6 @@ def until_text(until: Criterion | None) -> str:
     return f", until: {until.metric} >= {until.threshold:g} {counted}"
 
 
-def rows(run: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
-
-
 def learned(
     tmp_path: Path, compiled: Compiled, build: Any = stand_in.build, **settings: Any
 ) -> TrainingResult:
@@ -71,7 +66,7 @@ def through(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
 
 
 def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(through: TrainingResult) -> None:
-    result, log = through, rows(through.run)
+    result, log = through, monitor_rows(through.run)
     assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {
         "a": {5},
         "b": {8},
@@ -135,7 +130,7 @@ def test_an_evaluation_below_the_criterion_begins_no_stage_and_is_kept_by_a_chec
 def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, None, solved=Solved(5, mean_return=4.0), max_steps=8))
     assert result.solved_at is not None
-    log = rows(result.run)
+    log = monitor_rows(result.run)
     first = next(index for index, row in enumerate(log) if row["stage"] == "b")
     assert (
         result.solved_at.episode >= first + 5
@@ -147,18 +142,18 @@ def test_returns_of_one_stage_do_not_count_in_the_next(tmp_path: Path) -> None:
 def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, None), total_timesteps=96)
     assert result.stage == "b"
-    before = len(rows(result.run))
+    before = len(monitor_rows(result.run))
     again = resume(result.run, total_timesteps=300, build=stand_in.build)
-    assert {row["stage"] for row in rows(result.run)[before:]} == {"b"}
+    assert {row["stage"] for row in monitor_rows(result.run)[before:]} == {"b"}
     assert again.stages == result.stages
 
 
 def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resumed(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, LONG, None), stage="b", total_timesteps=96)
-    assert {row["stage"] for row in rows(result.run)} == {"b"}
+    assert {row["stage"] for row in monitor_rows(result.run)} == {"b"}
     assert (result.stage, result.stages) == ("b", ())
     again = resume(result.run, total_timesteps=900, build=stand_in.build)
-    assert [row["stage"] for row in rows(result.run)][-1] == "c"
+    assert [row["stage"] for row in monitor_rows(result.run)][-1] == "c"
     assert (again.stage, [end.name for end in again.stages]) == ("c", ["b"])
 
 
@@ -172,7 +167,7 @@ def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_sta
         json.dumps(json.loads((run / "run.json").read_text()) | {"status": "running"})
     )
     resume(run, build=stand_in.build)
-    assert {row["stage"] for row in rows(run)} == {"b"}
+    assert {row["stage"] for row in monitor_rows(run)} == {"b"}
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
+import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +18,12 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.cli import main
 from deepbots_cli.cli.records import training_text
 from deepbots_cli.errors import RunError
-from deepbots_cli.learning import evaluate, resume, train
+from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program.levels import SUCCESS, Levels
 from deepbots_cli.rollout import Episode
-from tests.learning.interruption import At, outcome
+from tests.learning.interruption import At, monitor_rows, outcome
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
 ENGINES = [pytest.param("pybullet", id="single worlds"), pytest.param("mujoco", id="batch")]
@@ -29,6 +31,18 @@ ENGINES = [pytest.param("pybullet", id="single worlds"), pytest.param("mujoco", 
 
 def compiled(*overrides: str) -> Compiled:
     return api.compile(SCENARIO, overrides=overrides)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., TrainingResult]:
+    """Trains once in an engine and in shards; the runs are not to be changed."""
+
+    @cache
+    def train_whole(engine: str = "mujoco", shards: int = 1) -> TrainingResult:
+        task = compiled(f"train.shards={shards}")
+        return train(task, run=tmp_path_factory.mktemp("whole") / "run", engine=engine)
+
+    return train_whole
 
 
 def levels_of(compiled: Compiled) -> Levels:
@@ -111,10 +125,6 @@ def test_groups_of_endings_are_the_endings_of_the_scenario() -> None:
     assert levels.down == frozenset({"fallen", "off_track", "max_steps"})
 
 
-def monitor(run: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
-
-
 def drawn_level(row: dict[str, str]) -> int:
     return int(json.loads(row["drawn"])["level"])
 
@@ -124,7 +134,7 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
     """With one world, the order of the log is that of its episodes."""
     task = compiled("train.environments=1", "train.total_timesteps=512", "curriculum.at_top=stay")
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows, levels = monitor(result.run), levels_of(task)
+    rows, levels = monitor_rows(result.run), levels_of(task)
     visited = [drawn_level(row) for row in rows]
     assert visited[0] == 0
     assert len(set(visited)) > 2
@@ -132,14 +142,14 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
         assert after == levels.next(before, [row["ended_by"]], none_drawn)
 
 
-def test_a_batch_gives_the_levels_of_single_worlds(tmp_path: Path) -> None:
+def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., TrainingResult]) -> None:
     from contextlib import ExitStack
 
     from deepbots_cli.learning.environments import supervisor_factory
     from deepbots_cli.learning.run import Run
     from deepbots_cli.learning.shards import WorldPlan
 
-    run = Run.open(train(compiled(), run=tmp_path / "run", engine="mujoco").run)
+    run = Run.open(whole().run)
     steps: list[list[Any]] = []
 
     def alone(program: Any, **settings: Any) -> Any:
@@ -180,19 +190,26 @@ def test_a_batch_gives_the_levels_of_single_worlds(tmp_path: Path) -> None:
     assert steps[0] == steps[1]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("shards", [1, 2])
+@pytest.mark.parametrize(
+    ("engine", "shards"),
+    [
+        pytest.param("mujoco", 1, id="batch"),
+        pytest.param("mujoco", 2, id="batches", marks=pytest.mark.slow),
+        pytest.param("pybullet", 1, id="single worlds", marks=pytest.mark.slow),
+        pytest.param("pybullet", 2, id="shards of single worlds"),
+    ],
+)
 def test_a_resumed_training_is_one_without_interruption_to_the_bit(
-    tmp_path: Path, engine: str, shards: int
+    tmp_path: Path, engine: str, shards: int, whole: Callable[..., TrainingResult]
 ) -> None:
+    expected = whole(engine, shards).run
     task = compiled(f"train.shards={shards}")
-    whole = train(task, run=tmp_path / "whole", engine=engine)
     parts = train(task, run=tmp_path / "parts", engine=engine, progress=At(400))
     assert parts.status == "interrupted"
     again = resume(parts.run)
     assert again.inexact == ()
-    assert {drawn_level(row) for row in monitor(whole.run)} == {0, 1, 2, 3, 4, 5}
-    one, other = outcome(whole.run), outcome(again.run)
+    assert {drawn_level(row) for row in monitor_rows(expected)} == {0, 1, 2, 3, 4, 5}
+    one, other = outcome(expected), outcome(again.run)
     for part in one:
         assert other[part] == one[part], part
 
@@ -208,13 +225,15 @@ def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> Non
         for shards in (1, 2)
     }
     runs = [train(task[shards], run=tmp_path / str(shards)).run for shards in (1, 2)]
-    one, two = ([(row["ended_by"], row["l"], row["drawn"]) for row in monitor(run)] for run in runs)
+    one, two = ([(row["ended_by"], row["l"], row["drawn"]) for row in monitor_rows(run)] for run in runs)
     assert one == two
-    assert {drawn_level(row) for row in monitor(runs[0])} == set(range(6))
+    assert {drawn_level(row) for row in monitor_rows(runs[0])} == set(range(6))
 
 
-def test_results_show_the_levels_and_an_evaluation_draws_all(tmp_path: Path) -> None:
-    result = train(compiled(), run=tmp_path / "run")
+def test_results_show_the_levels_and_an_evaluation_draws_all(
+    whole: Callable[..., TrainingResult], capsys: pytest.CaptureFixture[str]
+) -> None:
+    result = whole()
     assert isinstance(result.levels, LevelSpread)
     assert 0 <= result.levels.lowest <= result.levels.mean <= result.levels.highest < 6
     assert f"level           {result.levels}" in training_text(result)
@@ -222,11 +241,6 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(tmp_path: Path) -> 
     assert scalars["curriculum/mean_level"][-1][1] == pytest.approx(result.levels.mean)
     evaluation = evaluate(result.run, episodes=60)
     assert {episode.drawn["level"] for episode in evaluation.outcomes} == set(range(6))
-
-
-def test_the_list_of_runs_shows_the_mean_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    result = train(compiled(), run=tmp_path / "run")
-    assert result.levels is not None
     assert main(["runs", str(result.run), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["mean_level"] == result.levels.mean
 
@@ -243,7 +257,7 @@ def test_a_world_with_copies_of_a_robot_has_one_level(tmp_path: Path, engine: st
         ],
     )
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows = monitor(result.run)
+    rows = monitor_rows(result.run)
     endings: dict[int, list[str]] = {}
     for row in rows:
         endings.setdefault(drawn_level(row), []).append(row["ended_by"])
@@ -263,13 +277,14 @@ def test_a_level_that_the_scenario_does_not_have_is_refused(tmp_path: Path) -> N
         resume(run)
 
 
-def test_a_training_in_one_level_can_be_evaluated_in_another(tmp_path: Path) -> None:
-    result = train(compiled("level=3"), run=tmp_path / "run", total_timesteps=256)
+def test_a_training_in_one_level_can_be_evaluated_in_another(
+    whole: Callable[..., TrainingResult], tmp_path: Path
+) -> None:
+    result = train(compiled("level=3"), run=tmp_path / "run", total_timesteps=256, engine="mujoco")
     assert result.levels is None
     assert evaluate(result.run, episodes=2).episodes == 2
-    of_all = evaluate(train(compiled(), run=tmp_path / "all", total_timesteps=256).run, episodes=2)
-    assert of_all.episodes == 2
-    assert main(["eval", str(tmp_path / "all"), "--set", "level=5", "--episodes", "2"]) == 0
+    of_all = shutil.copytree(whole().run, tmp_path / "all")
+    assert main(["eval", str(of_all), "--set", "level=5", "--episodes", "2"]) == 0
 
 
 def test_a_failure_repeats_in_the_level_of_its_world(tmp_path: Path) -> None:

@@ -96,7 +96,9 @@ def test_shards_that_are_lost_with_every_fragment_are_taught_the_same(tmp_path: 
 def test_a_policy_imitates_its_teacher(tmp_path: Path) -> None:
     found = {}
     for name, changes in (("taught", ["train.teacher=lean"]), ("alone", [])):
-        compiled = api.compile("balancer", overrides=[*BALANCER, "truncation.max_time=2s", *changes])
+        compiled = api.compile(
+            "balancer", overrides=[*BALANCER, "world.engine=mujoco", "truncation.max_time=2s", *changes]
+        )
         result = train(compiled, run=tmp_path / name, total_timesteps=2_000, stop_when_solved=False)
         found[name] = evaluate(result.run, model="last", episodes=5).mean_length
     assert found["taught"] > 150
@@ -125,7 +127,12 @@ def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Pat
     train_ = f"train={{algorithm: TD3, {learner}, teacher: {{script: lean, share: 0.9}}}}"
     compiled = api.compile(
         "balancer",
-        overrides=["truncation.max_time=0.5s", "solved=mean_return >= 47 over 10 episodes", train_],
+        overrides=[
+            "world.engine=mujoco",
+            "truncation.max_time=0.5s",
+            "solved=mean_return >= 47 over 10 episodes",
+            train_,
+        ],
     )
     result = train(compiled, run=tmp_path / "run")
     assert result.solved_at is not None

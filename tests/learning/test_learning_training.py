@@ -36,6 +36,7 @@ from deepbots_cli.learning.sb3.state import StableState
 from deepbots_cli.learning.training import _training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from tests.few import few
+from tests.learning.interruption import monitor_rows
 
 
 def short(tmp_path: Path, **settings: Any) -> TrainingResult:
@@ -49,10 +50,6 @@ def short(tmp_path: Path, **settings: Any) -> TrainingResult:
     return train(
         stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings
     )
-
-
-def rows(run: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(run.joinpath("monitor.csv").read_text().splitlines()[1:]))
 
 
 class Telling(Reporter):
@@ -85,7 +82,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: 
 
 
 def test_the_log_of_episodes_is_in_order_of_completion_and_complete(trained: TrainingResult) -> None:
-    log = rows(trained.run)
+    log = monitor_rows(trained.run)
     assert list(log[0])[:3] == ["r", "l", "t"]  # where Stable-Baselines3's tools look for them
     assert [int(row["episode"]) for row in log] == list(range(1, trained.episodes + 1))
     steps = [int(row["steps"]) for row in log]
@@ -159,7 +156,7 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(
     assert result.steps >= trained.steps + 500
     assert result.episodes > trained.episodes
     assert (run_copy / "monitor.csv").read_text().startswith(before)
-    assert [int(row["episode"]) for row in rows(run_copy)] == list(range(1, result.episodes + 1))
+    assert [int(row["episode"]) for row in monitor_rows(run_copy)] == list(range(1, result.episodes + 1))
     assert events < set((run_copy / "tensorboard").iterdir())
     record = json.loads((run_copy / "run.json").read_text())
     assert record["resumed_at"] == [trained.steps]

@@ -16,17 +16,21 @@ TEACHER = """
 deepbots: 1
 extends: cartpole
 name: Knowing
-train: {total_timesteps: 8192}
+world: {engine: mujoco}
+evaluation: {episodes: 4}
+train: {total_timesteps: 2048}
 """
 STUDENT = """
 deepbots: 1
 extends: cartpole
 name: Sensing
+world: {engine: mujoco}
+evaluation: {episodes: 4}
 remove: [observation.speed, observation.tip_speed]
 observation: {cart.pole_angle: {range: -20 .. 20 deg, history: 3}}
 critic: {CRITIC}
 solved: mean_return >= 1000000 over 2 episodes
-train: {total_timesteps: 3072, algorithm: {algorithm}}
+train: {total_timesteps: 4096, algorithm: {algorithm}}
 """
 CRITIC = "{speed: -0.8 .. 0.8 m/s, tip_speed: -2 .. 2 m/s}"
 
@@ -35,7 +39,7 @@ CRITIC = "{speed: -0.8 .. 0.8 m/s, tip_speed: -2 .. 2 m/s}"
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     folder = tmp_path_factory.mktemp("teacher")
     (folder / "teacher.yaml").write_text(TEACHER)
-    return train(folder / "teacher.yaml", run=folder / "run", engine="pybullet")
+    return train(folder / "teacher.yaml", run=folder / "run")
 
 
 def student(folder: Path, critic: str = CRITIC, algorithm: str = "PPO") -> Path:
@@ -49,7 +53,6 @@ def test_a_policy_imitates_one_that_sees_more(teacher: TrainingResult, tmp_path:
         student(tmp_path),
         run=tmp_path / "run",
         demonstrations=teacher.run,
-        engine="pybullet",
         loggers=["csv"],
     )
     rows = [line.split(",") for line in (result.run / "logs" / "scalars.csv").read_text().splitlines()[1:]]
@@ -63,9 +66,10 @@ def test_an_interrupted_training_continues_without_the_run_of_its_teacher(
     teacher: TrainingResult, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(teacher.run, tmp_path / "teacher")
-    path, whole, parts = student(tmp_path), tmp_path / "whole", tmp_path / "parts"
-    train(path, run=whole, demonstrations=copy, engine="pybullet")
-    train(path, run=parts, demonstrations=copy, engine="pybullet", progress=At(1000))
+    compiled = api.compile(student(tmp_path), overrides=["train.n_steps=32", "world.engine=pybullet"])
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train(compiled, run=whole, demonstrations=copy, total_timesteps=768)
+    train(compiled, run=parts, demonstrations=copy, total_timesteps=768, progress=At(300))
     shutil.rmtree(copy)
     resume(parts)
     expected, continued = outcome(whole), outcome(parts)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import json
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +25,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from tensordict import TensorDict
 
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.learning import evaluate, learner, resume, train
 from deepbots_cli.learning.evaluation import load_model
@@ -41,7 +40,6 @@ from deepbots_cli.rollout.worlds import Worlds
 from tests.learning.interruption import At
 from tests.private_members import private_members
 
-ROOT = Path(__file__).parents[2]
 MODULE = Path(internals.__file__)
 RANGES = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
 SHORT = Training("rsl_rl.PPO", 2_000, 4, hyper(num_steps_per_env=32))
@@ -97,8 +95,12 @@ def test_a_training_changes_the_weights_and_its_policy_is_evaluated(tmp_path: Pa
 
 @pytest.mark.parametrize(
     "training",
-    [SHORT, EVERYTHING, replace(SHORT, shards=2), replace(EVERYTHING, shards=2, staleness=1)],
-    ids=["usual", "everything", "shards", "stale shards"],
+    [
+        pytest.param(SHORT, id="usual"),
+        pytest.param(EVERYTHING, id="everything", marks=pytest.mark.slow),
+        pytest.param(replace(SHORT, shards=2), id="shards", marks=pytest.mark.slow),
+        pytest.param(replace(EVERYTHING, shards=2, staleness=1), id="stale shards of everything"),
+    ],
 )
 def test_an_interrupted_training_has_the_weights_of_one_that_was_not(
     tmp_path: Path, training: Training
@@ -175,28 +177,19 @@ def test_an_exported_policy_acts_as_the_policy(tmp_path: Path, training: Trainin
 TRAIN = "train={algorithm: rsl_rl.PPO, total_timesteps: 2_000, environments: 4, num_steps_per_env: 64}"
 
 
-def deepbots(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "deepbots_cli", *arguments],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        check=False,
-    )
-
-
-def test_the_commands_train_evaluate_and_export(tmp_path: Path) -> None:
+def test_the_commands_train_evaluate_and_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("onnx")
+    monkeypatch.chdir(tmp_path)
     changes = ("--set", TRAIN, "--set", "world.engine=mujoco", "--set", "evaluation={episodes: 3}")
-    trained = deepbots(tmp_path, "train", "cartpole_continuous", "--run", "run", *changes)
-    assert trained.returncode == 0, trained.stderr
-    result = json.loads((tmp_path / "run" / "run.json").read_text())["result"]
-    assert result["steps"] == 2_048
-    evaluated = deepbots(tmp_path, "eval", "run", "--last", "--json")
-    assert evaluated.returncode == 0, evaluated.stderr
-    exported = deepbots(tmp_path, "export", "run", "--output", "bundle.zip")
-    assert exported.returncode == 0, exported.stderr + exported.stdout
+    for words in (
+        ("train", "cartpole_continuous", "--run", "run", *changes),
+        ("eval", "run", "--last", "--json"),
+        ("export", "run", "--output", "bundle.zip"),
+    ):
+        assert main([*words]) == 0, capfd.readouterr().err
+    assert json.loads(Path("run/run.json").read_text())["result"]["steps"] == 2_048
 
 
 def test_a_choice_is_refused_in_a_finding_and_in_an_error() -> None:
@@ -293,8 +286,3 @@ def test_the_libraries_have_each_private_member() -> None:
     used = {name for _, name in private_members(MODULE)}
     assert used == {"_validate_args"}
     assert all(hasattr(torch.distributions.Distribution, name) for name in used)
-
-
-@pytest.mark.parametrize("path", sorted(MODULE.parent.glob("*.py")), ids=lambda path: path.stem)
-def test_no_other_module_names_a_private_member(path: Path) -> None:
-    assert path == MODULE or [*private_members(path)] == []

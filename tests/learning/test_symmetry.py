@@ -26,6 +26,8 @@ deepbots: 1
 extends: cartpole_continuous
 name: MirroredCart
 remove: [reset.joints]
+world: {engine: mujoco}
+evaluation: {episodes: 4}
 solved: mean_return >= 1000000 over 2 episodes
 train:
   algorithm: PPO

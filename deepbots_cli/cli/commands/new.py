@@ -20,7 +20,7 @@ from deepbots_cli.cli.command import OUTPUT, Force, Json, option
 from deepbots_cli.cli.sources import open_robot
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.document import Permissions, ScalarNode, files, shipped, walk
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
 from deepbots_cli.document.load import allowed_folders
@@ -28,6 +28,7 @@ from deepbots_cli.document.nodes import node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting, unwritable_message
+from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
 
@@ -122,39 +123,28 @@ def new(
         contents |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
         contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
     kept = _present(contents, folder)
-    written = (
-        write_with_schema(contents, folder, force=force)
-        if schema
-        else write_new(contents, folder, force=force)
-    )
+    write = write_with_schema if schema else write_new
+    written = write(contents, folder, force=force)
     if urdf:
         terminal.note_warnings(api.lint(written[0], permissions=permissions), str(written[0]))
-    if not as_json:
-        _name_faster_engine(written[0])
+    commands = ["try", "inspect", "lint", "train"]
     program = api.load(written[0]).program
-    teachers = (
-        [f"train --teacher {script.name}" for script in program.agent.scripts] if program is not None else []
-    )
-    further = (
-        "try",
-        "inspect",
-        "lint",
-        "train",
-        *teachers[:1],
-        *(() if schema or project else ("schema --for",)),
-    )
-    _show(written, kept, further, as_json=as_json)
+    if program is not None:
+        if not as_json:
+            _name_faster_engine(program)
+        commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
+    if not (schema or project):
+        commands.append("schema --for")
+    _show(written, kept, commands, as_json=as_json)
 
 
-def _name_faster_engine(scenario: Path) -> None:
+def _name_faster_engine(program: Program) -> None:
     """Print the engine that steps the new world faster; nothing without a simulator."""
     try:
         from deepbots_cli.cli import throughput
     except ModuleNotFoundError:
         return
-    program = api.load(scenario).program
-    if program is not None:
-        throughput.note_faster_engine(program)
+    throughput.note_faster_engine(program)
 
 
 _TEMPLATES = Path(starters.__file__).parent
@@ -251,8 +241,6 @@ def from_shipped(shipped_name: str, name: str) -> Files:
     first = shipped.scenario_path(shipped_name)
     if first is None:
         names = shipped.scenario_names()
-        near = nearest_word(shipped_name, names)
-        hint = f" (did you mean {near}?)" if near else ""
         if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
             own = (
                 f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends:"
@@ -262,7 +250,8 @@ def from_shipped(shipped_name: str, name: str) -> Files:
                 f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}"
             )
         raise UsageError(
-            f"there is no shipped scenario '{shipped_name}'{hint}; shipped scenarios are: {', '.join(names)}"
+            f"there is no shipped scenario '{shipped_name}'{did_you_mean(shipped_name, names)}; shipped"
+            f" scenarios are: {', '.join(names)}"
         )
     target = PurePosixPath(f"{name}.yaml")
     text, waiting = _rewritten(first.resolve())

@@ -158,7 +158,7 @@ def _row(result: TestResult) -> Row:
 
 
 def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
-    """Return the command that shows the episode of a miss, with the options that were `given`."""
+    """Return the command that shows the episode of a miss, with the options of this one."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *options])
@@ -178,8 +178,11 @@ def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
             f"no tests in {', '.join(untested[:5])}"
             + (f" and {len(untested) - 5} more" if len(untested) > 5 else "")
         )
-    words = [f"{len(every) - failed} passed", *([f"{failed} failed"] if failed else [])]
-    words += [f"{broken} scenario{'s' * (broken > 1)} with errors"] if broken else []
+    words = [f"{len(every) - failed} passed"]
+    if failed:
+        words.append(f"{failed} failed")
+    if broken:
+        words.append(f"{broken} scenario{'s' * (broken > 1)} with errors")
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 

@@ -266,11 +266,7 @@ class Build:
         axle = self.axis(joint)
         endless = joint.type == "continuous" or (joint.type == "revolute" and joint.limit.lower is None)
         links = self.rigid(joint.child)
-        if (
-            not endless
-            or abs(axle[2]) > _MAX_LEVEL_Z
-            or any(other.moves and other.parent in links for other in self.model.joints)
-        ):
+        if not endless or abs(axle[2]) > _MAX_LEVEL_Z or self._joints_on(links):
             return None
         boxes = [self.boxes[name] for name in links if name in self.boxes]
         if not boxes:
@@ -331,16 +327,15 @@ class Build:
     @cached_property
     def limbs(self) -> list[Limb]:
         """The chains of joints that begin at the trunk, each as far as it does not branch."""
-        return [
-            self._limb(joint) for joint in self.model.joints if joint.moves and joint.parent in self.trunk
-        ]
+        return [self._limb(joint) for joint in self._joints_on(self.trunk)]
+
+    def _joints_on(self, links: Sequence[str]) -> list[Joint]:
+        """Return the joints that move and begin at one of these links."""
+        return [joint for joint in self.model.joints if joint.moves and joint.parent in links]
 
     def _limb(self, first: Joint) -> Limb:
         joint, links = first, self.rigid(first.child)
-        while (
-            len(further := [other for other in self.model.joints if other.moves and other.parent in links])
-            == 1
-        ):
+        while len(further := self._joints_on(links)) == 1:
             joint, links = further[0], self.rigid(further[0].child)
         tip = max(links, key=lambda name: dist(self.frames[name][0], self.frames[joint.child][0]))
         above = {joint.child: joint for joint in self.model.joints}

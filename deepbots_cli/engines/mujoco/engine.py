@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.engines.curves import torque_curve
-from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.kinematics import inverse_kinematics
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
@@ -327,12 +327,7 @@ class MuJoCoEngine:
         return read
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        model = self._pool(part[0]).current.model
-        chain = Chain(model, part[1] or model.root, joints)
-        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
-        return lambda position, attitude: chain.solve(
-            root(), [state[0] for state in read()], position, attitude
-        )
+        return inverse_kinematics(self, self._pool(part[0]).current.model, part, joints)
 
     # Readers of surfaces
 

@@ -313,7 +313,7 @@ class ModelBuilder:
         half, thin = line.width / 2, 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
             long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
-            turned = _wxyz(frames.quaternion(0.0, 0.0, yaw))
+            turned = frames.wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
                 self._geom(
@@ -367,7 +367,7 @@ class ModelBuilder:
             self._links.append((self._elements, body.name, name))
             weightless = float(pooled and not body.fixed)
             links[name] = body_element = parent.add_body(
-                name=f"b{self._elements}", pos=position, quat=_wxyz(turned), gravcomp=weightless
+                name=f"b{self._elements}", pos=position, quat=frames.wxyz(turned), gravcomp=weightless
             )
             if above is None:
                 body_element.mocap = body.fixed
@@ -484,7 +484,7 @@ class ModelBuilder:
         color = piece.color or LINK_COLORS[place % len(LINK_COLORS)]
         about: dict[str, Any] = {
             "pos": position,
-            "quat": _wxyz(turned),
+            "quat": frames.wxyz(turned),
             "rgba": color if self._for_rendering else (1, 1, 1, 1),
         }
         group = HIDDEN_GROUP if pooled and not self._for_rendering else SOLID_GROUP
@@ -693,10 +693,6 @@ def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
     return bool(
         off < AXLE_TOLERANCE and np.linalg.norm(np.cross(axis, position)) < AXLE_TOLERANCE * shape.radius
     )
-
-
-def _wxyz(q: frames.Quaternion) -> tuple[float, float, float, float]:
-    return (q[3], q[0], q[1], q[2])
 
 
 def finite_limit(bound: float) -> float:

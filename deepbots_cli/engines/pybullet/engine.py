@@ -13,7 +13,7 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.curves import torque_curve
-from deepbots_cli.engines.kinematics import Chain
+from deepbots_cli.engines.kinematics import inverse_kinematics
 from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
@@ -277,12 +277,7 @@ class PyBulletEngine:
         return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach, upright=upright))
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
-        model = self._pool(part[0]).current.model
-        chain = Chain(model, part[1] or model.root, joints)
-        root, read = self.pose(part[0]), self.joint_states(part[0], chain.moving_joints)
-        return lambda position, attitude: chain.solve(
-            root(), [state[0] for state in read()], position, attitude
-        )
+        return inverse_kinematics(self, self._pool(part[0]).current.model, part, joints)
 
     def overlaps(self) -> list[Overlap]:
         bodies = {

@@ -12,9 +12,10 @@ from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
-from deepbots_cli.expressions.types import QUATERNION, SPACE
+from deepbots_cli.expressions.types import SPACE
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import NoiseModel, Robot, Sensor
+from deepbots_cli.program.topics import VECTORS
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.scenario.sensors import SENSORS, JointSensor
@@ -22,7 +23,6 @@ from deepbots_robot.model import Input, Mount
 
 _AGES_WITHIN = 3
 """The number of its periods after which a value without a new one is too old."""
-_VECTORS = {"position": SPACE, "velocity": SPACE, "angular_velocity": SPACE, "orientation": QUATERNION}
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Readings:
         kind, faults = SENSORS[sensor.kind], sensor.faults or NoiseModel()
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
-        world = kind.world_function in _VECTORS
+        world = kind.world_function in VECTORS
         number_type = "bool" if kind.boolean else "float64"
         own_frame = sensor.subjects[0] if sensor.components == SPACE and not of_joints else None
         info = self._input(
@@ -92,7 +92,7 @@ class Readings:
 
     def of_world(self, read: EngineRead) -> tuple[Reading, int]:
         """Describe a reading of the world by the supervisor, with the index of the number in it."""
-        components = _VECTORS.get(read.function, ())
+        components = VECTORS.get(read.function, ())
         function = FUNCTIONS.get(read.function)
         joint = self.deployment.joints.get(read.subjects[0])
         if joint is None:

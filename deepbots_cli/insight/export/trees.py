@@ -10,12 +10,12 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions.code import template
 from deepbots_cli.expressions.functions import Function, function_named
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.insight.export.graph import Graph
@@ -296,11 +296,6 @@ _REDUCED = frozenset({"add", "min", "max", "hypot", "and", "or"})
 _MIN_REDUCED = 4
 
 
-@cache
-def _template(text: str) -> ast.expr:
-    return ast.parse(text, mode="eval").body
-
-
 class TreePrinter:
     """Prints trees into a graph. A tree is printed once and then reused.
 
@@ -389,7 +384,7 @@ class TreePrinter:
         names, arguments = function.arguments, dict[str, Sequence[Value]]()
         for place, name in enumerate(names):
             arguments[name] = args[place:] if name.startswith("*") else args[place : place + 1]
-        return self._code(_template(function.python), arguments)
+        return self._code(template(function.python), arguments)
 
     def _code(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Value:
         """Return the result of the Python code of a function for its arguments."""

@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.her import HerReplayBuffer
 from torch import nn
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.sb3 import defaults, internals
 from deepbots_cli.learning.sb3.asymmetric import asymmetric
@@ -333,8 +333,7 @@ def _require_memory(what: str, needed: int, memory: int | None, hint: str = "") 
 
 def _entry(name: str) -> type[Model]:
     if name not in ALGORITHMS:
-        near = nearest_word(name, ALGORITHMS)
-        hint = f" (did you mean {near}?)" if near else ""
+        hint = did_you_mean(name, ALGORITHMS)
         raise UsageError(f"there is no algorithm '{name}'; use one of {', '.join(ALGORITHMS)}{hint}")
     return ALGORITHMS[name]
 

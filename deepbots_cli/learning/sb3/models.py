@@ -30,10 +30,6 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.learner import Initialization
 from deepbots_cli.learning.sb3 import internals
 
-Tensors = Mapping[str, Mapping[str, Any]]
-"""The content of a model file: a state dictionary for each part (`policy`, `policy.optimizer`), and
-`pytorch_variables`."""
-
 _VARIABLES = "pytorch_variables"
 _STORAGES = ("Float", "Double", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool")
 _PLAIN_GLOBALS = {

@@ -19,7 +19,7 @@ import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import PluginError, UsageError
 from deepbots_cli.plugins import PluginTable
 
@@ -79,16 +79,12 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
     for what, names, table in (("callback", callbacks, CALLBACKS), ("logger", loggers, LOGGERS)):
         for name in names:
             if name not in table:
-                near = nearest_word(name, table)
                 registered = (
                     f"the known ones are {', '.join(table)}"
                     if table
                     else f"no installed package registers one under '{table.group}'"
                 )
-                raise UsageError(
-                    f"there is no {what} '{name}'; {registered}"
-                    + (f" (did you mean {near}?)" if near else "")
-                )
+                raise UsageError(f"there is no {what} '{name}'; {registered}{did_you_mean(name, table)}")
             if names.count(name) > 1:
                 raise UsageError(f"the {what} '{name}' is given twice")
 
