@@ -46,7 +46,7 @@ class Clip(NamedTuple):
 
 POLICIES = {
     "balancer": Clip(1, "--engine mujoco", "--seconds 4 --size 300x200"),
-    "biped": Clip(101, render="--case forward --seconds 2.4 --size 300x200"),
+    "biped": Clip(101, render="--case forward --episode 2 --seconds 2.4 --size 300x200"),
     "cartpole": Clip(0, render="--seconds 5"),
     "find_and_avoid": Clip(1, render="--speed 3"),
     "find_ball": Clip(301, "--engine mujoco", "--speed 3"),
