@@ -46,6 +46,7 @@ class Clip(NamedTuple):
 
 POLICIES = {
     "balancer": Clip(1, "--engine mujoco", "--seconds 4 --size 300x200"),
+    "biped": Clip(101, render="--case forward --episode 2 --seconds 2.4 --size 300x200"),
     "cartpole": Clip(0, render="--seconds 5"),
     "find_and_avoid": Clip(1, render="--speed 3"),
     "find_ball": Clip(301, "--engine mujoco", "--speed 3"),
@@ -56,6 +57,7 @@ POLICIES = {
     "pit_escape": Clip(1, "--engine mujoco"),
     "quadrotor": Clip(1, render="--seconds 6 --from 0.9,-0.9,1.4 --at 0,0,1 --size 400x267"),
     "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
+    "quadruped_rough": Clip(101, render="--case up --speed 2 --size 300x200"),
     "see_ball": Clip(1, render="--speed 3"),
     "tag": Clip(1, "--engine mujoco", "--speed 3"),
 }

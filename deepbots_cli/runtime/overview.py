@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from deepbots_cli.expressions.scalar import Const, Draw, Name, Scalar
+from deepbots_cli.expressions.functions import interval_of
+from deepbots_cli.expressions.intervals import Interval
+from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, scaled
 from deepbots_cli.port import ZERO_VECTOR, Engine, View
@@ -243,6 +245,9 @@ def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
             return min(ends), max(ends)
         case Name(name, component) if (name, component) in parameters:
             return _ends(parameters[name, component], parameters)
+        case Op():
+            interval = interval_of(scalar, lambda argument: Interval(*_ends(argument, parameters)))
+            return (interval.low, interval.high) if interval.is_finite else (0.0, 0.0)
         case _:
             return 0.0, 0.0
 
