@@ -6,7 +6,7 @@ import inspect
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, wraps
 from importlib import import_module
@@ -403,10 +403,49 @@ Against = Annotated[
     option(
         "--against AGENT=DRIVER",
         "With --agent: who acts for another agent, a script of it, `random`, `zero`, or the policy of a run"
-        " by its path; may be repeated.",
+        " by its path; may be repeated. By default its first script, or its policy in RUN.",
         SCENARIO,
     ),
 ]
+
+
+def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, str]:
+    """Return the driver that `--against` names for each other agent."""
+    drivers: dict[str, str] = {}
+    for word in against:
+        other, equals, driver = word.partition("=")
+        if agent is None or not equals:
+            raise typer.BadParameter(
+                f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
+            )
+        drivers[other.strip()] = driver.strip()
+    return drivers
+
+
+def _policies_of_run(run: Path, agent: str) -> dict[str, str]:
+    """Return the model of a run of all agents as the driver of each other agent; empty for any other run."""
+    from deepbots_cli.learning.run import ModelRef
+    from deepbots_cli.rollout.source import SourceKind, folder_kind
+
+    if folder_kind(run) is not SourceKind.RUN and run.suffix != ".zip":
+        return {}
+    ref = ModelRef.open(run)
+    return {name: str(ref.path) for name in ref.run.program.members if name != agent}
+
+
+def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
+    """Return the entries of `role.others`, with absolute paths of runs and models, and the folders of
+    these."""
+    from deepbots_cli.compiler.agents import is_model
+
+    entries: list[str] = []
+    folders: list[Path] = []
+    for other, driver in drivers.items():
+        if is_model(driver):
+            driver = os.path.abspath(driver)
+            folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
+        entries.append(f"{other}: {json.dumps(driver)}")
+    return entries, folders
 
 
 def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -415,21 +454,10 @@ def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def call(*, agent: Role, against: Against, **given: Any) -> None:
-        from deepbots_cli.compiler.agents import is_model
-
-        others: list[str] = []
-        folders: list[Path] = []
-        for word in against or ():
-            other, equals, driver = word.partition("=")
-            if agent is None or not equals:
-                raise typer.BadParameter(
-                    f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
-                )
-            driver = driver.strip()
-            if is_model(driver):
-                driver = os.path.abspath(driver)
-                folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
-            others.append(f"{other.strip()}: {json.dumps(driver)}")
+        drivers = _drivers_of_others(agent, against or ())
+        if agent is not None and isinstance(given.get("run"), Path):
+            drivers = _policies_of_run(given["run"], agent) | drivers
+        others, folders = _role_entries(drivers)
         if folders and "permissions" in given:
             allowed = given["permissions"]
             given["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))

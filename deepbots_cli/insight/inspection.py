@@ -157,7 +157,7 @@ def _counts(model: RobotModel) -> Row:
         "links": len(model.links),
         "joints": len(model.joints),
         "moving_joints": len(model.moving_joints),
-        "mass_kg": sum(link.inertial.mass for link in model.links if link.inertial),
+        "mass_kg": model.mass,
     }
 
 

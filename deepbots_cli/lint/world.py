@@ -162,7 +162,7 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
     ]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
     for robot, size in robots:
-        mass = sum(link.inertial.mass for link in robot.model.links if link.inertial is not None)
+        mass = robot.model.mass
         if size >= _MIN_LARGE_ROBOT_M and 0.0 < mass < _MIN_ROBOT_DENSITY * size**3:
             headline = (
                 f"`{robot.name}` is {with_unit(size, LENGTH)} long and has a mass of {with_unit(mass, MASS)}"
@@ -261,9 +261,7 @@ def _odd_mass(
             ", or write `fixed: true`" if density > _MAX_DENSITY else ""
         )
         return Finding("DB507", values.span_of_first(path, "mass"), headline, help)
-    carried = sum(
-        link.inertial.mass for robot, _ in robots for link in robot.model.links if link.inertial is not None
-    )
+    carried = sum(robot.model.mass for robot, _ in robots)
     if carried <= 0.0 or kind.mass < _MAX_MASS_RATIO * carried:
         return None
     headline = f"`{path[-1]}` weighs {weight}, but all robots together weigh only {with_unit(carried, MASS)}"

@@ -150,6 +150,11 @@ class Link:
     center_varies: bool = False
     """Whether episodes move its center of mass."""
 
+    @property
+    def mass(self) -> float:
+        """The mass in kg; 0 without an inertial."""
+        return self.inertial.mass if self.inertial else 0.0
+
     def digest_fields(self) -> dict[str, object]:
         """Return the fields; `center_varies` is left out where it is false, as in digests from before it was
         a field."""
@@ -285,9 +290,14 @@ class RobotModel:
             ]
         return links
 
+    @property
+    def mass(self) -> float:
+        """The mass of all links in kg."""
+        return sum(link.mass for link in self.links)
+
     def subtree_mass(self) -> dict[str, float]:
         """Return for each link by name the mass (kg) of the link and of everything below it."""
-        mass = {link.name: link.inertial.mass if link.inertial else 0.0 for link in self.links}
+        mass = {link.name: link.mass for link in self.links}
         below: dict[str, list[str]] = {name: [] for name in mass}
         for joint in self.joints:
             below[joint.parent].append(joint.child)

@@ -213,3 +213,12 @@ def test_a_group_of_agents_that_compete_shows_the_return_of_each(
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split() == ["run", "left", "right"]
     assert [line.split()[0] for line in lines[3:5]] == ["seed-1", "seed-2"]
+
+
+def test_an_agent_of_a_run_plays_against_the_policies_of_the_run(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    together = evaluate(trained, episodes=3, seed=9)
+    assert main(["eval", str(trained), "--agent", "right", "--episodes", "3", "--seed", "9", "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert alone["mean_return"] == pytest.approx(together.agents["right"].mean_return)

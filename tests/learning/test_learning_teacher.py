@@ -121,8 +121,8 @@ def test_an_actor_with_a_replay_buffer_imitates_its_teacher(tmp_path: Path, algo
 
 def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Path) -> None:
     learner = (
-        "total_timesteps: 1600, environments: 4, learning_starts: 200, network: {hidden: [32]},"
-        " action_noise: {type: normal, sigma: 1.0}"
+        "total_timesteps: 1600, environments: 4, learning_starts: 200, train_freq: 4, gradient_steps: 4,"
+        " network: {hidden: [32]}, action_noise: {type: normal, sigma: 1.0}"
     )
     train_ = f"train={{algorithm: TD3, {learner}, teacher: {{script: lean, share: 0.9}}}}"
     compiled = api.compile(

@@ -79,11 +79,8 @@ def command(
 
 
 def _row(entry: Rule) -> Row:
-    return {"code": entry.code, "name": entry.name, "severity": _severity(entry), "about": entry.summary}
-
-
-def _severity(rule: Rule) -> str:
-    return f"{rule.severity}, in preview" if rule.preview else rule.severity
+    severity = f"{entry.severity}, in preview" if entry.preview else entry.severity
+    return {"code": entry.code, "name": entry.name, "severity": severity, "about": entry.summary}
 
 
 def rules_data(rules: Iterable[Rule] = tuple(RULES.values())) -> dict[str, object]:

@@ -189,11 +189,6 @@ class Build:
         """The longest side of the box around the robot."""
         return max(box_sides(robot_bounds(self.model))) or 1.0
 
-    @property
-    def mass(self) -> float:
-        """The mass, in kg."""
-        return sum(map(_mass, self.model.links))
-
     def rigid(self, link: str) -> list[str]:
         """Return a link and all links that fixed joints attach to it, downwards."""
         return self.model.links_below(link, rigid=True)
@@ -207,7 +202,7 @@ class Build:
     def chassis(self) -> str:
         """The heaviest link of the trunk, to which an inertial sensor belongs, because the root may be a mere
         point."""
-        return max(self.trunk, key=lambda name: _mass(self.model.link(name)))
+        return max(self.trunk, key=lambda name: self.model.link(name).mass)
 
     def axis(self, joint: Joint) -> Triple:
         return frames.rotate(self.frames[joint.child][1], joint.axis)
@@ -359,10 +354,6 @@ class Build:
         # A limb that stays within the foot is a weight in a ball, and no arm.
         width = max((high[axis] - low[axis] for low, high in boxes for axis in (0, 1)), default=0.0)
         return len(limb.joints) == 1 or limb.joints[0].type == "prismatic" or limb.reach > width
-
-
-def _mass(link: Link) -> float:
-    return link.inertial.mass if link.inertial else 0.0
 
 
 def _is_locked(joint: Joint) -> bool:

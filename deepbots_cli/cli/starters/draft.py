@@ -72,7 +72,7 @@ class Draft:
         strong enough for the robot's weight."""
         settings = dict(gains or {})
         if not all(joint.limit.effort for joint in joints):
-            weight = max(self.build.mass, 0.1) * GRAVITY
+            weight = max(self.build.model.mass, 0.1) * GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
             settings["max_torque"] = (
                 f"{short_number(2.0 * weight)} N"

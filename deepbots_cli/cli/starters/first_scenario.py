@@ -76,7 +76,7 @@ def _found(draft: Draft) -> list[str]:
     base = "taken to be fixed to the ground" if draft.fixed else "free"
     lines = [
         f"What was found in {draft.urdf}: {', '.join(parts)};",
-        f"{build.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
+        f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
         " chosen from these: change them.",
     ]
     return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks

@@ -101,7 +101,7 @@ def hover(draft: Draft) -> dict[str, object]:
     """Fly to a point and stay there."""
     draft.groups["rotors"] = draft.build.rotors
     return {
-        "each": draft.build.mass * GRAVITY / len(draft.build.rotors),
+        "each": draft.build.model.mass * GRAVITY / len(draft.build.rotors),
         "mark": max(0.1 * draft.build.size, 0.01),
     }
 
@@ -166,7 +166,7 @@ def walk(draft: Draft) -> dict[str, object]:
     group = draft.group("legs", joints)
     draft.start(group, "stand", positions, joints)
     reach = max(limb.reach for limb in build.limbs)
-    load = build.mass * GRAVITY * reach
+    load = build.model.mass * GRAVITY * reach
     gains = {
         "stiffness": f"{short_number(_STIFFNESS_PER_LOAD * load)} N*m/rad",
         "damping": f"{short_number(_DAMPING_PER_STIFFNESS * _STIFFNESS_PER_LOAD * load)} N*m*s/rad",

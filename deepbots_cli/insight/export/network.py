@@ -125,7 +125,7 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
             graph.input(name, np.float32, lstm.num_layers, "batch", lstm.hidden_size) for name in LSTM_STATES
         ]
     mask = (
-        graph.input("action_mask", np.bool_, "batch", _options(program))
+        graph.input("action_mask", np.bool_, "batch", sum(len(part.options) for part in agent.choices))
         if takes_masks(learner, program)
         else None
     )
@@ -201,10 +201,6 @@ def decide(
     options = [graph.add("ArgMax", row, axis=1, keepdims=0) for row in rows]
     columns = [graph.add("ArgMax", row, axis=1, keepdims=1) for row in rows] if len(sizes) > 1 else []
     return Decision(graph.add("Concat", *columns, axis=1) if columns else options[0], options, value, after)
-
-
-def _options(program: Program) -> int:
-    return sum(len(part.options) for part in program.agent.choices)
 
 
 def _features(graph: Graph, network: PolicyNetwork, name: str, value: str, *, is_picture: bool) -> str:
