@@ -8,7 +8,7 @@ every table, and `with_interval` a statistic in a list of lines.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -125,11 +125,11 @@ def _statistics(result: Summary, *, success_defined: bool) -> Row:
     }
 
 
-def _statistics_of_agents(result: EvaluationResult) -> Row:
+def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, success_defined: bool) -> Row:
     """Return the scores of each of several agents, and what all of them have in common."""
-    common = _statistics(result, success_defined=result.success_defined)
+    common = _statistics(summary, success_defined=success_defined)
     return {
-        **{name: _agent_text(own) for name, own in result.agents.items()},
+        **{name: _agent_text(own) for name, own in agents.items()},
         **{name: common[name] for name in ("mean length", "ended by", "success rate")},
     }
 
@@ -232,11 +232,12 @@ def evaluation_text(
     rows = {
         "model": f"{result.run}"
         f" ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
+        "agent": None if result.against is None else f"{result.agent}, against {result.against}",
         "scenario": scenario,
         "episodes": f"{held_out(result.episodes)} from seed"
         f" {result.seed}{'' if result.deterministic else ', actions sampled'}",
         **(
-            _statistics_of_agents(result)
+            _statistics_of_agents(result, result.agents, success_defined=result.success_defined)
             if result.agents
             else _statistics(result, success_defined=result.success_defined)
         ),
@@ -287,11 +288,16 @@ def kept_json(kept: KeptModel) -> dict[str, Any]:
     return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
 
 
-def summary_text(summary: Summary, *, success_defined: bool) -> str:
-    """Return the statistics of episodes without a trained policy."""
-    return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(
-        _statistics(summary, success_defined=success_defined)
+def summary_text(
+    summary: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None
+) -> str:
+    """Return the statistics of episodes without a trained policy; with `agents`, those of each of them."""
+    rows = (
+        _statistics_of_agents(summary, agents, success_defined=success_defined)
+        if agents
+        else _statistics(summary, success_defined=success_defined)
     )
+    return f"summary of {summary.episodes:,} episodes\n" + row_as_lines(rows)
 
 
 def _notes(notes: Iterable[str]) -> list[str]:

@@ -347,21 +347,24 @@ def _commands(scenario: Program, root: Node) -> Tables:
     }
 
 
+def _ending(scenario: Program, root: Node, name: str) -> Row:
+    """Return the row of an ending: what it is for the agent, or for each of several agents."""
+    outcome = "success" if name in scenario.agent.success else "failure"
+    of_agents = {
+        agent: "success" if name in member.program.agent.success else "failure"
+        for agent, member in scenario.members.items()
+    }
+    when = text_at(root, "endings", name, "when") or text_at(root, "termination", outcome, name)
+    return {"ending": name, **(of_agents or {"outcome": outcome}), "when": when}
+
+
 def _course(scenario: Program, root: Node) -> Tables:
     """Return the tables of reward, endings and starts of the episodes, and of the changes between them."""
     return {
         "reward": [
             {"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward
         ],
-        "endings": [
-            {
-                "ending": ending.name,
-                "outcome": outcome,
-                "when": text_at(root, "termination", outcome, ending.name),
-            }
-            for ending in scenario.endings
-            for outcome in ["success" if ending.name in scenario.agent.success else "failure"]
-        ],
+        "endings": [_ending(scenario, root, ending.name) for ending in scenario.endings],
         "reset": _reset(scenario, root),
         "cases": [
             {"case": case.name, "set": text_at(root, "evaluation", "cases", case.name, "set")}

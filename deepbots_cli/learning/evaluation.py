@@ -401,7 +401,9 @@ class _Setting:
         self.run = run = run if isinstance(run, Run) else Run.open(run)
         self.judged = None if scenario is None else api.compile(scenario)
         program = (self.judged or run).program
-        if program.others is not None and run.program.members:
+        self._is_part = program.others is not None and bool(run.program.members)
+        """Whether one of several agents that the run trained is evaluated."""
+        if program.others is not None and self._is_part:
             self.run = run = run.of_agent(program.others.agent)
         if self.judged is not None and (differences := identity.differences(run.program, program)):
             lines = "\n  ".join(differences)
@@ -532,7 +534,8 @@ class _Setting:
             elsewhere=elsewhere,
             set=overrides,
             digest=(self.judged or run).digest,
-            agent=program.agent.name,
+            agent=program.agent.name if program.others is None else program.others.agent,
+            against=None if program.others is None else program.others.text,
             agents=agent_scores(program.members, done),
             seed=self.seed,
             planned=self.episodes,
@@ -569,7 +572,7 @@ class _Setting:
         """Return the name of a scenario that replaces that of the run, and the assignments of `--set`,
         without that of another engine."""
         judged = self.judged
-        if judged is None or judged.digest == self.run.record.digest:
+        if judged is None or (judged.digest == self.run.record.digest and not self._is_part):
             return None, ()
         own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
         name = (

@@ -193,7 +193,8 @@ def _listed_group(path: Path) -> ListedRun:
     if state != "training" and states == {"finished"} and len(listed.runs) == len(group.planned):
         state = "finished"
     seeds = group.record.seeds
-    evaluated: Literal["evaluation"] | None = "evaluation" if returns else None
+    is_evaluated = any(run.score == "evaluation" for run in runs)
+    evaluated: Literal["evaluation"] | None = "evaluation" if is_evaluated else None
     return replace(
         listed,
         state=state,

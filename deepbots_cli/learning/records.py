@@ -299,6 +299,7 @@ class Evaluation(Scores, frozen=True):
         circumstances: Differences from an evaluation of the best model in the scenario of the training, in
             words.
         agents: The scores of each of several agents, by name; empty for one agent.
+        against: The other agents, and who acts for them, such as `prey (flee)`; None without other agents.
         planned: Requested number of episodes; larger than `episodes` if a requirement stopped the evaluation
             early.
     """
@@ -319,6 +320,7 @@ class Evaluation(Scores, frozen=True):
     digest: str | None = None
     circumstances: tuple[str, ...] = ()
     agents: Mapping[str, Scores] = Field(default={}, exclude_if=lambda agents: not agents)
+    against: str | None = Field(default=None, exclude_if=lambda against: against is None)
     planned: int | None = None
     required_episodes: int | None = None
 
@@ -350,8 +352,9 @@ class EvaluationRecord(Evaluation, frozen=True):
         """Mean return and success rate with their intervals, and the circumstances."""
         scores = [f"{name} {_scores_text(own)}" for name, own in self.agents.items()] or [_scores_text(self)]
         of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
+        against = "" if self.against is None else f" against {self.against}"
         return (
-            f"{'; '.join(scores)}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from seed"
             f" {self.seed}{in_parentheses(self.remarks)}"
         )
 
@@ -361,10 +364,9 @@ class EvaluationRecord(Evaluation, frozen=True):
         if own is None:
             return self
         scores = {name: getattr(own, name) for name in Scores.model_fields}
-        defines_success = own.success_rate is not None
-        return self.model_copy(
-            update={**scores, "agents": {}, "agent": agent, "success_defined": defines_success}
-        )
+        others = ", ".join(f"{name} (its policy of the same model)" for name in self.agents if name != agent)
+        changes = {"agents": {}, "agent": agent, "against": others}
+        return self.model_copy(update={**scores, **changes, "success_defined": own.success_rate is not None})
 
 
 def _scores_text(scores: Scores) -> str:

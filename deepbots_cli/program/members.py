@@ -148,6 +148,11 @@ class Others:
     drivers: Mapping[str, str]
     models: Mapping[str, Path] = field(default_factory=dict)
 
+    @property
+    def text(self) -> str:
+        """Who acts for each other agent, such as `prey (flee)`."""
+        return ", ".join(f"{name} ({self.models.get(name, driver)})" for name, driver in self.drivers.items())
+
     def digest_fields(self) -> dict[str, object]:
         return {"world": self.world, "agent": self.agent, "drivers": tuple(sorted(self.drivers.items()))}
 

@@ -32,10 +32,11 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.episodes import Summary, agent_scores
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
+from deepbots_cli.rollout.seats import own_episode
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.sources import OpenedSource
@@ -233,9 +234,14 @@ def _show(
 ) -> None:
     summary = Summary.of_episodes(done, possible_returns(program))
     data = {"scenario": program.name, **data, "episodes": list(map(_row, done))}
-    totals = "\n" + records.summary_text(summary, success_defined=program.defines_success)
+    agents = agent_scores(program.members, done)
+    totals = "\n" + records.summary_text(summary, success_defined=program.defines_success, agents=agents)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
-    terminal.show(data, *_lines(done), *([totals] if len(done) > 1 else []), *more, as_json=as_json)
+    if agents:
+        data["summary"]["agents"] = agents
+    if program.others is not None:
+        terminal.note(f"{program.others.agent} acts against {program.others.text}")
+    terminal.show(data, *_lines(program, done), *([totals] if len(done) > 1 else []), *more, as_json=as_json)
 
 
 def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
@@ -262,9 +268,24 @@ def _row(episode: Episode) -> Row:
     }
 
 
-def _lines(done: list[Episode]) -> Iterator[str]:
+def _agent_columns(program: Program, episode: Episode) -> Row:
+    """Return the columns of an episode of several agents: the return of each, and who succeeded."""
+    own = {name: own_episode(member, episode) for name, member in program.members.items()}
+    succeeded = [name for name, each in own.items() if each.is_success]
+    return {
+        **{name: each.total_return for name, each in own.items()},
+        "length": episode.length,
+        "ended_by": episode.ended_by,
+        "success": ", ".join(succeeded) or "no",
+    }
+
+
+def _lines(program: Program, done: list[Episode]) -> Iterator[str]:
     shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
-    rows = [{"episode": number, **_row(episode)} for number, episode in enumerate(shown)]
+    rows = [
+        {"episode": number, **(_agent_columns(program, episode) if program.members else _row(episode))}
+        for number, episode in enumerate(shown)
+    ]
     listed = [
         {name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows
     ]

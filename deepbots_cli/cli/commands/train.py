@@ -308,7 +308,9 @@ def _announce(compiled: api.Compiled, seeds: str, timesteps: int | None, *, full
     training, solved = compiled.program.agent.training, compiled.program.agent.solved
     if training is not None:
         until = f", or until it is solved ({solved.description})" if solved and not full else ""
-        terminal.note(f"training {compiled.program.name} with {training.algorithm} from {seeds}")
+        others = compiled.program.others
+        beside = "" if others is None else f" (the agent {others.agent}, against {others.text})"
+        terminal.note(f"training {compiled.program.name}{beside} with {training.algorithm} from {seeds}")
         for reason in compiled.learner:
             terminal.note(f"deepbots chose {reason}")
         terminal.note(
