@@ -57,7 +57,7 @@ POLICIES = {
     "quadrotor": Clip(1, render="--seconds 6 --from 0.9,-0.9,1.4 --at 0,0,1 --size 400x267"),
     "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
     "see_ball": Clip(1, render="--speed 3"),
-    "tag": Clip(1, "--engine mujoco", "--speed 3"),
+    "tag_scripted": Clip(1, "--engine mujoco", "--speed 3"),
 }
 """The moving picture of each page, in the folder `CLIPS`."""
 

@@ -289,7 +289,7 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
         for index in range(3):
             tab.run(choose.format(index, ""))
         tab.run(choose.format(3, "CPU over 5 min"))
-        assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "Tag"]
+        assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "TagScripted"]
         tab.call(
             "Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False
         )
