@@ -58,11 +58,7 @@ POLICIES = {
     "quadrotor": Clip(1, render="--seconds 6 --from 0.9,-0.9,1.4 --at 0,0,1 --size 400x267"),
     "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
     "see_ball": Clip(1, render="--speed 3"),
-    "sumo": Clip(
-        101,
-        "--agent red --against blue=push --timesteps 120000",
-        "--episode 3 --seconds 6 --from 0,-1.1,1 --at 0,0,0 --size 400x267",
-    ),
+    "sumo": Clip(1, render="--seconds 6 --from 0,-1.1,1 --at 0,0,0 --size 400x267"),
     "tag": Clip(101, render="--episode 1 --speed 3"),
     "tag_scripted": Clip(1, "--engine mujoco", "--speed 3"),
 }

@@ -14,6 +14,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
+from deepbots_cli.errors import BatchError
 from deepbots_cli.runtime.agents import joint_action, seats_of
 
 SHARED = """\
@@ -244,3 +245,10 @@ def test_a_run_of_a_mirrored_agent_has_the_learner_that_was_chosen_for_it(severa
     write_copies(folder, compiled.resolved, compiled.inputs)
     assert compiled.program.agent.training is not None
     assert api.compile(folder / RESOLVED_NAME).digest == compiled.digest
+
+
+def test_a_batch_is_refused_where_other_agents_act_by_themselves(several: Path) -> None:
+    role = "role={agent: left, others: {right: lean}}"
+    program = api.compile(several, overrides=[role, "world.engine=mujoco"]).program
+    with pytest.raises(BatchError, match="other agents act by themselves"):
+        api.build_batch(program, 8, engine="mujoco")
