@@ -44,8 +44,8 @@ Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-4
 ## Beside the paper
 """
 BESIDE = """\
-Over the trainings of all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes met it. The
-page of each task lists its differences from the paper."""
+Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes met it. The
+page of each task lists its differences."""
 OTHERS = """\
 ## Other scenarios
 
@@ -54,11 +54,11 @@ The result is the success in held-out episodes, or their mean return (without %)
 METHOD = """\
 ## Method
 
-- **Seeds** from 101 on are reported; none was used to choose a setting.
+- **Seeds** from 101 on are reported; none chose a setting.
 - **Held-out episodes** start from seeds that no training uses.
-- [**Intervals**](statistics.md) have a confidence of 95 %, over the episodes of all seeds. They leave out how trainings differ.
+- [**Intervals**](statistics.md) of 95 %, over the episodes of all seeds, leave out how trainings differ.
 - **Simulated hours** count the steps of all copies of the environment.
-- **CPU** covers a training and its evaluation, on two cores of x86_64. It varies by a tenth or two.\
+- **CPU** of training and evaluation, on two cores of x86_64, varies by a tenth or two.\
 """
 
 
