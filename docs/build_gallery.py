@@ -47,6 +47,7 @@ class Clip(NamedTuple):
 POLICIES = {
     "balancer": Clip(1, "--engine mujoco", "--seconds 4 --size 300x200"),
     "biped": Clip(101, render="--case forward --episode 2 --seconds 2.4 --size 300x200"),
+    "carry": Clip(101, render="--episode 1 --from 0,-1.9,1.7 --at -0.05,0,0 --size 400x267"),
     "cartpole": Clip(0, render="--seconds 5"),
     "find_and_avoid": Clip(1, render="--speed 3"),
     "find_ball": Clip(301, "--engine mujoco", "--speed 3"),
@@ -59,7 +60,9 @@ POLICIES = {
     "quadruped": Clip(111, render="--case half_speed --seconds 2 --size 300x200"),
     "quadruped_rough": Clip(101, render="--case up --speed 2 --size 300x200"),
     "see_ball": Clip(1, render="--speed 3"),
-    "tag": Clip(1, "--engine mujoco", "--speed 3"),
+    "sumo": Clip(1, render="--seconds 6 --from 0,-1.1,1 --at 0,0,0 --size 400x267"),
+    "tag": Clip(101, render="--episode 1 --speed 3"),
+    "tag_scripted": Clip(1, "--engine mujoco", "--speed 3"),
 }
 """The moving picture of each page, in the folder `CLIPS`."""
 
@@ -377,13 +380,17 @@ def _file(name: str) -> Iterator[str]:
 
 
 def _results(name: str, *, level: str = "##") -> Iterator[str]:
-    """The card of its results, below a heading of the level."""
+    """The card of its results, below a heading of the level; nothing for a scenario that has no experiment."""
+    if name not in experiments():
+        return
     text = (ROOT / CARDS / f"{name}.md").read_text(encoding="utf-8")
     yield from ("", text[text.index("# Results") :].rstrip().replace("#", level, 1), "")
 
 
 def difficulty(name: str) -> str | None:
     """By the CPU time of a training, the median of the seeds; None where nothing is measured."""
+    if name not in experiments():
+        return None
     found = Headline.of(Standing.of(experiments()[name], read(Places().record(name))))
     return found and next(words for limit, words in _DIFFICULTIES.items() if found.cpu_seconds < limit)
 

@@ -152,6 +152,7 @@ def batch_obstacles(scenario: Program) -> list[str]:
             bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),
             "it has cameras, whose pictures are drawn world by world",
         ),
+        (scenario.others is not None, "other agents act by themselves, world by world"),
         (bool(scenario.python_functions), "it runs code of packages, which computes single numbers"),
     ]
     obstacles = [reason for holds, reason in reasons if holds]

@@ -51,7 +51,7 @@ OTHERS = (
         "pit_escape_as_printed",
         "quadrotor",
         "quadruped",
-        "tag",
+        "tag_scripted",
         PUSHED,
     ),
 )

@@ -139,7 +139,7 @@ def test_the_text_is_json_with_sorted_keys() -> None:
 def test_an_agent_commands_the_robots_whose_messages_depend_on_its_action_and_agrees_with_them(
     sets, robots
 ) -> None:
-    program = api.compile("tag", overrides=sets).program
+    program = api.compile("tag_scripted", overrides=sets).program
     assert program.agents == {"agent": program.agent}
     assert program.agent.robots == robots
     items = [name for name in interface(program)["agent"] if name.startswith("message")]

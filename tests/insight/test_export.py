@@ -66,7 +66,7 @@ def _session(graph: bytes):
         pytest.param("cartpole", "A2C", "tanh", marks=slow),
         pytest.param("cartpole", "MaskablePPO", "tanh", marks=slow),
         pytest.param("panda_push", "SAC", "relu", marks=slow),
-        pytest.param("tag", "PPO", "tanh", marks=slow),
+        pytest.param("tag_scripted", "PPO", "tanh", marks=slow),
     ],
 )
 def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation):

@@ -156,8 +156,12 @@ def test_bars_and_baselines_refer_to_parts_of_their_experiment():
             assert figure.training is None or figure.training in {
                 training.name for training in experiment.trainings
             }
-        for option, name in (baseline.options for baseline in experiment.baselines):
+        for *agent, option, name in (baseline.options for baseline in experiment.baselines):
             assert option == "--driver"
+            if agent:  # of several agents, one with a script of this name
+                program = measure.compiled(experiment.scenario)
+                assert program.members[agent[1]].program.script(name)
+                continue
             assert name in ("random", "zero") or measure.compiled(experiment.scenario).script(name)
 
 

@@ -8,12 +8,18 @@ from pydantic import ValidationError
 
 import deepbots_cli
 from deepbots_cli import Scenario, api
+from deepbots_cli.compiler.agents import has_several_agents
+from deepbots_cli.document import load
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario.actuators import VelocityMotor
 from deepbots_cli.scenario.world import Arena, World
 
 ROOT = Path(__file__).parents[2]
-SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
+SAMPLES = [
+    path
+    for path in sorted(ROOT.glob("scenarios/*.yaml"))
+    if not has_several_agents(load(path))  # not yet read as a model
+]
 
 
 def cartpole(**changes: Any) -> Scenario:

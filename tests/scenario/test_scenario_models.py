@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.document import descend, load
+from deepbots_cli.compiler.agents import divide, has_several_agents
+from deepbots_cli.document import Document, descend, load
 from deepbots_cli.scenario import Scenario, validate, visit_values
 from deepbots_cli.scenario.base import key_description, walk_sections
 from deepbots_cli.scenario.fields import (
@@ -24,8 +25,17 @@ SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 BY_NAME = {path.stem: path for path in SAMPLES}
 
 
-def read(path: Path) -> Scenario:
+def documents(path: Path) -> list[Document]:
+    """The file itself, or the scenario of each of several agents."""
     document = load(path)
+    if not has_several_agents(document):
+        return [document]
+    divided = divide(document)
+    assert divided is not None
+    return [*divided.documents.values()]
+
+
+def read(document: Document) -> Scenario:
     assert document.root is not None
     scenario = validate(document.root, document.findings)
     assert [f"{finding.span.location} {finding.headline}" for finding in document.findings] == []
@@ -35,25 +45,27 @@ def read(path: Path) -> Scenario:
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_every_sample_of_the_language_is_valid(path: Path) -> None:
-    assert read(path).deepbots == 1
+    for document in documents(path):
+        assert read(document).deepbots == 1
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
 def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> None:
-    document = load(path)
-    assert document.root is not None
-    visited = list(visit_values(read(path)))
-    for place, kind, value in visited:
-        node, _, depth = descend(document.root, place)
-        assert depth == len(place), (place, kind)
-        if isinstance(kind, (Quantity, Expression, Range)):
-            assert node.value == value  # type: ignore[union-attr]
-    assert len(visited) > 40
+    for document in documents(path):
+        assert document.root is not None
+        visited = list(visit_values(read(document)))
+        for place, kind, value in visited:
+            node, _, depth = descend(document.root, place)
+            assert depth == len(place), (place, kind)
+            if isinstance(kind, (Quantity, Expression, Range)):
+                assert node.value == value  # type: ignore[union-attr]
+        assert len(visited) > 40
 
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
     found = {
-        (place, type(kind)): (kind, value) for place, kind, value in visit_values(read(BY_NAME["cartpole"]))
+        (place, type(kind)): (kind, value)
+        for place, kind, value in visit_values(read(load(BY_NAME["cartpole"])))
     }
     assert found[("world", "timestep"), Quantity] == (
         Quantity("time", minimum=0, exclusive=True, usual_unit="ms"),
@@ -75,7 +87,7 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
 def test_patterns_of_links_are_visited_as_keys() -> None:
     places = {
         place: value
-        for place, kind, value in visit_values(read(BY_NAME["quadruped"]))
+        for place, kind, value in visit_values(read(load(BY_NAME["quadruped"])))
         if kind == Pattern("link")
     }
     assert places == {
@@ -85,7 +97,7 @@ def test_patterns_of_links_are_visited_as_keys() -> None:
 
 
 def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
-    training = read(BY_NAME["pit_escape"]).train
+    training = read(load(BY_NAME["pit_escape"])).train
     assert training is not None
     assert dict(training.hyperparameters) == {
         "learning_rate": 1e-3,

@@ -135,7 +135,7 @@ def test_the_first_step_and_quantity_that_differ_are_named(find_ball, tmp_path, 
         "find_ball",
         *(
             pytest.param(n, marks=pytest.mark.slow)
-            for n in ("line_follower", "panda_reach", "quadrotor", "tag")
+            for n in ("line_follower", "panda_reach", "quadrotor", "tag_scripted")
         ),
     ],
 )
@@ -177,7 +177,7 @@ def test_a_tolerance_bears_small_differences_only(find_ball, tmp_path, by, same)
 
 @pytest.mark.slow
 def test_a_hundred_recordings_happen_again_to_the_bit(tmp_path, capsys):
-    for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag"):
+    for name in ("cartpole", "find_ball", "line_follower", "panda_reach", "quadrotor", "tag_scripted"):
         path = tmp_path / f"{name}.mcap"
         assert (
             main(["render", name, "--seed", "7", "--episodes", "17", "--steps", "40", "--output", str(path)])

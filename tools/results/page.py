@@ -54,7 +54,7 @@ Success, or mean return (without %), in held-out episodes; median CPU of the tra
 METHOD = """\
 ## Method
 
-- **Seeds** from 101 on are reported; none was used to choose a setting.
+- **Seeds** from 101 on are reported; none chose a setting.
 - **Held-out episodes** start from seeds that no training uses.
 - [**Intervals**](statistics.md) of 95 % are over the episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.

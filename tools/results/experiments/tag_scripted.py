@@ -4,8 +4,8 @@ from tools.results.experiment import RANDOM, Ahead, Bar, Baseline, Experiment, H
 
 EXPERIMENTS = (
     Experiment(
-        scenario="tag",
-        title="Tag",
+        scenario="tag_scripted",
+        title="TagScripted",
         prose="`chase` is a rule by hand: it turns towards the prey, then drives at it. Without the crates,"
         " PPO and `chase` were "
         "equally good.",
