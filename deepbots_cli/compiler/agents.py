@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.joint import joint_program
-from deepbots_cli.diagnostics import Findings, Label, Span
+from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
@@ -130,7 +130,9 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
             ),
         },
     )
-    spec = validate(whole, document.findings)
+    validated = Findings(document.findings.limit)
+    spec = validate(whole, validated)
+    joined_findings(document.findings, ([finding] for finding in validated))
     if spec is None or spec.agents is None or document.findings.errors:
         return None
     return dict(spec.agents)
@@ -154,6 +156,9 @@ def _key_of(document: Document, agent: str) -> ScalarNode:
 def _are_complete(document: Document, agents: Mapping[str, MappingNode]) -> bool:
     """Return whether each agent has the keys that it needs; report those that lack."""
     for name, section in agents.items():
+        model = node_at(document.root, AGENTS, name, _LIKE)
+        if isinstance(model, ScalarNode) and model.text in agents:
+            continue  # it lacks what the agent lacks that it mirrors
         lacking = [f"`{key}`" for key in _REQUIRED if key not in section.entries]
         if lacking:
             document.findings.add(
@@ -462,12 +467,15 @@ def report_unsupported(document: Document, programs: Mapping[str, Program]) -> N
             document.findings.add("DB108", _key_of(document, name).span, headline, _NOT_YET)
 
 
-def joined_findings(findings: Findings, of_agents: Iterable[Findings]) -> None:
-    """Add the findings of the agents to those of the file; what is found for several agents is one
-    finding."""
+def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) -> None:
+    """Add the findings of the agents to those of the file. What a rule finds at one place for several agents
+    is one finding: an agent that mirrors another one has the same mistakes in other words."""
+    places: set[tuple[str, Span]] = set()
     for own in of_agents:
-        for finding in own:
+        of_agent = [finding for finding in own if (finding.code, finding.span) not in places]
+        for finding in of_agent:
             findings.append(finding)
+        places |= {(finding.code, finding.span) for finding in of_agent}
 
 
 def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:

@@ -36,6 +36,8 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     written = None if spec is None else spec.symmetry
     if written is None or agent.training is None:
         return None
+    if namespace.values.findings.errors:
+        return None  # a name that another mistake has left out is no mistake of the symmetry
     reader = _SymmetryReader(written, namespace.values)
     if not reader.is_inverse:
         return None

@@ -478,7 +478,9 @@ class _Parser:
     def _close(self, opening: Token) -> int:
         """Return the end of the parenthesis that closes `opening`."""
         self._nesting -= 1
-        if not self._peek.text:
+        # An `else` belongs to an `if` before a parenthesis that nothing closes.
+        is_cut_off = self._peek.text == "else" and _unclosed(self._tokens) is not None
+        if not self._peek.text or is_cut_off:
             raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
         if self._peek.text != ")":
             raise self._misplaced()

@@ -339,7 +339,7 @@ def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
     run = Path(shutil.copytree(carriage, tmp_path / "run"))
     assert main(["eval", str(run), "--episodes", "9"]) == 0
     report = Report.read(run)
-    report.findcauses_of()
+    report.find_causes()
     assert "too_few_steps" in [each.cause for each in report.causes]
     page = report.html()
     assert "Why it is not solved" in page
