@@ -368,7 +368,9 @@ def _command(name: str) -> Any:
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
     run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
     app.command(name, cls=Command, help=help_text(name))(
-        _with_permission_options(_with_role_options(run) if name in _WITH_ROLES else run)
+        _with_permission_options(
+            _with_role_options(run, ADVANCED if name == "eval" else SCENARIO) if name in _WITH_ROLES else run
+        )
     )
     return typer.main.get_command(app)
 
@@ -390,23 +392,29 @@ _WITH_ROLES = frozenset(
     }
 )
 """The commands of a scenario, of which one of several agents may be named."""
-Role = Annotated[
-    str | None,
-    option(
-        "--agent NAME",
-        "Of several agents, the one that is trained, evaluated or driven; by default all.",
-        SCENARIO,
-    ),
-]
-Against = Annotated[
-    list[str] | None,
-    option(
-        "--against AGENT=DRIVER",
-        "With --agent: who acts for another agent, a script of it, `random`, `zero`, or the policy of a run"
-        " by its path; may be repeated. By default its first script, or its policy in RUN.",
-        SCENARIO,
-    ),
-]
+
+
+def _role_kinds(group: str) -> dict[str, Any]:
+    """Return the types of --agent and --against, which are in a group of the help."""
+    return {
+        "agent": Annotated[
+            str | None,
+            option(
+                "--agent NAME",
+                "Of several agents, the one that is trained, evaluated or driven; by default all.",
+                group,
+            ),
+        ],
+        "against": Annotated[
+            list[str] | None,
+            option(
+                "--against AGENT=DRIVER",
+                "With --agent: who acts for another agent, a script of it, `random`, `zero`, or the policy of"
+                " a run by its path; may be repeated. By default its first script, or its policy in RUN.",
+                group,
+            ),
+        ],
+    }
 
 
 def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, str]:
@@ -448,12 +456,12 @@ def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
     return entries, folders
 
 
-def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
+def _with_role_options(command: Callable[..., None], group: str) -> Callable[..., None]:
     """Return the command with the options --agent and --against, which set the `role` of the scenario."""
     signature = inspect.signature(command, eval_str=True)
 
     @wraps(command)
-    def call(*, agent: Role, against: Against, **given: Any) -> None:
+    def call(*, agent: str | None, against: list[str] | None, **given: Any) -> None:
         drivers = _drivers_of_others(agent, against or ())
         if agent is not None and isinstance(given.get("run"), Path):
             drivers = _policies_of_run(given["run"], agent) | drivers
@@ -469,7 +477,7 @@ def _with_role_options(command: Callable[..., None]) -> Callable[..., None]:
     after = next(place for place, each in enumerate(parameters) if each.name == "overrides") + 1
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
-        for name, kind in (("agent", Role), ("against", Against))
+        for name, kind in _role_kinds(group).items()
     ]
     if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
         parameters = [

@@ -289,7 +289,7 @@ def compare(
         raise UsageError("a comparison needs at least two runs")
     first = members[0].models[0].run
     judged = first.compiled if scenario is None else api.compile(scenario)
-    check_common_measure(judged.program, "let them play: deepbots match RUN RUN")
+    check_common_measure(judged.program, "let runs of all agents play: deepbots compare RUN")
     worlds = [_world(judged, group.models[0].run, own=own, named=scenario is not None) for group in members]
     count = judged.program.evaluation_episodes(case) if episodes is None else episodes
     options: dict[str, Any] = {

@@ -140,12 +140,12 @@ def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp
     assert all(set(match.agents) == {"left", "right"} for match in table.matches)
 
 
-def test_a_match_prints_a_table_of_players(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["match", str(trained), "--episodes", "2"]) == 0
+def test_compare_prints_a_table_of_players(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", str(trained), "--episodes", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("Carts: share of decided episodes that the row wins")
     assert [line.split()[0] for line in lines[3:6]] == ["policy", "lean", "random"]
-    assert main(["match", str(trained), "--episodes", "2", "--json"]) == 0
+    assert main(["compare", str(trained), "--episodes", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["agents"] == ["left", "right"]
 
 
@@ -182,7 +182,7 @@ def test_an_export_of_several_agents_asks_for_one(
 @pytest.mark.parametrize(
     ("words", "instead"),
     [
-        (["compare", "RUN", "RUN/models/agent/last.zip"], "deepbots match RUN RUN"),
+        (["compare", "RUN", "RUN", "--own"], "leave out --scenario"),
         (["robustness", "RUN"], "--agent NAME"),
         (["transfer", "RUN"], "--agent NAME"),
         (["eval", "RUN", "--min-return", "1"], "--agent NAME"),

@@ -114,6 +114,7 @@ ROBOTS = {
     "package://pybullet_data/pendulum5.urdf": "arm",
     "epuck": "on wheels",
     "rover": "on wheels",
+    "sumo": "on wheels",
     "balancer": "upright",
     "cartpole": "upright",
     "cartpole_rail": "upright",

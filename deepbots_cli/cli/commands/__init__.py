@@ -32,7 +32,6 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "eval": ("eval.command", "Evaluate the policy of a run on held-out episodes."),
         "runs": ("runs.command", "List your trainings, with their results."),
         "compare": ("compare.command", "Compare trained policies on the same start states."),
-        "match": ("match.command", "Let policies and scripts of two agents play against each other."),
         "robustness": (
             "robustness.command",
             "Evaluate a policy with sensor noise, delays and weaker motors.",

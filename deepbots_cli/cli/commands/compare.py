@@ -12,9 +12,13 @@ import typer
 from deepbots_cli import api, learning
 from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
+from deepbots_cli.cli.matches import match_lines
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
+from deepbots_cli.learning.run import ModelName, ModelRef
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
@@ -26,7 +30,8 @@ def command(
         list[Path],
         typer.Argument(
             metavar="RUN|MODEL",
-            help="Groups, run directories, models in them, or folders of run directories; at least two.",
+            help="Groups, run directories, models in them, or folders of run directories; at least two, but one"
+            " is enough if its agents compete.",
         ),
     ],
     episodes: Annotated[
@@ -57,6 +62,19 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Compare trained policies on the same starts."""
+    rivals = _rivals(runs, "last" if last else "best")
+    if rivals:
+        if scenario is not None or case is not None or own or workers is not None:
+            raise UsageError(
+                "the agents of these runs compete, so they play against each other in the scenario of the first"
+                " run; leave out --scenario, --case, --own and --workers"
+            )
+        with terminal.transient_line("loading the policies ..."):
+            play_matches = learning.play_matches
+        with terminal.progress(always=False) as show:
+            matches = play_matches(rivals, episodes=episodes, seed=seed, on_episode=show)
+        terminal.show(matches, *match_lines(matches), as_json=as_json)
+        return
     if scenario is not None:
         judged = api.compile(scenario, permissions=permissions)
         terminal.note_warnings(judged.findings, scenario)
@@ -76,6 +94,20 @@ def command(
             executor=executor,
         )
     terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+
+
+def _rivals(runs: Sequence[Path], model: ModelName) -> list[ModelRef]:
+    """Return the models of runs if the agents of the first one compete; empty for other runs, and for
+    groups."""
+    if any(folder_kind(path) is not SourceKind.RUN and path.suffix != ".zip" for path in runs):
+        return []
+    refs = [ModelRef.open(path) for path in runs]
+    program = refs[0].run.program
+    world = program if program.others is None else program.others.world
+    others_compete = program.others is not None and len(refs) > 1 and bool(refs[1].run.program.members)
+    if not (program.has_rivals or (others_compete and world.has_rivals)):
+        return []
+    return [ref if ref.is_named else ModelRef(ref.run, model) for ref in refs]
 
 
 _BETTER = {

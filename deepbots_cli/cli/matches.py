@@ -1,68 +1,19 @@
-"""`deepbots match`: policies and scripts of two agents against each other."""
+"""The table of policies and scripts of two agents that play against each other."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from deepbots_cli import engine_kinds, learning
-from deepbots_cli.cli import records, terminal
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, Json, integer, known_engine, option
+from deepbots_cli.cli import records
 from deepbots_cli.cli.tables import table
-from deepbots_cli.learning.run import ModelRef
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.matches import Match, MatchTable
 
 
-def command(
-    runs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RUN|MODEL",
-            help="Runs of a scenario with two agents, or models in them: of all agents, or of one.",
-        ),
-    ],
-    episodes: Annotated[
-        int | None,
-        integer("--episodes N", "Starts of each match; by default the episodes of the scenario."),
-    ] = None,
-    seed: Annotated[
-        int | None,
-        integer(
-            "--seed N",
-            "Root seed of the starts; by default the seed of the first training.",
-            0,
-            MAX_SEED,
-            group=ADVANCED,
-        ),
-    ] = None,
-    engine: Annotated[
-        str | None,
-        option(
-            "--engine NAME",
-            "Physics engine, by default that of the first training.",
-            ADVANCED,
-            callback=known_engine,
-        ),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Let policies and scripts of two agents play against each other."""
-    refs = [ModelRef.open(run) for run in runs]
-    with terminal.transient_line("loading the policies ..."):
-        play_matches = learning.play_matches
-    if engine is not None:
-        engine_kinds.chosen(engine)
-    with terminal.progress(always=False) as show:
-        result = play_matches(refs, episodes=episodes, seed=seed, engine=engine, on_episode=show)
-    terminal.show(result, *_lines(result), as_json=as_json)
-
-
-def _lines(result: MatchTable) -> Iterator[str]:
+def match_lines(result: MatchTable) -> Iterator[str]:
+    """Yield a row for each player of the first agent, with its result against each of the second one."""
     one, two = result.agents
     starts = records.held_out(result.starts)
     if result.is_symmetric:
