@@ -28,7 +28,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.seats import own_episode
+from deepbots_cli.rollout.episode import own_episode
 
 WINDOW_EPISODES = 100
 """The number of episodes in the moving means of a training, unless the scenario's `solved` sets another one.

@@ -7,6 +7,7 @@ recordings.py  the episodes in a recording
 robot_logs.py  the episodes in the log of a robot, with its scenario
 worlds.py      worlds that run side by side, single ones or a batch
 collector.py   fragments of experience, by shards of worlds
+seats.py       the experience of each of several agents in the same worlds
 policies.py    a trained policy as a driver; evaluations in several worlds at a time
 
 Environments are stepped in `episode.steps`, one at a time, and in `worlds.Worlds` and `worlds.BatchEpisodes`,

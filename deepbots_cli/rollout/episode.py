@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydantic import NonNegativeInt
@@ -18,6 +18,8 @@ from deepbots_cli.errors import DeepbotsError
 
 if TYPE_CHECKING:
     import gymnasium as gym
+
+    from deepbots_cli.program.members import Member
 
 OnEpisode = Callable[[int, int], None]
 """Called after each episode with the number of completed episodes, and of all."""
@@ -206,3 +208,17 @@ def result_of(steps: Iterable[Step], seed: int | None = None) -> Episode:
         else:
             accumulator.begin(seed, step.info)
     return accumulator.close(step.info)
+
+
+# Several agents
+
+
+def own_episode(member: Member, episode: Episode) -> Episode:
+    """Return an episode as it was for an agent: its return, its reward terms, and whether it succeeded."""
+    terms = {name: episode.terms[joint] for name, joint in member.terms.items() if joint in episode.terms}
+    return replace(
+        episode,
+        total_return=sum(terms.values()),
+        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
+        terms=terms,
+    )

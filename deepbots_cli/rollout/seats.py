@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from deepbots_cli.program.members import Member
 from deepbots_cli.rollout.collector import (
     CollectTimes,
     Decision,
@@ -24,7 +23,7 @@ from deepbots_cli.rollout.collector import (
     Lesson,
     PolicyActor,
 )
-from deepbots_cli.rollout.episode import Episode
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.worlds import Array, Ending, WorldsStep
 from deepbots_cli.runtime.agents import Place
 from deepbots_cli.runtime.spaces import by_part
@@ -42,17 +41,6 @@ def own_entries(of_all: Mapping[str, Any], agent: str) -> dict[str, Any]:
     """Return the entries of an agent under their own names."""
     prefix = own_name(agent, "")
     return {name.removeprefix(prefix): value for name, value in of_all.items() if name.startswith(prefix)}
-
-
-def own_episode(member: Member, episode: Episode) -> Episode:
-    """Return an episode as it was for an agent: its return, its reward terms, and whether it succeeded."""
-    terms = {name: episode.terms[joint] for name, joint in member.terms.items() if joint in episode.terms}
-    return replace(
-        episode,
-        total_return=sum(terms.values()),
-        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
-        terms=terms,
-    )
 
 
 class _NoWorld:

@@ -21,7 +21,8 @@ from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.joint import own_model
 from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
-from deepbots_cli.rollout.seats import SeatCollector, own_episode
+from deepbots_cli.rollout.episode import own_episode
+from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
 from deepbots_cli.runtime.agents import Place
 from tests.agents.test_agents import SEVERAL

@@ -36,7 +36,7 @@ from deepbots_cli.learning.episodes import Summary, agent_scores
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
-from deepbots_cli.rollout.seats import own_episode
+from deepbots_cli.rollout.episode import own_episode
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.sources import OpenedSource
