@@ -8,6 +8,7 @@ exits.py          exceptions to exit codes
 terminal.py       output, color, progress
 tables.py         tables as text
 records.py        results of trainings and evaluations as text, JSON and CSV
+matches.py        policies and scripts of two agents against each other
 trainings.py      the results of `train` and `resume`
 training_page.py  the page of `train --view`
 retries.py        the attempts of `train --retry`

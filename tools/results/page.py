@@ -39,13 +39,13 @@ BY_HAND = ROOT / "docs" / "measured.md"
 HEAD = """\
 # Results
 
-Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves, seeds, bars and commands.
+Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves and commands.
 
 ## Beside the paper
 """
 BESIDE = """\
-Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes met it. Each page lists
-differences from the paper."""
+Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes did. Each page lists
+differences."""
 OTHERS = """\
 ## Other scenarios
 
@@ -55,10 +55,10 @@ METHOD = """\
 ## Method
 
 - **Seeds** from 101 on are reported; none chose a setting.
-- **Held-out episodes** start from seeds that no training uses.
-- [**Intervals**](statistics.md) of 95 % are over the episodes of all seeds, and leave out how trainings differ.
+- **Held-out episodes** start from seeds of their own.
+- [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.
-- **CPU** covers a training and its evaluation, on two cores of x86_64, and varies by a tenth or two.\
+- **CPU** covers training and evaluation, on two cores of x86_64, and varies by a tenth or two.\
 """
 
 
