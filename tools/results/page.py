@@ -55,7 +55,7 @@ METHOD = """\
 ## Method
 
 - **Seeds** from 101 on are reported; none chose a setting.
-- **Held-out episodes** start from seeds of their own.
+- **Held-out episodes** have seeds of their own.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.
 - **CPU** covers training and evaluation, on two cores of x86_64, and varies by a tenth or two.\
