@@ -409,7 +409,7 @@ def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scen
         "DB204",
         "did you mean `cartpole`, which is shipped with deepbots?",
     )
-    assert finding.notes[0].startswith("shipped scenarios are balancer, cartpole, ")
+    assert finding.notes[0].startswith("shipped scenarios are balancer, biped, cartpole, ")
 
 
 def test_a_folder_to_be_allowed_that_is_not_there_is_wrong_usage(tmp_path: Path) -> None:
