@@ -84,7 +84,7 @@ def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
 @pytest.mark.parametrize("scenario", few(SINGLE, (*WORLDS, "balancer", "find_and_avoid", "panda_push")))
 def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_path: Path) -> None:
     step, learner, _ = made(scenario)
-    count = BEFORE_AN_EDGE.get(scenario, count)
+    count = BEFORE_AN_EDGE.get(scenario, STEPS)
     program = without_noise(robot_program(step.program))
     with closing(api.build(program)) as world:
         alone = list(
