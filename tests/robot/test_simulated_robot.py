@@ -32,6 +32,9 @@ from tests.bundle.untrained import made
 from tests.few import WORLDS, few
 
 STEPS = 40
+BEFORE_AN_EDGE = {"quadruped_rough": 8}
+"""Steps until a foot meets an edge of the terrain: messages round actions by 1e-7, and which triangle a foot
+touches then changes the motion by 1e-2."""
 SINGLE = [name for name in shipped.scenario_names() if name != "multi_cartpole"]
 
 
@@ -81,10 +84,11 @@ def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
 @pytest.mark.parametrize("scenario", few(SINGLE, (*WORLDS, "balancer", "find_and_avoid", "panda_push")))
 def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_path: Path) -> None:
     step, learner, _ = made(scenario)
+    count = BEFORE_AN_EDGE.get(scenario, STEPS)
     program = without_noise(robot_program(step.program))
     with closing(api.build(program)) as world:
         alone = list(
-            itertools.islice(steps(world, PolicyDriver(learner, world), Start.of_evaluation(3, 0)), STEPS)
+            itertools.islice(steps(world, PolicyDriver(learner, world), Start.of_evaluation(3, 0)), count)
         )
     readings = sent_readings(program)
     transport = Transport(zmq=f"ipc://{tmp_path}/link")
@@ -95,7 +99,7 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
         link = transport.open(receives, sends, robot=True)  # type: ignore[arg-type]
         with closing(link):
             robot = SimulatedRobot(world, readings, outputs, link, lockstep=True, patience=10)
-            over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), STEPS))
+            over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), count))
     assert [each.is_last for each in over_link] == [each.is_last for each in alone]
     for one, other in zip(alone, over_link, strict=True):
         assert other.reward == pytest.approx(one.reward, abs=1e-3)
