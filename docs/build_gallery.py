@@ -342,15 +342,16 @@ def _outcome(row: Mapping[str, object]) -> str:
     """Return what an ending is: for the agent, or for each of several agents."""
     if "outcome" in row:
         return str(row["outcome"])
-    return ", ".join(f"{outcome} of {name}" for name, outcome in row.items() if name not in ("ending", "when"))
+    return ", ".join(
+        f"{outcome} of {name}" for name, outcome in row.items() if name not in ("ending", "when")
+    )
 
 
 def _task(here: World) -> Iterator[str]:
     rows = [(f"`{row['term']}`", f"`{_cell(str(row['is']))}`") for row in here.rows("reward")]
     yield from ("", *_table(("reward term", "value per step"), rows))
     rows = [
-        (f"`{row['ending']}`", _outcome(row), f"`{_cell(str(row['when']))}`")
-        for row in here.rows("endings")
+        (f"`{row['ending']}`", _outcome(row), f"`{_cell(str(row['when']))}`") for row in here.rows("endings")
     ]
     yield from ("", *_table(("ending", "outcome", "condition"), rows)) if rows else ()
 
