@@ -381,11 +381,19 @@ class Observations(NamespaceReader):
             and self._namespace.origin(name) in HIDDEN_ORIGINS
             and name not in self._spec.augment
             and not self._values.is_invalid("augment")
+            and not self._has_unknown_augment
         ):
             self._report_hidden(name, text)
             return None
         context = Context.OBSERVATION if section == "observation" else Context.SIGNAL
         return self._values.expression(text, SupervisorScope(self._namespace, context))
+
+    @property
+    def _has_unknown_augment(self) -> bool:
+        """Whether `augment` lists a name that nothing has: it may be the misspelled name of what is
+        observed."""
+        augment = self._spec.augment
+        return not isinstance(augment, dict) and any(self._namespace.origin(name) is None for name in augment)
 
     def _report_hidden(self, name: str, text: SourceText) -> None:
         """Report DB609: the policy sees signals and parameters only under `augment`."""
