@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from deepbots_cli.program.members import Others
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.agents import Policy
+    from deepbots_cli.runtime.agents import Predictor
     from deepbots_cli.runtime.batch import BatchSupervisor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
@@ -352,11 +352,11 @@ class Builder:
         return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
 
-def _policy_of(others: Others, agent: str) -> Policy:
+def _policy_of(others: Others, agent: str) -> Predictor:
     """Return the policy that acts for an agent beside the one that is trained."""
     from deepbots_cli.plugins import import_attribute
 
-    policy: Policy = import_attribute("deepbots_cli.learning.rivals:load_rival")(others, agent)
+    policy: Predictor = import_attribute("deepbots_cli.learning.rivals:load_rival")(others, agent)
     return policy
 
 

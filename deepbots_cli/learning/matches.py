@@ -26,7 +26,7 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.runtime.agents import Policy
+from deepbots_cli.runtime.agents import Predictor
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""
@@ -83,7 +83,7 @@ class Player:
     """A policy, or the name of a driver, for each agent that it can play."""
 
     name: str
-    drivers: Mapping[str, str | Policy]
+    drivers: Mapping[str, str | Predictor]
 
 
 def play_matches(
@@ -175,7 +175,7 @@ def _players(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) 
         Player(POLICY if ref is refs[0] else ref.label, _policies(program, ref, is_symmetric=is_symmetric))
         for ref in refs
     ]
-    scripts: dict[str, dict[str, str | Policy]] = {}
+    scripts: dict[str, dict[str, str | Predictor]] = {}
     for agent, member in program.members.items():
         for name in (*(script.name for script in member.program.agent.scripts), RANDOM):
             scripts.setdefault(name, {})[agent] = name
@@ -185,7 +185,7 @@ def _players(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) 
     return players
 
 
-def _policies(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Policy]:
+def _policies(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Predictor]:
     """Return the policies in a model: of all agents, or of the one that its run trained."""
     run, own = ref.run, _world_of(ref.run.program)
     if differing := identity.differences(own, program):
@@ -195,7 +195,7 @@ def _policies(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[st
         joint: Any = loaded(run, ref.name)
         return dict(joint.learners)
     agent = run.program.others.agent
-    policies: dict[str, str | Policy] = {agent: loaded(run, ref.name)}
+    policies: dict[str, str | Predictor] = {agent: loaded(run, ref.name)}
     if is_symmetric:
         policies |= dict.fromkeys(program.members, policies[agent])
     return policies

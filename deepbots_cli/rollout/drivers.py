@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.agents import Policy
+    from deepbots_cli.runtime.agents import Predictor
 
 HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
 """The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
@@ -88,7 +88,7 @@ def _drivers_of_agents(program: Program, script: str) -> dict[str, str]:
 class AgentsDriver(Driver):
     """Drives all agents of a world, each by a policy or by the driver of a name."""
 
-    def __init__(self, world: Supervisor, drivers: Mapping[str, str | Policy]) -> None:
+    def __init__(self, world: Supervisor, drivers: Mapping[str, str | Predictor]) -> None:
         from deepbots_cli.runtime import agents
 
         self._world, self._seats, self._join = world, agents.seats_of(world), agents.joint_action

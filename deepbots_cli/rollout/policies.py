@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -28,6 +28,7 @@ from deepbots_cli.rollout.episode import (
     steps,
 )
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
+from deepbots_cli.runtime.agents import Predictor
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.streams import derive_seed
 
@@ -39,21 +40,6 @@ NumberedEpisode = tuple[int, Episode]
 """A finished episode of an evaluation, with its number from 0."""
 StopCondition = Callable[[Sequence[Episode]], bool]
 """Returns whether the first episodes of an evaluation are enough."""
-
-
-class Predictor(Protocol):
-    """A policy: actions for rows of observations, and the memory of a recurrent policy after them."""
-
-    takes_masks: bool
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-        action_masks: Any = None,
-    ) -> tuple[Any, Any]: ...
 
 
 def play_episodes(

@@ -199,7 +199,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         supervisor: Supervisor,
         scenario: Program,
         rebuild: Callable[[], Any] | None = None,
-        policies: Mapping[str, Policy] = MappingProxyType({}),
+        policies: Mapping[str, Predictor] = MappingProxyType({}),
     ) -> None:
         others = scenario.others
         assert others is not None
@@ -295,8 +295,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
         return self.rebuild, ()
 
 
-class Policy(Protocol):
-    """A policy that acts for an agent; see `learning.learner.Learner.predict`."""
+class Predictor(Protocol):
+    """A policy: actions for rows of observations, and the memory of a recurrent policy after them."""
 
     takes_masks: bool
 
@@ -313,7 +313,7 @@ class Policy(Protocol):
 class PolicyAct:
     """Acts for an agent with a policy, which takes its most likely action."""
 
-    def __init__(self, policy: Policy, seat: Seat) -> None:
+    def __init__(self, policy: Predictor, seat: Seat) -> None:
         self._policy, self._seat = policy, seat
         self.begin()
 

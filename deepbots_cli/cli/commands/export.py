@@ -99,7 +99,7 @@ def command(
         check_new_folder(out, force=force)
         refuse_links_within(out)
     opened = Source.open(source, Permissions(), SourceKind.RUN, SourceKind.CHECKPOINT)
-    named = ("" if agent is None else f"-{agent}") + ("" if opened.model is None else f"-{opened.model}")
+    named = "".join(f"-{name}" for name in (agent, opened.model) if name is not None)
     folder = out or Path(f"{opened.path.resolve().name}{named}-{to.value}")
     check_new_folder(folder, force=force)
     refuse_links_within(folder)
