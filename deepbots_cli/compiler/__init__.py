@@ -65,7 +65,7 @@ from deepbots_cli.compiler.policy import Actions, Goals, Observations, copies, s
 from deepbots_cli.compiler.robots import ResolvedRobot, load_robot
 from deepbots_cli.compiler.search import compile_search
 from deepbots_cli.compiler.symmetry import symmetry
-from deepbots_cli.compiler.topics import topics
+from deepbots_cli.compiler.topics import report_topics_of_no_agent, topics
 from deepbots_cli.compiler.values import ValueReader, invalid_names
 from deepbots_cli.compiler.world import define_bodies, lines, world
 from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
@@ -191,6 +191,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     joined_findings(document.findings, (checked.findings for checked in agents.values()))
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_unsupported(document, programs)
+    report_topics_of_no_agent(document, programs.values())
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
     played = played_agent(document)

@@ -79,6 +79,7 @@ def divide(document: Document) -> AgentDocuments | None:
             document,
             root=_root_of(root, name, agents[name], drivers, _outcomes(document, name, list(sections))),
             findings=Findings(document.findings.limit),
+            agent=name,
         )
         for name in sections
     }

@@ -3,12 +3,16 @@ of ROS 2."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.namespace import Namespace
+from deepbots_cli.document import Document
+from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.program import Program
+from deepbots_cli.scenario.fields import choices_help
 
 if TYPE_CHECKING:
     from deepbots_robot.topics import Field, Topic
@@ -16,7 +20,7 @@ if TYPE_CHECKING:
 
 def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     """Return the topics that the scenario gives, by sensor, reading and actuator; topics that do not fit have
-    findings.
+    findings. Those of one agent among several leave out the names that belong to others.
 
     Raises:
         MissingExtraError: The scenario has a section `ros`, and deepbots-robot, which has the messages, is
@@ -35,6 +39,8 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     topics_by_field: dict[str, tuple[Field, Topic]] = {}
     for name, written in spec.ros.items():
         field = fields.get(name)
+        if field is None and namespace.document.agent is not None:
+            continue  # `report_topics_of_no_agent` knows the names of all agents
         if field is None:
             values.report_unknown(
                 values.key_span(("ros", name)), "sensor, reading or actuator", name, list(fields)
@@ -65,3 +71,22 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         elif name in problems:
             values.add_at_key("DB321", ("ros", name), problems[name], "use another topic")
     return {name: topic for name, (_, topic) in topics_by_field.items()}
+
+
+def report_topics_of_no_agent(document: Document, programs: Iterable[Program]) -> None:
+    """Report topics of sensors, readings and actuators that none of several agents has."""
+    entries = entries_at(document.root, "ros")
+    if not entries:
+        return
+    from deepbots_cli.program.topics import command_fields, reading_fields, sensor_fields
+
+    names = list(
+        dict.fromkeys(
+            field.name
+            for program in programs
+            for field in (*command_fields(program), *reading_fields(program), *sensor_fields(program))
+        )
+    )
+    for name in entries.keys() - set(names):
+        headline = f"there is no sensor, reading or actuator `{name}`"
+        document.findings.add("DB201", entries[name].key.span, headline, choices_help(name, names))

@@ -63,7 +63,8 @@ class Document:
 
     `root` is None if a finding at error level left no tree. `files` maps the absolute path of each file to
     its text, the main file first. The scenario may read from the folders `roots`. `overrides` are the
-    assignments of `--set` that were applied.
+    assignments of `--set` that were applied. `agent` is the one that the tree is about, if the file has
+    several.
     """
 
     root: MappingNode | None
@@ -74,6 +75,7 @@ class Document:
     base: Path
     permissions: Permissions = Permissions()
     overrides: tuple[str, ...] = ()
+    agent: str | None = None
 
     @property
     def sources(self) -> tuple[Source, ...]:

@@ -41,8 +41,12 @@ def learner_of(program: Program, *, seed: int = 0) -> Any:
 
 @cache
 def made(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot.Bundle]:
-    """The graph of a scenario, its policy, and the bundle in memory."""
-    program = api.with_learner(api.compile(source, overrides=overrides)).program
+    """The graph of a scenario, its policy, and the bundle in memory; that of the first of several agents."""
+    compiled = api.compile(source, overrides=overrides)
+    if compiled.program.members:
+        first = next(iter(compiled.program.members))
+        compiled = api.compile(source, overrides=(*overrides, f"role={{agent: {first}}}"))
+    program = api.with_learner(compiled).program
     learner = learner_of(program)
     step = control_step(program, learner)
     info = info_of(step)

@@ -13,7 +13,7 @@ from deepbots_robot.topics import Topic
 from tests.few import WORLDS, few
 
 
-@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), WORLDS))
+@pytest.mark.parametrize("scenario", few(shipped.scenario_names(), (*WORLDS, "tag")))
 def test_what_inspect_prints_is_a_section_without_findings(
     scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -25,6 +25,15 @@ def test_what_inspect_prints_is_a_section_without_findings(
     compiled = api.compile("mine.yaml")
     assert len(compiled.program.ros) == len(printed.splitlines()) - 1
     assert compiled.digest == api.compile(scenario).digest  # topics do not change a policy
+
+
+def test_a_topic_of_no_agent_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    topics = "ros:\n  blue.left_wheel: {topic: /b, type: sensor_msgs/JointState}\n"
+    wrong = topics + "  blue.left_whel: {topic: /c, type: sensor_msgs/JointState}\n"
+    Path("mine.yaml").write_text(f"deepbots: 1\nextends: sumo\n{wrong}")
+    (finding,) = [found for found in api.lint("mine.yaml") if found.severity == "error"]
+    assert finding.headline == "there is no sensor, reading or actuator `blue.left_whel`"
 
 
 def test_a_bundle_has_the_topics_of_its_scenario() -> None:
