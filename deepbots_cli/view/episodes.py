@@ -355,8 +355,9 @@ class Player:
         engine = self.env.engine
         if "rendering" not in engine.capabilities:
             raise EngineError(
-                f"the engine '{engine.name}' cannot draw; use the engine 'pybullet' for pictures, or an"
-                " offline page (.html)"
+                f"the engine '{engine.name}' cannot draw, because this machine has no OpenGL; install EGL"
+                " (`libegl1` of Debian), use the engine 'pybullet' for pictures, or write an offline page"
+                " (.html)"
             )
         return engine.render(view)
 

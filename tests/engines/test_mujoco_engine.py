@@ -201,7 +201,23 @@ def test_a_state_that_is_not_finite_writes_no_file(tmp_path, monkeypatch, worlds
     engine.require_finite()
 
 
-def test_without_opengl_everything_but_pictures_works():
+_WITHOUT_LIBRARIES = """
+import ctypes
+from_system = ctypes.CDLL
+def library(name, *arguments, **options):
+    if name and ("EGL" in str(name) or "OSMesa" in str(name)):
+        raise OSError(name)
+    return from_system(name, *arguments, **options)
+ctypes.CDLL = library
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "variables"),
+    [("", {"MUJOCO_GL": "disable"}), (_WITHOUT_LIBRARIES, {})],
+    ids=["switched off", "no library installed"],
+)
+def test_without_opengl_everything_but_pictures_works(before, variables):
     script = """
 from deepbots_cli.engines import create
 from deepbots_cli.errors import EngineError
@@ -214,12 +230,11 @@ try:
 except EngineError as error:
     print(sorted(engine.capabilities), error)
 """
-    without = {"MUJOCO_GL": "disable", "PATH": ""}
     done = subprocess.run(
-        [sys.executable, "-c", script],
+        [sys.executable, "-c", before + script],
         capture_output=True,
         text=True,
-        env=without | {"PYTHONPATH": ":".join(sys.path)},
+        env={"PATH": "", **variables, "PYTHONPATH": ":".join(sys.path)},
     )
     assert (
         "'mimic', 'self_collision', 'snapshot', 'torque_curve'] MuJoCo cannot render on this machine"

@@ -24,12 +24,26 @@ Differences between MuJoCo and the port, which this package resolves:
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 
+
+def _opengl_without_display() -> str:
+    """Return the value of MUJOCO_GL for the first library of OpenGL that this machine has."""
+    for name, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return name
+    return "disable"
+
+
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    # MuJoCo chooses its library for pictures on import, and by default takes one that needs a display.
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    # MuJoCo chooses its library for pictures on import: by default one that needs a display. If the library
+    # that it is asked for is missing, as in slim containers, the import fails.
+    os.environ.setdefault("MUJOCO_GL", _opengl_without_display())
 
 import mujoco
 
