@@ -45,7 +45,7 @@ if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get(
     # that it is asked for is missing, as in slim containers, the import fails.
     os.environ.setdefault("MUJOCO_GL", _opengl_without_display())
 
-import mujoco
+import mujoco  # noqa: E402 - after the choice of its library
 
 __all__ = ["mujoco"]
 
