@@ -302,11 +302,12 @@ def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
 
 def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
     """Yield every value that names a shipped file, in file order: a path, or a name as the value of `urdf` or
-    `extends`."""
+    `extends`. The value of an anchor is one value, whatever number of aliases it has."""
     root = parse(Source(file.name, text), Findings())
     if root is None:
         return
-    for path, node in walk(root):
+    values = {node.span: (path, node) for path, node in reversed(list(walk(root)))}
+    for path, node in reversed(values.values()):
         if isinstance(node, ScalarNode) and isinstance(node.value, str):
             library = (
                 {"urdf": shipped.ROBOTS, "extends": shipped.SCENARIOS}.get(str(path[-1])) if path else None
