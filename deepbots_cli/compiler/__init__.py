@@ -208,9 +208,17 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         {name: robot for checked in agents.values() for name, robot in (checked.robots or {}).items()},
         shown.namespace,
         variants=tuple(agents.values()),
-        learner=shown.learner if played is not None else (),
+        learner=shown.learner if played is not None else _reasons_of(agents),
         agents={} if played is not None else agents,
     )
+
+
+def _reasons_of(agents: Mapping[str, CheckedScenario]) -> tuple[str, ...]:
+    """Return the reasons for the learners of all agents, once where they are the same for all."""
+    reasons = {checked.learner for checked in agents.values()}
+    if len(reasons) == 1:
+        return reasons.pop()
+    return tuple(f"for {name}: {reason}" for name, checked in agents.items() for reason in checked.learner)
 
 
 def _check(document: Document, sent: frozenset[str] = frozenset()) -> CheckedScenario:

@@ -47,7 +47,7 @@ def settings(found: Compiled) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    "scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped"))
+    "scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped", "tag"))
 )
 def test_every_shipped_scenario_without_train_can_be_trained(tmp_path: Path, scenario: str) -> None:
     found = compiled(tmp_path, scenario)
