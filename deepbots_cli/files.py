@@ -21,19 +21,19 @@ MAX_PICTURE_BYTES = 4 * 2**20
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def read_at_most(path: Path, most: int) -> bytes:
-    """Return the first `most` bytes of a file.
+def read_at_most(path: Path, limit: int) -> bytes:
+    """Return the first `limit` bytes of a file.
 
     Raises:
         OSError: The file cannot be read.
     """
     with path.open("rb") as file:
-        # A buffer of `most` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
+        # A buffer of `limit` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
         # reads.
         size = os.fstat(file.fileno()).st_size
-        data = file.read(min(size + 1, most))
+        data = file.read(min(size + 1, limit))
         # Special files, such as those in /proc, report size 0.
-        return data if len(data) <= size else data + file.read(most - len(data))
+        return data if len(data) <= size else data + file.read(limit - len(data))
 
 
 _REMEDIES = {

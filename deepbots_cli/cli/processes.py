@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, counted
 from deepbots_cli.learning.executor import SERIAL, Executor
 
 
@@ -53,8 +53,7 @@ def executor(
         workers = workers if count is None else min(workers, count)
         if workers > (cores := available_cores()) and not quiet:
             terminal.note(
-                f"{workers} workers share {cores} core{'' if cores == 1 else 's'}; more workers than cores"
-                " are not faster"
+                f"{workers} workers share {counted(cores, 'core')}; more workers than cores are not faster"
             )
     cluster = Cluster(workers=workers, address=address)
     with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import RunError, counted
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Scores, Summary, agents_text
 from deepbots_cli.learning.records import (
@@ -217,7 +217,7 @@ def group_training_text(result: GroupTraining) -> str:
 
 def held_out(episodes: int) -> str:
     """Return `1 held-out start`, `100 held-out starts`."""
-    return f"{episodes:,} held-out start{'' if episodes == 1 else 's'}"
+    return f"{counted(episodes, 'held-out start')}"
 
 
 def evaluation_text(
@@ -382,12 +382,12 @@ def group_text(group: GroupResult) -> str:
         else "",
         "solved": "" if None in solved else f"{sum(map(bool, solved))} of {count} seeds",
     }
-    seeds = f"over {count} seed{'' if count == 1 else 's'}"
+    seeds = f"over {counted(count, 'seed')}"
     if group.return_interval is not None or group.success_interval is not None:
         seeds += ": what another training may give; more seeds narrow the intervals"
     if first.agents and not has_success:
         return _group_of_rivals_text(group)
-    starts = f"over {group.starts:,} start{'' if group.starts == 1 else 's'}"
+    starts = f"over {counted(group.starts, 'start')}"
     notes = [f"no model yet of seed {', '.join(map(str, group.waiting))}"] if group.waiting else []
     notes += [
         note

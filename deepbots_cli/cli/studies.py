@@ -14,6 +14,7 @@ from deepbots_cli.cli.records import interval_text
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
+from deepbots_cli.errors import counted
 from deepbots_cli.learning.study import Study, StudyReporter, StudyTrial, TrialProgress
 from deepbots_cli.learning.trials import run_study
 
@@ -54,8 +55,7 @@ class StudyDisplay(StudyReporter):
             keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
             terminal.note(f"study {study.path}: {keys}")
             terminal.note(
-                f"{record.trials} trial{'s' * (record.trials > 1)} with {len(record.seeds)}"
-                f" seed{'s' * (len(record.seeds) > 1)} and at most"
+                f"{counted(record.trials, 'trial')} with {counted(len(record.seeds), 'seed')} and at most"
                 f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps"
                 " everything"
             )

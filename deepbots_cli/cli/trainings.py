@@ -16,7 +16,7 @@ from deepbots_cli import learning
 from deepbots_cli.cli import records, retries, terminal
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.errors import DeepbotsError, counted
 from deepbots_cli.learning import report
 from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import Group
@@ -104,11 +104,7 @@ def finish_group(
     }
     fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
     further = [*(cause.command for cause in causes[:1]), *further]
-    of = (
-        ""
-        if worst is None
-        else f" of {worst.run}, the worst of {len(unsolved)} unsolved seed{'s' * (len(unsolved) > 1)}"
-    )
+    of = "" if worst is None else f" of {worst.run}, the worst of {counted(len(unsolved), 'unsolved seed')}"
     terminal.show(
         data,
         "\n" + records.group_text(evaluation),

@@ -17,6 +17,7 @@ from urllib.parse import quote
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Label, Source, Span
 from deepbots_cli.diagnostics.registry import RULES, Severity
+from deepbots_cli.errors import counted
 
 Format = Literal["full", "concise", "json"]
 
@@ -81,9 +82,7 @@ def render(
 
 def summary(findings: Iterable[Finding]) -> str:
     """Return the number of findings by severity: `2 errors, 1 warning`."""
-    parts = [
-        f"{count} {word}{'s' if count > 1 else ''}" for word, count in _counts(findings).items() if count
-    ]
+    parts = [counted(count, word) for word, count in _counts(findings).items() if count]
     return ", ".join(parts) or "no findings"
 
 

@@ -15,6 +15,7 @@ from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
 from deepbots_cli.document.nodes import Node, ScalarNode
+from deepbots_cli.errors import counted
 
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""
@@ -288,7 +289,7 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
 
 
 def _indented_by(spaces: int) -> str:
-    return f"indented by {spaces} space{'s' * (spaces != 1)}"
+    return f"indented by {counted(spaces, 'space')}"
 
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:

@@ -28,7 +28,7 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
+from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, counted
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
@@ -218,7 +218,7 @@ class Report:
         remarks = in_parentheses(words for each in evaluations for words in each.remarks)
         fewest, most = min(each.episodes for each in evaluations), max(each.episodes for each in evaluations)
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
-        seeds = f"{len(evaluations)} seed{'s' * (len(evaluations) > 1)}"
+        seeds = counted(len(evaluations), "seed")
         return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
 
     @property

@@ -29,7 +29,7 @@ from scipy.optimize import minimize_scalar
 
 from deepbots_cli import api
 from deepbots_cli.document import Document, MappingNode, Permissions
-from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError
+from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError, counted
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
 from deepbots_cli.insight.world_changes import (
     Act,
@@ -603,7 +603,7 @@ class _Comparison:
             else:
                 texts.append(text)
         texts += [
-            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {age} step{'s' if age > 1 else ''} late"
+            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {counted(age, 'step')} late"
             for age, names in late.items()
         ]
         if texts:

@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.changes import Change, Meanings, WrittenScenario, compared_meanings
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import RunError, UsageError, counted
 from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.environments import WorldFactory
@@ -571,8 +571,7 @@ def _notes(
         )
     elif fewest < MIN_SEEDS:
         notes.append(
-            f"a group has {fewest} run{'' if fewest == 1 else 's'}: train at least {MIN_SEEDS} seeds of"
-            " each, better 5"
+            f"a group has {counted(fewest, 'run')}: train at least {MIN_SEEDS} seeds of each, better 5"
         )
     runs = [ref.run for group in members for ref in group.models]
     if len({run.record.engine for run in runs}) > 1:

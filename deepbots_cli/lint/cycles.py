@@ -28,6 +28,7 @@ from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.analysis.speeds import rate_of
 from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.errors import counted
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
@@ -392,7 +393,7 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
         )
         if dimension is None and value in (ALWAYS, NEVER):
             shown = "true" if value == ALWAYS else "false"
-        parts.append(shown if cycle.ticks == 1 else f"{shown} for {count} step{'s' if count > 1 else ''}")
+        parts.append(shown if cycle.ticks == 1 else f"{shown} for {counted(count, 'step')}")
     return f"the cycle: `{text}` {'stays' if cycle.ticks == 1 else 'is'} {', then '.join(parts)}"
 
 

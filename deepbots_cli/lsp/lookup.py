@@ -19,6 +19,7 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
 from deepbots_cli.document.files import resolve_reference
 from deepbots_cli.document.nodes import NodePath, follow_dotted
+from deepbots_cli.errors import counted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
@@ -628,7 +629,7 @@ def describe_type(known: Type) -> str:
     2.7 m, fixed`."""
     if known.picture is not None:
         rows, columns, channels = known.picture
-        return f"a picture of {columns} x {rows} pixels with {channels} channel{'s' if channels > 1 else ''}"
+        return f"a picture of {columns} x {rows} pixels with {counted(channels, 'channel')}"
     words = [known.description]
     if known.components is not None:
         words.append(f"with the components {shortened_list(known.components)}")

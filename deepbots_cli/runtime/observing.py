@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.arrays import evaluate
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, counted
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.formulas import scale, scale_freely
@@ -96,9 +96,7 @@ class Observer:
                 raise UsageError("this policy has no goal; leave out `desired`")
             return []
         size, names = len(goal.low), f" ({', '.join(goal.components)})" if goal.components else ""
-        expected = (
-            f"{size} number{'' if size == 1 else 's'}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
-        )
+        expected = f"{counted(size, 'number')}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
         if desired is None:
             raise UsageError(f"this policy has a goal; give it as `desired`: {expected}")
         try:

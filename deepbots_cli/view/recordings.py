@@ -36,7 +36,7 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli import frames
-from deepbots_cli.errors import MissingExtraError
+from deepbots_cli.errors import MissingExtraError, counted
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.rollout.drivers import HAND
@@ -430,7 +430,7 @@ class DrivenEpisodes:
     @property
     def note(self) -> str:
         """A note for the person who drives, in a line."""
-        kept = f"{len(self.ends)} episode{'s' * (len(self.ends) != 1)} recorded in {self.path.name}"
+        kept = f"{counted(len(self.ends), 'episode')} recorded in {self.path.name}"
         if self.is_full:
             return f"{kept}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
         return (

@@ -14,7 +14,7 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, AllowCode, Json, integer, option, whole_number
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.errors import RunError, UsageError, counted
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -260,7 +260,7 @@ def _print_causes(
     count = len(causes)
     runs = "; it still runs" if training.is_running else ""
     if causes:
-        head = f"{folder}: {count} cause{'s' * (count > 1)}, the most likely first{runs}"
+        head = f"{folder}: {counted(count, 'cause')}, the most likely first{runs}"
     else:
         head = f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
     terminal.print_result(head)

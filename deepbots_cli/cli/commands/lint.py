@@ -27,7 +27,7 @@ from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError, counted
 from deepbots_cli.files import file_stamps
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer
@@ -330,7 +330,7 @@ def _fixed(
         )
     if fixer.fixed:
         verb, files = "would be fixed" if show else "fixed", len(rewrites)
-        terminal.note(f"{len(fixer.fixed)} {verb} in {files} file{'s' if files > 1 else ''}")
+        terminal.note(f"{len(fixer.fixed)} {verb} in {counted(files, 'file')}")
     return fixer.remaining_findings, bool(rewrites)
 
 

@@ -9,6 +9,7 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Force, integer, option
+from deepbots_cli.errors import counted
 from deepbots_cli.files import atomic_write
 
 
@@ -42,4 +43,4 @@ def command(
                 f"note: about the evaluation that the diamond of {log.path} shows:"
                 f" {'; '.join(log.evaluation.remarks)}"
             )
-    terminal.print_result(f"{out} ({len(logs)} run{'s' * (len(logs) > 1)})")
+    terminal.print_result(f"{out} ({counted(len(logs), 'run')})")

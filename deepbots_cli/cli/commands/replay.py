@@ -17,7 +17,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import ScenarioError, UsageError, counted
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
@@ -133,7 +133,7 @@ def _verify(
         difference = verify(read, player, lambda done: show(done, count), tolerance=tolerance)
     steps = sum(len(each.steps) - 1 for each in read.episodes)
     how = f"within {tolerance:g}" if tolerance else "to the bit"
-    text = f"{read.path}: {count} episode{'s' * (count > 1)} and {steps} steps are the same {how}"
+    text = f"{read.path}: {counted(count, 'episode')} and {steps} steps are the same {how}"
     if difference is not None:
         text = (
             f"{read.path}: episode {difference.episode}, step {difference.step}: {difference.quantity}"

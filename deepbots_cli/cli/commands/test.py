@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import ScenarioError, UsageError, counted
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.executor import results
@@ -182,7 +182,7 @@ def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
     if failed:
         words.append(f"{failed} failed")
     if broken:
-        words.append(f"{broken} scenario{'s' * (broken > 1)} with errors")
+        words.append(f"{counted(broken, 'scenario')} with errors")
     terminal.print_result(f"{', '.join(words)} in {seconds:.1f} s")
 
 

@@ -27,7 +27,7 @@ from deepbots_cli.cli.command import (
     start_values,
 )
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, counted
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def _finish(driven: DrivenEpisodes) -> None:
         return
     driven.save()
     rows = records.recorded_rows(enumerate(driven.ends))
-    count = f"{len(rows)} episode{'s' * (len(rows) > 1)}"
+    count = counted(len(rows), "episode")
     lines = [
         records.recorded_table(rows),
         f"{driven.path} ({count}, {driven.path.stat().st_size / 1000:,.0f} kB)",
