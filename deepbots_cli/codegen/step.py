@@ -9,7 +9,7 @@ observation. Failure beats success; terminated beats truncated.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
@@ -19,6 +19,7 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
+from deepbots_cli.program.members import EPISODE_RETURN, PREVIOUS_REWARD
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
@@ -29,7 +30,10 @@ _SUMMANDS = 100
 def start_method(supervisor: SupervisorPrinter) -> list[str]:
     """Return the method that runs right after a reset."""
     lines = ['"""Observe the start of an episode."""', *supervisor.readers.start_lines()]
-    lines += _zeroed(_terms(supervisor))
+    lines += _zeroed([*_terms(supervisor), *_rewards_of_agents(supervisor)])
+    if supervisor.repeats_actions:
+        lines += _zeroed([supervisor.previous_reward_of(agent) for agent in _previous(supervisor)])
+    lines += _zeroed([supervisor.return_of(agent) for agent in supervisor.agents_that_use(EPISODE_RETURN)])
     lines.append(
         f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})"
     )
@@ -49,7 +53,11 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     repeat = supervisor.scenario.action_repeat
     if supervisor.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
-    printer.lines += _zeroed(["self.reward", *_terms(supervisor)])
+    printer.lines += [
+        f"{supervisor.previous_reward_of(agent)} = {supervisor.reward_of(agent)}"
+        for agent in _previous(supervisor)
+    ]
+    printer.lines += _zeroed(["self.reward", *_terms(supervisor), *_rewards_of_agents(supervisor)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
     printer.line(f"    {'yield from ' if supervisor.is_of_copy else ''}self._tick({', '.join(acting)})")
     printer.lines += (
@@ -120,6 +128,17 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 def _terms(supervisor: SupervisorPrinter) -> list[str]:
     return [f"self.{generated.term(term.name)}" for term in supervisor.agent.reward]
+
+
+def _previous(supervisor: SupervisorPrinter) -> list[str]:
+    """Return those among several agents that use the reward of the step before."""
+    return supervisor.agents_that_use(PREVIOUS_REWARD)
+
+
+def _rewards_of_agents(supervisor: SupervisorPrinter) -> list[str]:
+    """Return the attributes with the rewards of those among several agents whose rewards are read."""
+    agents = supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN)
+    return [supervisor.reward_of(agent) for agent in agents]
 
 
 # Acting
@@ -526,12 +545,7 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
             else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
         )
         lines += with_comment(f"{name} = {code}", term.text)
-    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the
-    # same.
-    parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
-    for index, part in enumerate(parts):
-        last = index == len(parts) - 1 and not supervisor.repeats_actions
-        lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
+    lines += _sum_lines("reward", names, "" if supervisor.repeats_actions else "self.reward")
     summing = supervisor.printer()
     if supervisor.repeats_actions:
         for name, term in zip(names, terms, strict=True):
@@ -544,12 +558,44 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     if supervisor.uses("episode_return"):
         summing.add_in_place("self.episode_return", "reward")
+    _print_rewards_of_agents(supervisor, summing, dict(zip([term.name for term in terms], names, strict=True)))
     lines += summing.lines
     printer.lines += (
         ["if self.step_count:  # there is no reward at the reset", *indent(lines)]
         if printer.on_floats
         else lines
     )
+
+
+def _sum_lines(local: str, names: Sequence[str], attribute: str = "") -> list[str]:
+    """Return statements that assign a sum to a local, and at last to an attribute too."""
+    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the
+    # same.
+    parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
+    lines = []
+    for index, part in enumerate(parts):
+        is_last = index == len(parts) - 1 and attribute
+        lines.append(
+            f"{f'{attribute} = {local}' if is_last else local} = {f'{local} + ' if index else ''}{part}"
+        )
+    return lines
+
+
+def _print_rewards_of_agents(
+    supervisor: SupervisorPrinter, printer: Printer, names: Mapping[str, str]
+) -> None:
+    """Print the rewards and the returns of those among several agents whose expressions read them. `names` has
+    the code of each term."""
+    returned = supervisor.agents_that_use(EPISODE_RETURN)
+    for agent in supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN):
+        own = [names[term] for term in supervisor.scenario.members[agent].terms.values()]
+        local = supervisor.names.identifier(f"new reward of {agent}", agent, "reward")
+        kept = supervisor.reward_of(agent)
+        printer.lines += _sum_lines(local, own, "" if supervisor.repeats_actions else kept)
+        if supervisor.repeats_actions:
+            printer.add_in_place(kept, local)
+        if agent in returned:
+            printer.add_in_place(supervisor.return_of(agent), local)
 
 
 # Observation
@@ -574,11 +620,10 @@ def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observatio
     """Return the code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
-    code = (
-        "self.reward"
-        if entry.value.scalars == (Name("previous_reward"),)
-        else printer.vector_or_number(components, entry.value.scalars)
-    )
+    last_rewards = supervisor.last_rewards()
+    name = next((value.name for value in entry.value.scalars if isinstance(value, Name)), "")
+    is_reward = name in last_rewards and entry.value.scalars == (Name(name),)
+    code = last_rewards[name] if is_reward else printer.vector_or_number(components, entry.value.scalars)
     star = "*" if components else ""
     if entry.numbers[0].is_truth:
         as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats

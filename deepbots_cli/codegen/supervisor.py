@@ -244,7 +244,7 @@ def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
 
 def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -> Printer:
     """Return a printer for these values after the last timestep: the reward of that timestep is known."""
-    printer = Printer(supervisor, settable=supervisor.settable, renamed={"previous_reward": "self.reward"})
+    printer = Printer(supervisor, settable=supervisor.settable, renamed=supervisor.last_rewards())
     used = supervisor.names_read(scalars)
     kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
     printer.lines += [f"{local} = self.{generated.last(local)}" for local in kept]

@@ -19,7 +19,6 @@ from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
-from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Others
 from deepbots_cli.scenario.agent import AgentOfSeveral
@@ -445,22 +444,10 @@ def _without_controller(robot: Node) -> Node:
 
 # Results
 
-_OF_ALL_REWARDS = frozenset({"previous_reward", "episode_return"})
-
-
 def report_unsupported(document: Document, programs: Mapping[str, Program]) -> None:
     """Report parts of an agent that only a scenario with one agent may have."""
     for name, program in programs.items():
         agent = program.agent
-        for value in program.computed_expressions:
-            used = _OF_ALL_REWARDS & {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
-            for word in used:
-                document.findings.add(
-                    "DB108",
-                    value.span,
-                    f"`{word}` of one among several agents is not supported yet",
-                    "use the values that the reward is made of",
-                )
         if agent.goal is not None or agent.copies is not None:
             what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
             headline = f"{what} together with several agents is not supported yet"

@@ -31,6 +31,10 @@ def joint_name(agent: str, name: str) -> str:
 
 
 PREVIOUS_ACTION = "previous_action"
+PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
+"""Values of an agent itself: they are made of its own reward terms."""
+TERMINATED, ENDED = "terminated", "ended"
+"""Values of an agent itself if its episode may end while others go on."""
 _OWN_SECTIONS = frozenset({"action", "augment", "critic", "observation", "reward", "scripts"})
 _SIGNALS = "signals"
 
@@ -45,6 +49,7 @@ class JointNames:
         names: Names of its action variables and its own signals, and what they are called there.
         previous: The names of the numbers of its last action, and what they are called there.
         mirrors: The agent that it mirrors.
+        ends_alone: Whether its episode may end while those of other agents go on.
     """
 
     agent: str
@@ -52,6 +57,7 @@ class JointNames:
     names: Mapping[str, str]
     previous: Mapping[str, str]
     mirrors: str | None = None
+    ends_alone: bool = False
 
     def scalars(self, scalars: Iterable[Scalar]) -> tuple[Scalar, ...]:
         return tuple(renamed(scalar, self._name, self._slot) for scalar in scalars)
@@ -74,6 +80,9 @@ class JointNames:
     def _name(self, name: Name) -> Name:
         if name.name == PREVIOUS_ACTION:
             return name._replace(component=self.previous[name.component or next(iter(self.previous))])
+        of_agent = (PREVIOUS_REWARD, EPISODE_RETURN, *((TERMINATED, ENDED) if self.ends_alone else ()))
+        if name.name in of_agent:
+            return name._replace(name=joint_name(self.agent, name.name))
         return name._replace(name=self.names.get(name.name, name.name))
 
     def _slot(self, slot: str) -> str:

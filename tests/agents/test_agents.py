@@ -195,7 +195,6 @@ def test_pettingzoo_accepts_the_environment(several: Path) -> None:
             "does not say what it is for the agent `left`",
         ),
         ("role.agent=middle", "there is no agent `middle`"),
-        ("agents.left.reward.upright=previous_reward", "`previous_reward` of one among several agents"),
         ("agents.left.signals={apart: 1 m}", "`apart` of `left` is already a signal of all agents"),
         ("observation.gap=0 .. 1 m", "`observation` at the top level cannot be combined with `agents`"),
     ],
