@@ -446,6 +446,7 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
         return
     reached, name = f"{supervisor.tick} >= {limit[0]}", quoted(limit[1])
     goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
+    goal = "True" if limit[1] in supervisor.agent.success else goal
     if printer.on_floats:
         printer.lines += [f"{'elif' if endings else 'if'} {reached}:", f"    self._truncate({name})"]
         printer.lines += [f"    self.is_success = {goal}"] if goal else []
@@ -558,7 +559,9 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     if supervisor.uses("episode_return"):
         summing.add_in_place("self.episode_return", "reward")
-    _print_rewards_of_agents(supervisor, summing, dict(zip([term.name for term in terms], names, strict=True)))
+    _print_rewards_of_agents(
+        supervisor, summing, dict(zip([term.name for term in terms], names, strict=True))
+    )
     lines += summing.lines
     printer.lines += (
         ["if self.step_count:  # there is no reward at the reset", *indent(lines)]

@@ -17,7 +17,7 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
+from deepbots_cli.program.members import EPISODE_RETURN, PREVIOUS_REWARD, joint_name
 from deepbots_cli.program.task import action_names
 
 # Readers of the engine

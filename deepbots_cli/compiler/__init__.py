@@ -10,7 +10,7 @@ robots.py       robot files and their changes, patterns and groups, quantities o
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
-agents.py       several agents: a scenario for each; joint.py their programs as one
+agents.py       several agents: a scenario for each; joint.py their programs as one, joint_tests.py their tests
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
@@ -193,6 +193,11 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     report_unsupported(document, programs)
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
+    tests: tuple[ScenarioTest, ...] = ()
+    if program is not None:
+        of_agents = {name: {test.name: test for test in own.tests} for name, own in agents.items()}
+        tests = tuple(divided.tests.joined(program, of_agents))
+    agents = {name: replace(own, tests=divided.tests.about(name, own.tests)) for name, own in agents.items()}
     played = played_agent(document)
     shown = agents[played] if played in agents else next(iter(agents.values()))
     if program is not None and played is not None and shown.namespace is not None:
@@ -207,6 +212,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         {name: robot for checked in agents.values() for name, robot in (checked.robots or {}).items()},
         shown.namespace,
         variants=tuple(agents.values()),
+        tests=tests,
         learner=shown.learner if played is not None else (),
         agents={} if played is not None else agents,
     )
@@ -328,7 +334,7 @@ def _agent(
         observation=observation,
         critic=observations.of_critic(observation),
         reward=rewards,
-        success=tuple(spec.termination.success),
+        success=(*spec.termination.success, *(spec.truncation.success if spec.truncation else ())),
         goal=goals.goal(rewards),
         solved=solved(namespace, limits, timestep),
         frame_stack=spec.agent.frame_stack,

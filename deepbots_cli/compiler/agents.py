@@ -15,17 +15,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.joint import joint_program
+from deepbots_cli.compiler.joint_tests import DividedTests
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Others
-from deepbots_cli.scenario.agent import AgentOfSeveral
+from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
 
-AGENTS, ENDINGS, ROLE, TRAIN = "agents", "endings", "role", "train"
+AGENTS, ENDINGS, ROLE, TRAIN, TRUNCATION = "agents", "endings", "role", "train", "truncation"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
 _SIGNALS, _LIKE = "signals", "like"
@@ -34,7 +35,6 @@ _OWN_OF_MIRROR = frozenset({_LIKE, "robots", "scripts", "solved", TRAIN})
 _KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {_LIKE, "robots", "frame_stack", _SIGNALS}
 _NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
 _REQUIRED = ("action", "observation", "reward")
-_ALL = "all"
 _MODEL_SUFFIX = ".zip"
 BEST_MODEL = "models/agent/best.zip"
 """The best model in the folder of a run."""
@@ -46,22 +46,20 @@ def has_several_agents(document: Document) -> bool:
 
 @dataclass(frozen=True)
 class AgentDocuments:
-    """The scenario of each agent, the agent that drives each robot, the section of each agent, and the agent
-    that one mirrors exactly."""
+    """The scenario of each agent, the agent that drives each robot, the section of each agent, the agent that
+    one mirrors exactly, and the tests."""
 
     documents: Mapping[str, Document]
     drivers: Mapping[str, str]
     sections: Mapping[str, AgentOfSeveral]
     mirrors: Mapping[str, str]
+    tests: DividedTests
 
 
 def divide(document: Document) -> AgentDocuments | None:
     """Return the scenarios of the agents; None after a finding that leaves none."""
     root = document.root
     assert root is not None
-    if (tests := root.entries.get(TESTS)) is not None:
-        headline = "`tests` together with several agents are not supported yet"
-        document.findings.add("DB108", tests.key.span, headline, _NOT_YET)
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
     agents = {
         name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
@@ -73,10 +71,16 @@ def divide(document: Document) -> AgentDocuments | None:
         return None
     drivers = _drivers(document, agents, sections)
     _report_shared_names(document)
+    _check_limits(document, [*sections])
+    tests = DividedTests(
+        root, {name: [*section.scripts] for name, section in sections.items()}, document.findings
+    )
     documents = {
         name: replace(
             document,
-            root=_root_of(root, name, agents[name], drivers, _outcomes(document, name, list(sections))),
+            root=_root_of(
+                root, name, agents[name], drivers, _outcomes(document, name, list(sections)), tests
+            ),
             findings=Findings(document.findings.limit),
         )
         for name in sections
@@ -84,7 +88,7 @@ def divide(document: Document) -> AgentDocuments | None:
     return (
         None
         if document.findings.errors
-        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)))
+        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)), tests)
     )
 
 
@@ -349,10 +353,10 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         named = {outcome: _named_agents(ending.get(outcome)) for outcome in outcomes}
         for names in named.values():
             for other in names:
-                if other.text not in (*agents, _ALL):
-                    _report_unknown(document.findings, other, other.text, "agent", [*agents, _ALL])
+                if other.text not in (*agents, ALL_AGENTS):
+                    _report_unknown(document.findings, other, other.text, "agent", [*agents, ALL_AGENTS])
         texts = {outcome: {each.text for each in names} for outcome, names in named.items()}
-        of_agent = [outcome for outcome in outcomes if texts[outcome] & {agent, _ALL}]
+        of_agent = [outcome for outcome in outcomes if texts[outcome] & {agent, ALL_AGENTS}]
         if len(of_agent) != 1 and not document.findings.errors:
             _report_outcome(document.findings, entry.key, agent, is_both=bool(of_agent))
         for outcome in of_agent[:1]:
@@ -405,6 +409,7 @@ def _root_of(
     section: MappingNode,
     drivers: Mapping[str, str],
     termination: MappingNode | None,
+    tests: DividedTests,
 ) -> MappingNode:
     entries = {key: entry for key, entry in root.entries.items() if key not in _OF_ALL}
     entries |= {key: entry for key, entry in section.entries.items() if key in _KEYS_OF_AGENT}
@@ -416,6 +421,10 @@ def _root_of(
     if (stack := section.entries.get("frame_stack")) is not None:
         settings = Entry(stack.key, replace(section, entries={"frame_stack": stack}))
         entries["agent"] = _with_entries(entries.get("agent"), settings)
+    if (limits := entries.get(TRUNCATION)) is not None and isinstance(limits.value, MappingNode):
+        entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent))
+    if (section_of_tests := entries.get(TESTS)) is not None:
+        entries[TESTS] = tests.of_agent(agent, section_of_tests)
     robots = entries.get("robots")
     if robots is not None and isinstance(robots.value, MappingNode):
         bodies = {
@@ -426,6 +435,34 @@ def _root_of(
         }
         entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
     return replace(root, entries=entries)
+
+
+def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
+    """Return `truncation` as it is for an agent: a limit that is no success of the agent is a plain limit."""
+    entries = {}
+    for name, entry in limits.entries.items():
+        limit = entry.value.get("limit") if isinstance(entry.value, MappingNode) else None
+        if limit is None or not isinstance(entry.value, MappingNode):
+            entries[name] = entry
+            continue
+        named = [each.text for each in _named_agents(entry.value.get("success"))]
+        of_all = ScalarNode(entry.key.span, ALL_AGENTS, ALL_AGENTS)
+        own = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
+        is_success = not {agent, ALL_AGENTS}.isdisjoint(named)
+        entries[name] = Entry(entry.key, replace(entry.value, entries=own) if is_success else limit)
+    return replace(limits, entries=entries)
+
+
+def _key(name: str, place: ScalarNode) -> ScalarNode:
+    return ScalarNode(place.span, name, name)
+
+
+def _check_limits(document: Document, agents: list[str]) -> None:
+    """Report names of agents under `truncation` that do not exist."""
+    for entry in entries_at(document.root, TRUNCATION).values():
+        for named in _named_agents(node_at(entry.value, "success")):
+            if named.text not in (*agents, ALL_AGENTS):
+                _report_unknown(document.findings, named, named.text, "agent", [*agents, ALL_AGENTS])
 
 
 def _with_entries(shared: Entry | None, own: Entry) -> Entry:
@@ -443,6 +480,7 @@ def _without_controller(robot: Node) -> Node:
 
 
 # Results
+
 
 def report_unsupported(document: Document, programs: Mapping[str, Program]) -> None:
     """Report parts of an agent that only a scenario with one agent may have."""

@@ -141,6 +141,8 @@ Observation = dict[
 
 # Several agents
 
+ALL_AGENTS = "all"
+"""The word that names all agents."""
 AgentName = Annotated[str, Reference("agent")]
 AgentNames = Annotated[Annotated[Many[AgentName], Size(1, "agent")] | AgentName, FORMS]
 

@@ -217,12 +217,6 @@ def test_a_batch_of_worlds_shows_what_single_worlds_show(several: Path) -> None:
             assert seen[1].tolist() == single.step(actions[1])[0].tolist()
 
 
-def test_tests_of_several_agents_are_refused_and_not_left_out(several: Path) -> None:
-    several.write_text(SEVERAL + "tests: {rests: {driver: zero, expect: {failure_rate: 0}}}\n")
-    errors = [finding.headline for finding in api.lint(several) if finding.severity == "error"]
-    assert errors == ["`tests` together with several agents are not supported yet"]
-
-
 def test_the_options_of_a_command_replace_the_role_of_the_file(
     several: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

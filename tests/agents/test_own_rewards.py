@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.agents.carts import CARTS
 
 from deepbots_cli import api
 from deepbots_cli.runtime.agents import seats_of
+from tests.agents.carts import CARTS
 
 OBSERVED = (
     CARTS.replace(
