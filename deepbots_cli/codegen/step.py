@@ -19,7 +19,7 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
-from deepbots_cli.program.members import EPISODE_RETURN, PREVIOUS_REWARD
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
 from deepbots_cli.program.robots import Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
@@ -33,6 +33,7 @@ def start_method(supervisor: SupervisorPrinter) -> list[str]:
     lines += _zeroed([*_terms(supervisor), *_rewards_of_agents(supervisor)])
     if supervisor.repeats_actions:
         lines += _zeroed([supervisor.previous_reward_of(agent) for agent in _previous(supervisor)])
+    lines += [f"{supervisor.ended_of(agent)} = False" for agent in supervisor.agents_alone]
     lines += _zeroed([supervisor.return_of(agent) for agent in supervisor.agents_that_use(EPISODE_RETURN)])
     lines.append(
         f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})"
@@ -251,6 +252,34 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
             printer.lines += with_comment(
                 f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", range_comment
             )
+    for agent in supervisor.agents_alone:
+        _print_rest(supervisor, printer, agent)
+
+
+def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
+    """Print the action of an agent whose episode has ended: the values that are nearest to 0."""
+    first, last = (supervisor.scenario.members[agent].choices, supervisor.scenario.members[agent].ranges)
+    resting: dict[str, str] = {}
+    for part in supervisor.choices[slice(*first)]:
+        still = next((option for option in part.options if not any(option.values)), part.options[0])
+        resting |= {name: repr(value) for name, value in zip(part.variables, still.values, strict=True)}
+    own = set(supervisor.agent.range_names[slice(*last)])
+    for interval in supervisor.ranges:
+        if not own.isdisjoint(interval.names):
+            resting[interval.name] = repr(min(max(0.0, interval.low), interval.high))
+    components = dict(supervisor.variables)
+    ended = supervisor.ended_of(agent)
+    for name, value in resting.items() if printer.on_floats else ():
+        many = len(components[name])
+        resting[name] = f"({value},) * {many}" if many else value
+    if printer.on_floats:
+        settings = [f"    {supervisor.local(name)} = {value}" for name, value in resting.items()]
+        printer.lines += [f"if {ended}:", *settings]
+        return
+    for name, value in resting.items():
+        local = supervisor.local(name)
+        code = f"[np.where({ended}, {value}, a) for a in {local}]"
+        printer.line(f"{local} = {code if components[name] else f'np.where({ended}, {value}, {local})'}")
 
 
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
@@ -431,16 +460,27 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
             else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
         )
         printer.assign(supervisor.local(ending.name), code, ending.text)
+    alone = {name for member in supervisor.scenario.members.values() for name in member.alone}
+    endings = tuple(ending for ending in endings if ending.name not in alone)
     failures = [ending for ending in endings if ending.name in supervisor.scenario.failures]
     successes = supervisor.scenario.successes
+    for agent in supervisor.agents_alone:
+        _print_ending_alone(supervisor, printer, agent)
+    word = "if"
     if endings:
-        held = ", ".join(
-            f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
-        )
-        success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
-        ending_line = f"self._terminate({{{held}}}{success})"
+        ending_line = f"self._terminate({_held(supervisor, printer, failures, successes)})"
         any_holds = " or ".join(supervisor.local(ending.name) for ending in endings)
         printer.lines += [f"if {any_holds}:", f"    {ending_line}"] if printer.on_floats else [ending_line]
+        word = "elif"
+    if supervisor.agents_alone and len(supervisor.agents_alone) == len(supervisor.scenario.members):
+        ended = [Code(supervisor.ended_of(agent)) for agent in supervisor.agents_alone]
+        all_ended = printer.operation("and", ended).text
+        printer.lines += (
+            [f"{word} {all_ended}:", "    self._end_with_agents()"]
+            if printer.on_floats
+            else [f"self._end_with_agents({all_ended})"]
+        )
+        word = "elif"
     limit = _tick_limit(supervisor)
     if limit is None:
         return
@@ -448,10 +488,39 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
     goal = "True" if limit[1] in supervisor.agent.success else goal
     if printer.on_floats:
-        printer.lines += [f"{'elif' if endings else 'if'} {reached}:", f"    self._truncate({name})"]
+        printer.lines += [f"{word} {reached}:", f"    self._truncate({name})"]
         printer.lines += [f"    self.is_success = {goal}"] if goal else []
     else:
         printer.line(f"self._truncate({name}, {reached}{f', {goal}' if goal else ''})")
+
+
+def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
+    """Print the end of the episode of one of several agents, while the others go on."""
+    member = supervisor.scenario.members[agent]
+    ended, acts = supervisor.ended_of(agent), supervisor.acts(agent)
+    printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
+    holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
+    failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
+    held = _held(supervisor, printer, failures, member.program.successes)
+    if printer.on_floats:
+        now = printer.operation("and", [Code(acts), holds]).text
+        printer.lines += [f"if {now}:", f"    {ended} = self._end_agent({quoted(agent)}, {held})"]
+    else:
+        printer.line(f"{ended} = self._end_agent({quoted(agent)}, {ended}, {holds.text}, {held})")
+
+
+def _held(
+    supervisor: SupervisorPrinter,
+    printer: Printer,
+    failures: Sequence[Expression],
+    successes: Sequence[Expression],
+) -> str:
+    """Return the code of which endings hold, and whether this is a success."""
+    held = ", ".join(
+        f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
+    )
+    success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
+    return f"{{{held}}}{success}"
 
 
 def _success(
@@ -530,6 +599,7 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
             f"{supervisor.local('ended')} ="
             f" {printer.operation('or', [Code('self.terminated'), Code('self.truncated')]).text}"
         )
+    _print_ends_of_agents(supervisor, printer)
     for term in terms:
         printer.update_memories([term.scalar])
     names = [
@@ -539,13 +609,22 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         for term in terms
     ]
     lines: list[str] = []
+    acting = {
+        term: supervisor.acts(agent)
+        for agent in supervisor.agents_alone
+        for term in supervisor.scenario.members[agent].terms.values()
+    }
     for name, term in zip(names, terms, strict=True):
         code = (
-            printer.value(term.scalar)
-            if term.foreign is None
-            else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
+            Code(f"{function_attribute(supervisor, 'reward term', term.name)}(self)")
+            if term.foreign is not None
+            else printer.code(term.scalar)
+            if term.name in acting
+            else Code(printer.value(term.scalar))
         )
-        lines += with_comment(f"{name} = {code}", term.text)
+        if term.name in acting:
+            code = printer.operation("where", [Code(acting[term.name]), code, Code("0.0")])
+        lines += with_comment(f"{name} = {code.text}", term.text)
     lines += _sum_lines("reward", names, "" if supervisor.repeats_actions else "self.reward")
     summing = supervisor.printer()
     if supervisor.repeats_actions:
@@ -568,6 +647,17 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         if printer.on_floats
         else lines
     )
+
+
+def _print_ends_of_agents(supervisor: SupervisorPrinter, printer: Printer) -> None:
+    """Print `terminated` and `ended` of those agents whose episode may end while others go on."""
+    flags = {TERMINATED: ["self.terminated"], ENDED: ["self.terminated", "self.truncated"]}
+    for agent in supervisor.agents_alone:
+        for word, of_all in flags.items():
+            name = joint_name(agent, word)
+            if supervisor.uses(name):
+                ends = [Code(flag) for flag in (*of_all, supervisor.ended_of(agent))]
+                printer.line(f"{supervisor.local(name)} = {printer.operation('or', ends).text}")
 
 
 def _sum_lines(local: str, names: Sequence[str], attribute: str = "") -> list[str]:
@@ -665,7 +755,8 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.{generated.allowed(part.name)}"
-            options = [_allowed(printer, option) for option in part.options]
+            ended = _ended_of_choice(supervisor, part.name)
+            options = [_allowed(printer, option, ended) for option in part.options]
             if not printer.on_floats:
                 printer.line(f"self.allow({', '.join([quoted(part.name), *options])})")
                 continue
@@ -675,7 +766,18 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
                 printer.line(f"    self._nothing_allowed({quoted(part.name)})")
 
 
-def _allowed(printer: Printer, option: Option) -> str:
+def _ended_of_choice(supervisor: SupervisorPrinter, choice: str) -> str:
+    """Return the attribute that is true if the episode of the agent of a choice has ended while others go on;
+    empty without such an end."""
+    for agent in supervisor.agents_alone:
+        own = supervisor.choices[slice(*supervisor.scenario.members[agent].choices)]
+        if any(part.name == choice for part in own):
+            return supervisor.ended_of(agent)
+    return ""
+
+
+def _allowed(printer: Printer, option: Option, ended: str) -> str:
     if option.forbidden is None:
         return "True"
-    return printer.operation("not", [printer.code(option.forbidden.scalar)]).text
+    allowed = printer.operation("not", [printer.code(option.forbidden.scalar)])
+    return (printer.operation("or", [allowed, Code(ended)]) if ended else allowed).text

@@ -128,6 +128,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
         info=info
+        + (', "agent_endings": dict(self.agent_endings)' if supervisor.agents_alone else "")
         + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "")
         + ', "reward_terms": terms',
         asked=asked,

@@ -17,7 +17,7 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import EPISODE_RETURN, PREVIOUS_REWARD, joint_name
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, joint_name
 from deepbots_cli.program.task import action_names
 
 # Readers of the engine
@@ -426,6 +426,19 @@ class SupervisorPrinter(ClassPrinter):
             for agent in self.agents_that_use(PREVIOUS_REWARD)
         }
         return {PREVIOUS_REWARD: "self.reward", **of_agents}
+
+    @property
+    def agents_alone(self) -> list[str]:
+        """Those among several agents whose episode may end while others go on."""
+        return [name for name, member in self.scenario.members.items() if member.alone]
+
+    def ended_of(self, agent: str) -> str:
+        """Return the attribute that is true from the end of the episode of an agent on."""
+        return self.attribute(self.names.identifier(f"ended {agent}", ENDED, agent))
+
+    def acts(self, agent: str) -> str:
+        """Return the local that is true if an agent takes part in a timestep."""
+        return self.names.identifier(f"acts {agent}", agent, "acts")
 
     def return_of(self, agent: str) -> str:
         """Return the attribute with the return of an agent."""

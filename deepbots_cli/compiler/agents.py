@@ -350,15 +350,13 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         when = ending.get("when") if isinstance(ending, MappingNode) else None
         if not isinstance(ending, MappingNode) or when is None:
             continue
-        named = {outcome: _named_agents(ending.get(outcome)) for outcome in outcomes}
-        for names in named.values():
-            for other in names:
-                if other.text not in (*agents, ALL_AGENTS):
-                    _report_unknown(document.findings, other, other.text, "agent", [*agents, ALL_AGENTS])
-        texts = {outcome: {each.text for each in names} for outcome, names in named.items()}
-        of_agent = [outcome for outcome in outcomes if texts[outcome] & {agent, ALL_AGENTS}]
-        if len(of_agent) != 1 and not document.findings.errors:
-            _report_outcome(document.findings, entry.key, agent, is_both=bool(of_agent))
+        ended = _agents_of(ending.get("ends"), agents, agents, document.findings)
+        named = {
+            outcome: _agents_of(ending.get(outcome), ended, agents, document.findings) for outcome in outcomes
+        }
+        of_agent = [outcome for outcome in outcomes if agent in named[outcome]]
+        if not document.findings.errors:
+            _report_outcome(document.findings, entry.key, agent, of_agent, is_ended=agent in ended)
         for outcome in of_agent[:1]:
             outcomes[outcome][name] = Entry(entry.key, when)
     entries = {
@@ -369,21 +367,44 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
     return replace(section, entries=entries)
 
 
-def _report_outcome(findings: Findings, key: ScalarNode, agent: str, *, is_both: bool) -> None:
-    if is_both:
+def _agents_of(node: Node | None, every: list[str], agents: list[str], findings: Findings) -> list[str]:
+    """Return the agents that are named, where `all` names `every` agent of a list; report unknown names. By
+    default, an ending ends the episode of all agents, and is an outcome of none."""
+    named = _named_agents(node)
+    for each in named:
+        if each.text not in (*agents, ALL_AGENTS):
+            _report_unknown(findings, each, each.text, "agent", [*agents, ALL_AGENTS])
+    if node is None and every is agents:
+        return agents
+    texts = [each.text for each in named]
+    return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in every)]
+
+
+def _report_outcome(
+    findings: Findings, key: ScalarNode, agent: str, outcomes: list[str], *, is_ended: bool
+) -> None:
+    """Report an ending that is not exactly one outcome of an agent whose episode it ends."""
+    if len(outcomes) > 1:
         findings.add(
             "DB202",
             key.span,
             f"`{key.text}` is a success and a failure of `{agent}`",
             f"name `{agent}` under `success` or under `failure`",
         )
-        return
-    findings.add(
-        "DB102",
-        key.span,
-        f"`{key.text}` does not say what it is for the agent `{agent}`",
-        f"name `{agent}` under `success` or `failure`; `all` names all agents",
-    )
+    elif outcomes and not is_ended:
+        findings.add(
+            "DB202",
+            key.span,
+            f"`{key.text}` is a {outcomes[0]} of `{agent}`, whose episode it does not end",
+            f"name `{agent}` under `ends`, or remove it from `{outcomes[0]}`",
+        )
+    elif not outcomes and is_ended:
+        findings.add(
+            "DB102",
+            key.span,
+            f"`{key.text}` does not say what it is for the agent `{agent}`",
+            f"name `{agent}` under `success` or `failure`; `all` names all agents",
+        )
 
 
 def _named_agents(node: Node | None) -> list[ScalarNode]:

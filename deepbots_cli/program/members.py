@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.expressions.scalar import Name, Scalar, renamed
 from deepbots_cli.program.task import Agent
@@ -96,6 +96,15 @@ class JointNames:
         return f"agents.{self.agent}.{owner}" if is_own else owner
 
 
+class AgentEnding(NamedTuple):
+    """The end of the episode of one of several agents, while those of others went on: the endings that held,
+    whether it was a success, and its last step."""
+
+    endings: tuple[str, ...]
+    is_success: bool
+    step: int
+
+
 @dataclass(frozen=True, eq=False)
 class Member:
     """One of several agents.
@@ -109,6 +118,7 @@ class Member:
         choices: The first choice of its action among those of all agents, and the one after its last.
         ranges: The first number of its ranges among those of all agents, and the one after its last.
         terms: The names of its reward terms in the program of all agents, by their own names.
+        alone: The names of the endings that end its episode, while those of other agents go on.
     """
 
     name: str
@@ -118,6 +128,7 @@ class Member:
     choices: tuple[int, int]
     ranges: tuple[int, int]
     terms: Mapping[str, str]
+    alone: frozenset[str] = frozenset()
 
     def reward(self, terms: Mapping[str, float]) -> float:
         """Return its reward, given the last value of each term of all agents."""
@@ -180,6 +191,12 @@ def world_of(program: Program, others: Others) -> Program:
     )
 
 
+def endings_alone(agent: str, programs: Mapping[str, Program]) -> frozenset[str]:
+    """Return the names of the endings of an agent that do not end the episode of all agents."""
+    endings = {name: {ending.name for ending in program.endings} for name, program in programs.items()}
+    return frozenset(endings[agent] - set.intersection(*endings.values()))
+
+
 def members_of(
     programs: Mapping[str, Program], names: Mapping[str, JointNames], joint: Agent
 ) -> dict[str, Member]:
@@ -203,6 +220,7 @@ def members_of(
             (choices, last_choice),
             (ranges, last_range),
             {term.name: joint_name(name, term.name) for term in agent.reward},
+            endings_alone(name, programs),
         )
         choices, ranges = last_choice, last_range
     return members

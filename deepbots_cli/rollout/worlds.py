@@ -343,7 +343,8 @@ class BatchEpisodes:
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
         self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
-        return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
+        success, ended_by, ends = info["is_success"], info["ended_by"], info.get("agent_endings", {})
+        return Episode(total, length, success, ended_by, terms, seed, drawn or {}, ends)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""
