@@ -38,6 +38,7 @@ from deepbots_cli.compiler.agents import (
     joined_program,
     models_of_others,
     played_agent,
+    report_own_names,
     report_role_alone,
     report_unsupported,
     with_sections,
@@ -191,6 +192,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     joined_findings(document.findings, (checked.findings for checked in agents.values()))
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_unsupported(document, programs)
+    report_own_names(document, programs, divided.sections)
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
     tests: tuple[ScenarioTest, ...] = ()

@@ -20,6 +20,7 @@ from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
+from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Others
 from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
@@ -350,7 +351,8 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         when = ending.get("when") if isinstance(ending, MappingNode) else None
         if not isinstance(ending, MappingNode) or when is None:
             continue
-        ended = _agents_of(ending.get("ends"), agents, agents, document.findings)
+        ends = ending.get("ends")
+        ended = agents if ends is None else _agents_of(ends, agents, agents, document.findings)
         named = {
             outcome: _agents_of(ending.get(outcome), ended, agents, document.findings) for outcome in outcomes
         }
@@ -368,14 +370,11 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
 
 
 def _agents_of(node: Node | None, every: list[str], agents: list[str], findings: Findings) -> list[str]:
-    """Return the agents that are named, where `all` names `every` agent of a list; report unknown names. By
-    default, an ending ends the episode of all agents, and is an outcome of none."""
+    """Return the agents that are named, where `all` names `every` agent of a list; report unknown names."""
     named = _named_agents(node)
     for each in named:
         if each.text not in (*agents, ALL_AGENTS):
             _report_unknown(findings, each, each.text, "agent", [*agents, ALL_AGENTS])
-    if node is None and every is agents:
-        return agents
     texts = [each.text for each in named]
     return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in every)]
 
@@ -511,6 +510,28 @@ def report_unsupported(document: Document, programs: Mapping[str, Program]) -> N
             what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
             headline = f"{what} together with several agents is not supported yet"
             document.findings.add("DB108", _key_of(document, name).span, headline, _NOT_YET)
+
+
+def report_own_names(
+    document: Document, programs: Mapping[str, Program], sections: Mapping[str, AgentOfSeveral]
+) -> None:
+    """Report endings of all agents that use a name which is that of one agent alone."""
+    of_all = set.intersection(*({e.name for e in program.endings} for program in programs.values()))
+    for agent, program in programs.items():
+        augmented = sections[agent].augment
+        own = {*sections[agent].signals, *(augmented if isinstance(augmented, Mapping) else ())}
+        own |= {name for part in program.agent.action for name in part.variables}
+        for ending in program.endings:
+            used = own & {leaf.name for scalar in ending.scalars for leaf in names_in(scalar)}
+            if used and ending.name in of_all:
+                document.findings.add(
+                    "DB201",
+                    ending.span,
+                    f"`{min(used)}` is a name of each agent, but `{ending.name}` is an ending of all",
+                    "use a value under `signals` at the top level, or let the ending end the episode of one"
+                    " agent with `ends`",
+                )
+                return
 
 
 def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) -> None:

@@ -193,8 +193,8 @@ def world_of(program: Program, others: Others) -> Program:
 
 def endings_alone(agent: str, programs: Mapping[str, Program]) -> frozenset[str]:
     """Return the names of the endings of an agent that do not end the episode of all agents."""
-    endings = {name: {ending.name for ending in program.endings} for name, program in programs.items()}
-    return frozenset(endings[agent] - set.intersection(*endings.values()))
+    endings = {name: frozenset(e.name for e in program.endings) for name, program in programs.items()}
+    return endings[agent].difference(frozenset.intersection(*endings.values()))
 
 
 def members_of(

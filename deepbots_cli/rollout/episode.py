@@ -166,6 +166,11 @@ class EpisodeAccumulator:
         self._seed: int | None = None
         self._drawn: Mapping[str, float | str] = {}
 
+    @property
+    def length(self) -> int:
+        """The number of steps so far."""
+        return self._length
+
     def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
         """Begin an episode with the seed of the reset, and the info that it returned."""
         self._seed, self._drawn = seed, info.get("drawn", {})

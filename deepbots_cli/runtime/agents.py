@@ -250,7 +250,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         }
         actions[self._own] = action
         together = joint_action(self.supervisor, self._seats, actions)
-        self._observed, _, terminated, truncated, info = self.supervisor.step(together)
+        self._observed, _, _, _, info = self.supervisor.step(together)
         self._result = self.seat.reward(info), self.seat.info(info)
         return self.get_observations(), self.get_reward(), self.terminated, self.truncated, self.get_info()
 

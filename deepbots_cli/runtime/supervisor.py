@@ -140,11 +140,11 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             self.fill_frames()
         except (ArithmeticError, ValueError, NameError) as error:
             raise without_value(error, self.engine, self.step_count) from error
-        ended_by = [name for end in self.agent_endings.values() for name in end.endings]
-        if self.terminated or ended_by:
+        alone = [name for end in self.agent_endings.values() for name in end.endings]
+        if self.terminated or alone:
             raise EndsAtResetError(
-                f"the ending '{self.ended_by or ended_by[0]}' is already true at reset (seed {self.streams.root}); change"
-                " the start or the ending"
+                f"the ending '{self.ended_by or alone[0]}' is already true at reset (seed {self.streams.root});"
+                " change the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}

@@ -13,9 +13,8 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.errors import UsageError
-from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.rollout.drivers import AgentsDriver
+from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.runtime.agents import joint_action, seats_of
 from tests.agents.carts import CARTS
 
@@ -42,7 +41,7 @@ def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
         world.reset(seed=3)
         ended = cut = False
         while not (ended or cut):
-            observed, _, ended, cut, info = world.step(joint_action(world, seats, PUSH))
+            _, _, ended, cut, info = world.step(joint_action(world, seats, PUSH))
             rows.append(
                 {
                     "info": info,
@@ -53,6 +52,12 @@ def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
                 }
             )
     return rows
+
+
+def test_an_ending_of_one_agent_may_use_its_names(carts: Path) -> None:
+    carts.write_text(ALONE.replace("tilt(left.pole) > 30 deg", "speed > 3 cm/s"))
+    rows = _course(carts)
+    assert rows[-1]["info"]["agent_endings"]["left"].endings == ("left_fell",)
 
 
 def test_an_agent_ends_while_the_other_goes_on(carts: Path) -> None:
@@ -97,9 +102,11 @@ def test_the_robots_of_an_agent_that_has_ended_stop(carts: Path) -> None:
 
 
 def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> None:
-    carts.write_text(ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
-        "tilt(right.pole) > 30 deg", "time > 1.5 s"
-    ))
+    carts.write_text(
+        ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
+            "tilt(right.pole) > 30 deg", "time > 1.5 s"
+        )
+    )
     with closing(api.make(carts)) as world:
         driver = AgentsDriver(world, {"left": "ahead", "right": "zero"})
         episode = result_of(steps(world, driver), 0)
@@ -167,7 +174,14 @@ def test_an_agent_leaves_the_environment_of_pettingzoo(carts: Path) -> None:
     ("setting", "headline"),
     [
         ("endings.left_fell.ends=middle", "there is no agent `middle`"),
-        ("endings.left_fell.success=right", "`left_fell` is a success of `right`, whose episode it does not end"),
+        (
+            "endings.left_fell.success=right",
+            "`left_fell` is a success of `right`, whose episode it does not end",
+        ),
+        (
+            "endings.left_fell={when: speed > 1 m/s, failure: all}",
+            "`speed` is a name of each agent, but `left_fell` is an ending of all",
+        ),
         ("endings.left_fell.ends=all", "`left_fell` does not say what it is for the agent `right`"),
         ("agents.right.reward={won: 1 when left_fell}", "`left_fell`"),
     ],
@@ -181,9 +195,11 @@ def test_a_mistake_about_endings_of_one_agent_is_one_finding(
 
 
 def test_try_shows_the_result_of_each_agent(carts: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    carts.write_text(ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
-        "tilt(right.pole) > 30 deg", "time > 1.5 s"
-    ))
+    carts.write_text(
+        ALONE.replace("ends: right, failure: right", "ends: right, success: right").replace(
+            "tilt(right.pole) > 30 deg", "time > 1.5 s"
+        )
+    )
     assert main(["try", str(carts), "--driver", "ahead", "--episodes", "1", "--json"]) == 0
     (episode,) = json.loads(capsys.readouterr().out)["episodes"]
     assert episode["ended_by"] == "right_fell"
