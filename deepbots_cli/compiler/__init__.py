@@ -37,6 +37,7 @@ from deepbots_cli.compiler.agents import (
     joined_findings,
     joined_program,
     models_of_others,
+    of_other_agents,
     played_agent,
     report_own_names,
     report_role_alone,
@@ -189,7 +190,10 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     if divided is None:
         return CheckedScenario(document, document.findings)
     agents = {name: check(own, to_train=to_train) for name, own in divided.documents.items()}
-    joined_findings(document.findings, (checked.findings for checked in agents.values()))
+    joined_findings(
+        document.findings,
+        (of_other_agents(own.findings, name, divided.drivers) for name, own in agents.items()),
+    )
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_unsupported(document, programs)
     report_own_names(document, programs, divided.sections)

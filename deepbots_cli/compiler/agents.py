@@ -516,7 +516,8 @@ def report_own_names(
     document: Document, programs: Mapping[str, Program], sections: Mapping[str, AgentOfSeveral]
 ) -> None:
     """Report endings of all agents that use a name which is that of one agent alone."""
-    of_all = set.intersection(*({e.name for e in program.endings} for program in programs.values()))
+    of_each = [{ending.name for ending in program.endings} for program in programs.values()]
+    of_all = set.intersection(*of_each) if of_each else set[str]()
     for agent, program in programs.items():
         augmented = sections[agent].augment
         own = {*sections[agent].signals, *(augmented if isinstance(augmented, Mapping) else ())}
@@ -532,6 +533,19 @@ def report_own_names(
                     " agent with `ends`",
                 )
                 return
+
+
+def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]) -> Iterator[Finding]:
+    """Yield the findings of an agent. The help of an unknown name that is a value of a robot of another agent
+    says who sends it."""
+    for finding in findings:
+        robot, dot, value = finding.span.text.partition(".")
+        other = drivers.get(robot, agent)
+        if finding.code == "DB402" and dot and other != agent:
+            headline = f"`{robot}` sends `{value}` to its agent `{other}`, and not to `{agent}`"
+            help = f"define a value of the world under `augment`, or observe it as `{other}`"
+            finding = replace(finding, headline=headline, help=help)
+        yield finding
 
 
 def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) -> None:

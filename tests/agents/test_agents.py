@@ -261,3 +261,11 @@ def test_a_batch_is_refused_where_other_agents_act_by_themselves(several: Path) 
     program = api.compile(several, overrides=[role, "world.engine=mujoco"]).program
     with pytest.raises(BatchError, match="other agents act by themselves"):
         api.build_batch(program, 8, engine="mujoco")
+
+
+def test_a_value_that_the_robot_of_another_agent_sends_is_named_so(several: Path) -> None:
+    several.write_text(
+        SEVERAL.replace("gap: 0 .. 2 m, speed", "gap: 0 .. 2 m, right.angle: -1 .. 1 rad, speed")
+    )
+    (error,) = [finding for finding in api.lint(several) if finding.severity == "error"]
+    assert error.headline == "`right` sends `angle` to its agent `right`, and not to `left`"
