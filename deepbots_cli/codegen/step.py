@@ -20,7 +20,7 @@ from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
 from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
-from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
 
@@ -83,6 +83,9 @@ def observe_method(supervisor: SupervisorPrinter) -> list[str]:
     printer = supervisor.printer()
     for robot in supervisor.scenario.robots:
         _print_receiving(supervisor, printer, robot)
+    for link in supervisor.scenario.links:
+        heard = [supervisor.local(f"{link.receiver}.{value.name}") for value in link.values]
+        printer.line(f"{targets_code(heard)} = self.{generated.link(link.sender, link.receiver)}.newest()")
     printer.insert_readers_here()
     for entry in supervisor.scenario.signals:
         printer.assign(
@@ -349,9 +352,32 @@ def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Rob
         printer.lines += (
             [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
         )
-    printer.line(f"{channel}.send({controller}.create_message())")
+    links = [link for link in supervisor.scenario.links if link.sender == robot.name]
+    message = f"{controller}.create_message()"
+    if links:
+        local = supervisor.names.identifier(f"message of {robot.name}", robot.name, "message")
+        printer.line(f"{local} = {message}")
+        message = local
+    printer.line(f"{channel}.send({message})")
+    for link in links:
+        _print_telling(supervisor, printer, link, message)
     receive = "receive" if supervisor.scenario.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
+
+
+def _print_telling(supervisor: SupervisorPrinter, printer: Printer, link: Link, message: str) -> None:
+    """Print the statements that send values of a message to another robot; the first of an episode arrives at
+    once."""
+    path = f"self.{generated.link(link.sender, link.receiver)}"
+    drawing = supervisor.printer()
+    _print_draws_of_message(supervisor, drawing, path, link.route)
+    if drawing.lines:
+        printer.lines += (
+            [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+        )
+    sender = next(robot for robot in supervisor.scenario.robots if robot.name == link.sender)
+    names = [entry.name for entry in sender.emitted]
+    printer.line(f"{path}.send({tuple_code([f'{message}[{names.index(name)}]' for name in link.sources])})")
 
 
 def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:

@@ -147,6 +147,9 @@ def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
                 f"self.{generated.channel(robot.name, direction)} = self.{method}({quoted(robot.name)},"
                 f" {quoted(direction)})"
             )
+    for link in supervisor.scenario.links:
+        ends = f"{quoted(link.sender)}, {quoted(link.receiver)}"
+        lines.append(f"self.{generated.link(link.sender, link.receiver)} = self.link({ends})")
     return lines
 
 

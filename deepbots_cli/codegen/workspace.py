@@ -368,6 +368,11 @@ class SupervisorPrinter(ClassPrinter):
             for robot in self.scenario.robots
             for entry in robot.emitted
         }
+        named |= {
+            f"{link.receiver}.{value.name}": value.components
+            for link in self.scenario.links
+            for value in link.values
+        }
         named |= {part.name: part.components for part in self.ranges}
         named["previous_action"] = action_names(self.agent.action)
         if self.agent.goal is not None:
@@ -489,7 +494,8 @@ class SupervisorPrinter(ClassPrinter):
     def _results(self) -> list[str]:
         """Return the results of a timestep: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
-        return [*(entry.name for entry in self.scenario.signals), *sent]
+        heard = (f"{link.receiver}.{value.name}" for link in self.scenario.links for value in link.values)
+        return [*(entry.name for entry in self.scenario.signals), *sent, *heard]
 
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """Return the names that expressions read, with the fields that carry the ages of readings."""

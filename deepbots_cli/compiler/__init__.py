@@ -39,6 +39,7 @@ from deepbots_cli.compiler.agents import (
     models_of_others,
     of_other_agents,
     played_agent,
+    report_foreign_values,
     report_own_names,
     report_role_alone,
     report_unsupported,
@@ -197,6 +198,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_unsupported(document, programs)
     report_own_names(document, programs, divided.sections)
+    report_foreign_values(document, programs, divided.drivers)
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
     tests: tuple[ScenarioTest, ...] = ()
@@ -264,6 +266,8 @@ def _program(namespace: Namespace) -> Program:
         namespace.robots[name] = load_robot(name, robot, namespace)
     actions, goals = Actions(namespace), Goals(namespace)
     builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
+    for builder in builders:
+        builder.define_heard()
     signals = Signals(namespace)
 
     for name in namespace.names_of(Origin.PARAMETER, Origin.FIELD):
@@ -274,6 +278,15 @@ def _program(namespace: Namespace) -> Program:
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
+    between = route("between_robots", namespace)
+    links = tuple(link for builder in builders for link in builder.links(between))
+    if links and each is not None:
+        namespace.values.add_at_key(
+            "DB108",
+            ("robots", links[0].receiver, "hear"),
+            "`hear` together with copies of a robot is not supported yet",
+            "remove it",
+        )
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
@@ -309,6 +322,7 @@ def _program(namespace: Namespace) -> Program:
         disturbances=disturbances(namespace),
         engine=spec.world.engine,
         supplied_by=tuple(spec.deploy.supplied_by.items()) if spec.deploy else (),
+        links=links,
     )
     sending = tuple(
         replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True)

@@ -447,10 +447,11 @@ def _root_of(
         entries[TESTS] = tests.of_agent(agent, section_of_tests)
     robots = entries.get("robots")
     if robots is not None and isinstance(robots.value, MappingNode):
+        heard = set(_heard_robots(robots.value))
         bodies = {
             name: entry
             if drivers.get(name, agent) == agent
-            else Entry(entry.key, _without_controller(entry.value))
+            else Entry(entry.key, _without_controller(entry.value, is_heard=name in heard))
             for name, entry in robots.value.entries.items()
         }
         entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
@@ -492,10 +493,20 @@ def _with_entries(shared: Entry | None, own: Entry) -> Entry:
     return Entry(own.key, replace(own.value, entries={**shared.value.entries, **own.value.entries}))
 
 
-def _without_controller(robot: Node) -> Node:
+def _heard_robots(robots: MappingNode) -> Iterator[str]:
+    """Yield the robots that send values to other robots."""
+    for entry in robots.entries.values():
+        for heard in entries_at(entry.value, "hear").values():
+            if isinstance(heard.value, ScalarNode):
+                yield heard.value.text.partition(".")[0]
+
+
+def _without_controller(robot: Node, *, is_heard: bool) -> Node:
+    """Return a robot of another agent: without a controller, except for what it sends to other robots."""
     if not isinstance(robot, MappingNode):
         return robot
-    kept = {key: entry for key, entry in robot.entries.items() if key not in _CONTROLLER_KEYS}
+    left_out = _CONTROLLER_KEYS - ({"sensors", "emit"} if is_heard else set())
+    kept = {key: entry for key, entry in robot.entries.items() if key not in left_out}
     return replace(robot, entries=kept)
 
 
@@ -535,15 +546,41 @@ def report_own_names(
                 return
 
 
+def report_foreign_values(
+    document: Document, programs: Mapping[str, Program], drivers: Mapping[str, str]
+) -> None:
+    """Report that an agent uses what a robot of another agent sends, or what it hears."""
+    places: set[Span] = set()  # of which an agent that mirrors another one has the same
+    for agent, program in programs.items():
+        for value in program.computed_expressions:
+            names = {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
+            foreign = [name for name in sorted(names) if drivers.get(name.partition(".")[0], agent) != agent]
+            heads = [name.partition(".") for name in foreign if "." in name]
+            if heads and value.span not in places:
+                robot, _, sent = heads[0]
+                headline, help = _foreign_words(robot, sent, drivers[robot], agent)
+                document.findings.add("DB402", value.span, headline, help)
+                places.add(value.span)
+
+
+def _foreign_words(robot: str, value: str, owner: str, agent: str) -> tuple[str, str]:
+    return (
+        f"`{robot}` sends `{value}` to its agent `{owner}`, and not to `{agent}`",
+        "define a value of the world under `augment`, or let a robot of the agent `hear` it",
+    )
+
+
 def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]) -> Iterator[Finding]:
     """Yield the findings of an agent. The help of an unknown name that is a value of a robot of another agent
     says who sends it."""
     for finding in findings:
         robot, dot, value = finding.span.text.partition(".")
         other = drivers.get(robot, agent)
-        if finding.code == "DB402" and dot and other != agent:
-            headline = f"`{robot}` sends `{value}` to its agent `{other}`, and not to `{agent}`"
-            help = f"define a value of the world under `augment`, or observe it as `{other}`"
+        is_written = (
+            f"`{finding.span.text}`" in finding.headline
+        )  # and no name that a mirrored agent has instead
+        if finding.code == "DB402" and dot and other != agent and is_written:
+            headline, help = _foreign_words(robot, value, other, agent)
             finding = replace(finding, headline=headline, help=help)
         yield finding
 

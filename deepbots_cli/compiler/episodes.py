@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 from deepbots_cli.compiler.namespace import (
     Namespace,
@@ -81,8 +82,8 @@ class Parameters(NamespaceReader):
         return Symbol(name, typed.type)
 
 
-def route(direction: Direction, namespace: Namespace) -> Route:
-    """Return the route that `messages.to_robot` or `messages.from_robot` describes."""
+def route(direction: Direction | Literal["between_robots"], namespace: Namespace) -> Route:
+    """Return the route that `messages.to_robot`, `from_robot` or `between_robots` describes."""
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:

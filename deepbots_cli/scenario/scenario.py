@@ -154,6 +154,10 @@ class Robot(Section):
     emit: Emitted | None = None
     """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
     that the supervisor uses."""
+    hear: dict[LocalName, Annotated[str, Reference("reading")]] = {}
+    """Values that other robots send to this one, each under a name that you choose: `{mate_angle: scout.angle}`.
+    They arrive over the channel `messages.between_robots`, at the earliest in the timestep after they were
+    sent."""
     apply: dict[
         Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]
     ] = {}
@@ -195,6 +199,9 @@ class Messages(Section):
     """The channel from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)
     """The channel from the robots to the supervisor."""
+    between_robots: Route = Field(default_factory=Route)
+    """The channels between robots, for `hear`. Their `range` is the distance between the root links of the two
+    robots."""
 
 
 # Task
