@@ -91,6 +91,9 @@ class Analysis:
             for robot in program.robots
             for value in robot.emit
         }
+        self._defined |= {
+            f"{link.receiver}.{value.name}": (value, "") for link in program.links for value in link.values
+        }
         if program.agent.goal is not None:
             self._defined |= {
                 "achieved": (program.agent.goal.achieved, ""),

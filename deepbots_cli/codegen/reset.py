@@ -348,6 +348,9 @@ def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]
         for direction, route in routes.items():
             channel = generated.channel(robot.name, direction)
             yield from ((f"{channel}.{name}", value) for name, value in route.settings)
+    for link in supervisor.scenario.links:
+        path = generated.link(link.sender, link.receiver)
+        yield from ((f"{path}.{name}", value) for name, value in link.route.settings)
 
 
 def _of_message(value: Expression) -> bool:

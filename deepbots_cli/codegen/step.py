@@ -9,7 +9,7 @@ observation. Failure beats success; terminated beats truncated.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.reset import print_draws_of_message, print_redraws, std_attribute
@@ -19,7 +19,8 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
-from deepbots_cli.program.robots import Robot, Route
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
+from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
 
@@ -29,7 +30,11 @@ _SUMMANDS = 100
 def start_method(supervisor: SupervisorPrinter) -> list[str]:
     """Return the method that runs right after a reset."""
     lines = ['"""Observe the start of an episode."""', *supervisor.readers.start_lines()]
-    lines += _zeroed(_terms(supervisor))
+    lines += _zeroed([*_terms(supervisor), *_rewards_of_agents(supervisor)])
+    if supervisor.repeats_actions:
+        lines += _zeroed([supervisor.previous_reward_of(agent) for agent in _previous(supervisor)])
+    lines += [f"{supervisor.ended_of(agent)} = False" for agent in supervisor.agents_alone]
+    lines += _zeroed([supervisor.return_of(agent) for agent in supervisor.agents_that_use(EPISODE_RETURN)])
     lines.append(
         f"self._observe({', '.join(zeros(components) for _, components in supervisor.action_names_read)})"
     )
@@ -49,7 +54,11 @@ def advance_methods(supervisor: SupervisorPrinter) -> list[str]:
     repeat = supervisor.scenario.action_repeat
     if supervisor.uses("previous_reward"):
         printer.line("self.previous_reward = self.reward")
-    printer.lines += _zeroed(["self.reward", *_terms(supervisor)])
+    printer.lines += [
+        f"{supervisor.previous_reward_of(agent)} = {supervisor.reward_of(agent)}"
+        for agent in _previous(supervisor)
+    ]
+    printer.lines += _zeroed(["self.reward", *_terms(supervisor), *_rewards_of_agents(supervisor)])
     printer.line(f"for _ in {'range' if printer.on_floats else 'self.ticks'}({repeat}):")
     printer.line(f"    {'yield from ' if supervisor.is_of_copy else ''}self._tick({', '.join(acting)})")
     printer.lines += (
@@ -74,6 +83,9 @@ def observe_method(supervisor: SupervisorPrinter) -> list[str]:
     printer = supervisor.printer()
     for robot in supervisor.scenario.robots:
         _print_receiving(supervisor, printer, robot)
+    for link in supervisor.scenario.links:
+        heard = [supervisor.local(f"{link.receiver}.{value.name}") for value in link.values]
+        printer.line(f"{targets_code(heard)} = self.{generated.link(link.sender, link.receiver)}.newest()")
     printer.insert_readers_here()
     for entry in supervisor.scenario.signals:
         printer.assign(
@@ -120,6 +132,17 @@ def _zeroed(targets: list[str]) -> list[str]:
 
 def _terms(supervisor: SupervisorPrinter) -> list[str]:
     return [f"self.{generated.term(term.name)}" for term in supervisor.agent.reward]
+
+
+def _previous(supervisor: SupervisorPrinter) -> list[str]:
+    """Return those among several agents that use the reward of the step before."""
+    return supervisor.agents_that_use(PREVIOUS_REWARD)
+
+
+def _rewards_of_agents(supervisor: SupervisorPrinter) -> list[str]:
+    """Return the attributes with the rewards of those among several agents whose rewards are read."""
+    agents = supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN)
+    return [supervisor.reward_of(agent) for agent in agents]
 
 
 # Acting
@@ -232,6 +255,34 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
             printer.lines += with_comment(
                 f"{name} = {f'[{code} for a in {name}]' if interval.components else code}", range_comment
             )
+    for agent in supervisor.agents_alone:
+        _print_rest(supervisor, printer, agent)
+
+
+def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
+    """Print the action of an agent whose episode has ended: the values that are nearest to 0."""
+    first, last = (supervisor.scenario.members[agent].choices, supervisor.scenario.members[agent].ranges)
+    resting: dict[str, str] = {}
+    for part in supervisor.choices[slice(*first)]:
+        still = next((option for option in part.options if not any(option.values)), part.options[0])
+        resting |= {name: repr(value) for name, value in zip(part.variables, still.values, strict=True)}
+    own = set(supervisor.agent.range_names[slice(*last)])
+    for interval in supervisor.ranges:
+        if not own.isdisjoint(interval.names):
+            resting[interval.name] = repr(min(max(0.0, interval.low), interval.high))
+    components = dict(supervisor.variables)
+    ended = supervisor.ended_of(agent)
+    for name, value in resting.items() if printer.on_floats else ():
+        many = len(components[name])
+        resting[name] = f"({value},) * {many}" if many else value
+    if printer.on_floats:
+        settings = [f"    {supervisor.local(name)} = {value}" for name, value in resting.items()]
+        printer.lines += [f"if {ended}:", *settings]
+        return
+    for name, value in resting.items():
+        local = supervisor.local(name)
+        code = f"[np.where({ended}, {value}, a) for a in {local}]"
+        printer.line(f"{local} = {code if components[name] else f'np.where({ended}, {value}, {local})'}")
 
 
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
@@ -301,9 +352,32 @@ def _print_receiving(supervisor: SupervisorPrinter, printer: Printer, robot: Rob
         printer.lines += (
             [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
         )
-    printer.line(f"{channel}.send({controller}.create_message())")
+    links = [link for link in supervisor.scenario.links if link.sender == robot.name]
+    message = f"{controller}.create_message()"
+    if links:
+        local = supervisor.names.identifier(f"message of {robot.name}", robot.name, "message")
+        printer.line(f"{local} = {message}")
+        message = local
+    printer.line(f"{channel}.send({message})")
+    for link in links:
+        _print_telling(supervisor, printer, link, message)
     receive = "receive" if supervisor.scenario.is_direct(robot, "from_robot") else "newest"
     printer.line(f"{targets_code(targets)} = {channel}.{receive}()" if targets else f"{channel}.{receive}()")
+
+
+def _print_telling(supervisor: SupervisorPrinter, printer: Printer, link: Link, message: str) -> None:
+    """Print the statements that send values of a message to another robot; the first of an episode arrives at
+    once."""
+    path = f"self.{generated.link(link.sender, link.receiver)}"
+    drawing = supervisor.printer()
+    _print_draws_of_message(supervisor, drawing, path, link.route)
+    if drawing.lines:
+        printer.lines += (
+            [f"if {supervisor.tick}:", *indent(drawing.lines)] if printer.on_floats else drawing.lines
+        )
+    sender = next(robot for robot in supervisor.scenario.robots if robot.name == link.sender)
+    names = [entry.name for entry in sender.emitted]
+    printer.line(f"{path}.send({tuple_code([f'{message}[{names.index(name)}]' for name in link.sources])})")
 
 
 def _print_tick(supervisor: SupervisorPrinter, printer: Printer) -> None:
@@ -412,26 +486,67 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
             else f"{function_attribute(supervisor, 'ending', ending.name)}(self)"
         )
         printer.assign(supervisor.local(ending.name), code, ending.text)
+    alone = {name for member in supervisor.scenario.members.values() for name in member.alone}
+    endings = tuple(ending for ending in endings if ending.name not in alone)
     failures = [ending for ending in endings if ending.name in supervisor.scenario.failures]
     successes = supervisor.scenario.successes
+    for agent in supervisor.agents_alone:
+        _print_ending_alone(supervisor, printer, agent)
+    word = "if"
     if endings:
-        held = ", ".join(
-            f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
-        )
-        success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
-        ending_line = f"self._terminate({{{held}}}{success})"
+        ending_line = f"self._terminate({_held(supervisor, printer, failures, successes)})"
         any_holds = " or ".join(supervisor.local(ending.name) for ending in endings)
         printer.lines += [f"if {any_holds}:", f"    {ending_line}"] if printer.on_floats else [ending_line]
+        word = "elif"
+    if supervisor.agents_alone and len(supervisor.agents_alone) == len(supervisor.scenario.members):
+        ended = [Code(supervisor.ended_of(agent)) for agent in supervisor.agents_alone]
+        all_ended = printer.operation("and", ended).text
+        printer.lines += (
+            [f"{word} {all_ended}:", "    self._end_with_agents()"]
+            if printer.on_floats
+            else [f"self._end_with_agents({all_ended})"]
+        )
+        word = "elif"
     limit = _tick_limit(supervisor)
     if limit is None:
         return
     reached, name = f"{supervisor.tick} >= {limit[0]}", quoted(limit[1])
     goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
+    goal = "True" if limit[1] in supervisor.agent.success else goal
     if printer.on_floats:
-        printer.lines += [f"{'elif' if endings else 'if'} {reached}:", f"    self._truncate({name})"]
+        printer.lines += [f"{word} {reached}:", f"    self._truncate({name})"]
         printer.lines += [f"    self.is_success = {goal}"] if goal else []
     else:
         printer.line(f"self._truncate({name}, {reached}{f', {goal}' if goal else ''})")
+
+
+def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
+    """Print the end of the episode of one of several agents, while the others go on."""
+    member = supervisor.scenario.members[agent]
+    ended, acts = supervisor.ended_of(agent), supervisor.acts(agent)
+    printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
+    holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
+    failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
+    held = _held(supervisor, printer, failures, member.program.successes)
+    if printer.on_floats:
+        now = printer.operation("and", [Code(acts), holds]).text
+        printer.lines += [f"if {now}:", f"    {ended} = self._end_agent({quoted(agent)}, {held})"]
+    else:
+        printer.line(f"{ended} = self._end_agent({quoted(agent)}, {ended}, {holds.text}, {held})")
+
+
+def _held(
+    supervisor: SupervisorPrinter,
+    printer: Printer,
+    failures: Sequence[Expression],
+    successes: Sequence[Expression],
+) -> str:
+    """Return the code of which endings hold, and whether this is a success."""
+    held = ", ".join(
+        f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
+    )
+    success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
+    return f"{{{held}}}{success}"
 
 
 def _success(
@@ -510,6 +625,7 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
             f"{supervisor.local('ended')} ="
             f" {printer.operation('or', [Code('self.terminated'), Code('self.truncated')]).text}"
         )
+    _print_ends_of_agents(supervisor, printer)
     for term in terms:
         printer.update_memories([term.scalar])
     names = [
@@ -519,19 +635,23 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         for term in terms
     ]
     lines: list[str] = []
+    acting = {
+        term: supervisor.acts(agent)
+        for agent in supervisor.agents_alone
+        for term in supervisor.scenario.members[agent].terms.values()
+    }
     for name, term in zip(names, terms, strict=True):
         code = (
-            printer.value(term.scalar)
-            if term.foreign is None
-            else f"{function_attribute(supervisor, 'reward term', term.name)}(self)"
+            Code(f"{function_attribute(supervisor, 'reward term', term.name)}(self)")
+            if term.foreign is not None
+            else printer.code(term.scalar)
+            if term.name in acting
+            else Code(printer.value(term.scalar))
         )
-        lines += with_comment(f"{name} = {code}", term.text)
-    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the
-    # same.
-    parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
-    for index, part in enumerate(parts):
-        last = index == len(parts) - 1 and not supervisor.repeats_actions
-        lines.append(f"{'self.reward = reward' if last else 'reward'} = {'reward + ' if index else ''}{part}")
+        if term.name in acting:
+            code = printer.operation("where", [Code(acting[term.name]), code, Code("0.0")])
+        lines += with_comment(f"{name} = {code.text}", term.text)
+    lines += _sum_lines("reward", names, "" if supervisor.repeats_actions else "self.reward")
     summing = supervisor.printer()
     if supervisor.repeats_actions:
         for name, term in zip(names, terms, strict=True):
@@ -544,12 +664,57 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
     )
     if supervisor.uses("episode_return"):
         summing.add_in_place("self.episode_return", "reward")
+    _print_rewards_of_agents(
+        supervisor, summing, dict(zip([term.name for term in terms], names, strict=True))
+    )
     lines += summing.lines
     printer.lines += (
         ["if self.step_count:  # there is no reward at the reset", *indent(lines)]
         if printer.on_floats
         else lines
     )
+
+
+def _print_ends_of_agents(supervisor: SupervisorPrinter, printer: Printer) -> None:
+    """Print `terminated` and `ended` of those agents whose episode may end while others go on."""
+    flags = {TERMINATED: ["self.terminated"], ENDED: ["self.terminated", "self.truncated"]}
+    for agent in supervisor.agents_alone:
+        for word, of_all in flags.items():
+            name = joint_name(agent, word)
+            if supervisor.uses(name):
+                ends = [Code(flag) for flag in (*of_all, supervisor.ended_of(agent))]
+                printer.line(f"{supervisor.local(name)} = {printer.operation('or', ends).text}")
+
+
+def _sum_lines(local: str, names: Sequence[str], attribute: str = "") -> list[str]:
+    """Return statements that assign a sum to a local, and at last to an attribute too."""
+    # Python's compiler goes down one level per `+`, so a long sum is taken up in parts; the order is the
+    # same.
+    parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
+    lines = []
+    for index, part in enumerate(parts):
+        is_last = index == len(parts) - 1 and attribute
+        lines.append(
+            f"{f'{attribute} = {local}' if is_last else local} = {f'{local} + ' if index else ''}{part}"
+        )
+    return lines
+
+
+def _print_rewards_of_agents(
+    supervisor: SupervisorPrinter, printer: Printer, names: Mapping[str, str]
+) -> None:
+    """Print the rewards and the returns of those among several agents whose expressions read them. `names` has
+    the code of each term."""
+    returned = supervisor.agents_that_use(EPISODE_RETURN)
+    for agent in supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN):
+        own = [names[term] for term in supervisor.scenario.members[agent].terms.values()]
+        local = supervisor.names.identifier(f"new reward of {agent}", agent, "reward")
+        kept = supervisor.reward_of(agent)
+        printer.lines += _sum_lines(local, own, "" if supervisor.repeats_actions else kept)
+        if supervisor.repeats_actions:
+            printer.add_in_place(kept, local)
+        if agent in returned:
+            printer.add_in_place(supervisor.return_of(agent), local)
 
 
 # Observation
@@ -574,11 +739,10 @@ def _observed(supervisor: SupervisorPrinter, printer: Printer, entry: Observatio
     """Return the code of one or several numbers, as the policy sees them."""
     components = entry.value.components
     # the reward of this step is known here; everywhere else the name means that of the step before
-    code = (
-        "self.reward"
-        if entry.value.scalars == (Name("previous_reward"),)
-        else printer.vector_or_number(components, entry.value.scalars)
-    )
+    last_rewards = supervisor.last_rewards()
+    name = next((value.name for value in entry.value.scalars if isinstance(value, Name)), "")
+    is_reward = name in last_rewards and entry.value.scalars == (Name(name),)
+    code = last_rewards[name] if is_reward else printer.vector_or_number(components, entry.value.scalars)
     star = "*" if components else ""
     if entry.numbers[0].is_truth:
         as_it_is = components or code.replace("_", "").isalnum() or not printer.on_floats
@@ -617,7 +781,8 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
     for part in supervisor.choices:
         if any(option.forbidden is not None for option in part.options):
             allowed = f"self.{generated.allowed(part.name)}"
-            options = [_allowed(printer, option) for option in part.options]
+            ended = _ended_of_choice(supervisor, part.name)
+            options = [_allowed(printer, option, ended) for option in part.options]
             if not printer.on_floats:
                 printer.line(f"self.allow({', '.join([quoted(part.name), *options])})")
                 continue
@@ -627,7 +792,18 @@ def _print_masks(supervisor: SupervisorPrinter, printer: Printer) -> None:
                 printer.line(f"    self._nothing_allowed({quoted(part.name)})")
 
 
-def _allowed(printer: Printer, option: Option) -> str:
+def _ended_of_choice(supervisor: SupervisorPrinter, choice: str) -> str:
+    """Return the attribute that is true if the episode of the agent of a choice has ended while others go on;
+    empty without such an end."""
+    for agent in supervisor.agents_alone:
+        own = supervisor.choices[slice(*supervisor.scenario.members[agent].choices)]
+        if any(part.name == choice for part in own):
+            return supervisor.ended_of(agent)
+    return ""
+
+
+def _allowed(printer: Printer, option: Option, ended: str) -> str:
     if option.forbidden is None:
         return "True"
-    return printer.operation("not", [printer.code(option.forbidden.scalar)]).text
+    allowed = printer.operation("not", [printer.code(option.forbidden.scalar)])
+    return (printer.operation("or", [allowed, Code(ended)]) if ended else allowed).text

@@ -128,6 +128,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         ended=docstring(f"Whether {', and whether '.join(_ends(scenario))}."),
         terms=terms,
         info=info
+        + (', "agent_endings": dict(self.agent_endings)' if supervisor.agents_alone else "")
         + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "")
         + ', "reward_terms": terms',
         asked=asked,
@@ -146,6 +147,9 @@ def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
                 f"self.{generated.channel(robot.name, direction)} = self.{method}({quoted(robot.name)},"
                 f" {quoted(direction)})"
             )
+    for link in supervisor.scenario.links:
+        ends = f"{quoted(link.sender)}, {quoted(link.receiver)}"
+        lines.append(f"self.{generated.link(link.sender, link.receiver)} = self.link({ends})")
     return lines
 
 
@@ -244,7 +248,7 @@ def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
 
 def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -> Printer:
     """Return a printer for these values after the last timestep: the reward of that timestep is known."""
-    printer = Printer(supervisor, settable=supervisor.settable, renamed={"previous_reward": "self.reward"})
+    printer = Printer(supervisor, settable=supervisor.settable, renamed=supervisor.last_rewards())
     used = supervisor.names_read(scalars)
     kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
     printer.lines += [f"{local} = self.{generated.last(local)}" for local in kept]

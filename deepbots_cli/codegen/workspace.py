@@ -17,6 +17,7 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, joint_name
 from deepbots_cli.program.task import action_names
 
 # Readers of the engine
@@ -341,6 +342,11 @@ class SupervisorPrinter(ClassPrinter):
         }
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
         self._components = self._named_components()
+        self._results_of_agents = {
+            joint_name(agent, word): (agent, word)
+            for agent in scenario.members
+            for word in (PREVIOUS_REWARD, EPISODE_RETURN)
+        }
 
     def _values_of_timesteps(self) -> Iterator[Scalar]:
         """Yield the expressions of every timestep, without conditions that forbid options."""
@@ -361,6 +367,11 @@ class SupervisorPrinter(ClassPrinter):
             f"{robot.name}.{entry.name}": entry.components
             for robot in self.scenario.robots
             for entry in robot.emitted
+        }
+        named |= {
+            f"{link.receiver}.{value.name}": value.components
+            for link in self.scenario.links
+            for value in link.values
         }
         named |= {part.name: part.components for part in self.ranges}
         named["previous_action"] = action_names(self.agent.action)
@@ -394,6 +405,49 @@ class SupervisorPrinter(ClassPrinter):
     def local(self, name: str) -> str:
         """Return the local variable with a named value during a timestep."""
         return self.names(name)
+
+    # Of each of several agents
+
+    def agents_that_use(self, *words: str) -> list[str]:
+        """Return the agents of which an expression reads one of these values, such as `previous_reward`."""
+        return [
+            agent
+            for agent in self.scenario.members
+            if any(self.uses(joint_name(agent, word)) for word in words)
+        ]
+
+    def reward_of(self, agent: str) -> str:
+        """Return the attribute with the last reward of an agent."""
+        return self.attribute(self.names.identifier(f"reward of {agent}", "reward", agent))
+
+    def previous_reward_of(self, agent: str) -> str:
+        """Return the attribute with the reward of an agent in the step before."""
+        return self.attribute(self.names.identifier(f"previous reward of {agent}", PREVIOUS_REWARD, agent))
+
+    def last_rewards(self) -> dict[str, str]:
+        """Return the code of the reward of the last timestep, by the name that means it after the timestep."""
+        of_agents = {
+            joint_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
+            for agent in self.agents_that_use(PREVIOUS_REWARD)
+        }
+        return {PREVIOUS_REWARD: "self.reward", **of_agents}
+
+    @property
+    def agents_alone(self) -> list[str]:
+        """Those among several agents whose episode may end while others go on."""
+        return [name for name, member in self.scenario.members.items() if member.alone]
+
+    def ended_of(self, agent: str) -> str:
+        """Return the attribute that is true from the end of the episode of an agent on."""
+        return self.attribute(self.names.identifier(f"ended {agent}", ENDED, agent))
+
+    def acts(self, agent: str) -> str:
+        """Return the local that is true if an agent takes part in a timestep."""
+        return self.names.identifier(f"acts {agent}", agent, "acts")
+
+    def return_of(self, agent: str) -> str:
+        """Return the attribute with the return of an agent."""
+        return self.attribute(self.names.identifier(f"return of {agent}", EPISODE_RETURN, agent))
 
     def parameter(self, name: str) -> str:
         """Return the attribute with a drawn parameter."""
@@ -440,7 +494,8 @@ class SupervisorPrinter(ClassPrinter):
     def _results(self) -> list[str]:
         """Return the results of a timestep: signals, and the fields that robots sent."""
         sent = (f"{robot.name}.{entry.name}" for robot in self.scenario.robots for entry in robot.emitted)
-        return [*(entry.name for entry in self.scenario.signals), *sent]
+        heard = (f"{link.receiver}.{value.name}" for link in self.scenario.links for value in link.values)
+        return [*(entry.name for entry in self.scenario.signals), *sent, *heard]
 
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """Return the names that expressions read, with the fields that carry the ages of readings."""
@@ -482,6 +537,11 @@ class SupervisorPrinter(ClassPrinter):
                 return "self.episode_return"
             case "previous_reward":
                 return "self.previous_reward" if self.repeats_actions else "self.reward"
+        if leaf.name in self._results_of_agents:
+            agent, word = self._results_of_agents[leaf.name]
+            if word == EPISODE_RETURN:
+                return self.return_of(agent)
+            return self.previous_reward_of(agent) if self.repeats_actions else self.reward_of(agent)
         if leaf.component is None:
             return self._whole(leaf.name)
         components = self._parameters.get(leaf.name) or self._components[leaf.name]

@@ -10,7 +10,7 @@ robots.py       robot files and their changes, patterns and groups, quantities o
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
-agents.py       several agents: a scenario for each; joint.py their programs as one
+agents.py       several agents: a scenario for each; joint.py their programs as one, joint_tests.py their tests
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
@@ -37,7 +37,10 @@ from deepbots_cli.compiler.agents import (
     joined_findings,
     joined_program,
     models_of_others,
+    of_other_agents,
     played_agent,
+    report_foreign_values,
+    report_own_names,
     report_role_alone,
     report_unsupported,
     with_sections,
@@ -188,12 +191,22 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     if divided is None:
         return CheckedScenario(document, document.findings)
     agents = {name: check(own, to_train=to_train) for name, own in divided.documents.items()}
-    joined_findings(document.findings, (checked.findings for checked in agents.values()))
+    joined_findings(
+        document.findings,
+        (of_other_agents(own.findings, name, divided.drivers) for name, own in agents.items()),
+    )
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_unsupported(document, programs)
     report_topics_of_no_agent(document, programs.values())
+    report_own_names(document, programs, divided.sections)
+    report_foreign_values(document, programs, divided.drivers)
     is_sound = not document.findings.errors and len(programs) == len(agents)
     program = joined_program(divided, programs) if is_sound else None
+    tests: tuple[ScenarioTest, ...] = ()
+    if program is not None:
+        of_agents = {name: {test.name: test for test in own.tests} for name, own in agents.items()}
+        tests = tuple(divided.tests.joined(program, of_agents))
+    agents = {name: replace(own, tests=divided.tests.about(name, own.tests)) for name, own in agents.items()}
     played = played_agent(document)
     shown = agents[played] if played in agents else next(iter(agents.values()))
     if program is not None and played is not None and shown.namespace is not None:
@@ -208,6 +221,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         {name: robot for checked in agents.values() for name, robot in (checked.robots or {}).items()},
         shown.namespace,
         variants=tuple(agents.values()),
+        tests=tests,
         learner=shown.learner if played is not None else _reasons_of(agents),
         agents={} if played is not None else agents,
     )
@@ -261,6 +275,8 @@ def _program(namespace: Namespace) -> Program:
         namespace.robots[name] = load_robot(name, robot, namespace)
     actions, goals = Actions(namespace), Goals(namespace)
     builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
+    for builder in builders:
+        builder.define_heard()
     signals = Signals(namespace)
 
     for name in namespace.names_of(Origin.PARAMETER, Origin.FIELD):
@@ -271,6 +287,15 @@ def _program(namespace: Namespace) -> Program:
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
+    between = route("between_robots", namespace)
+    links = tuple(link for builder in builders for link in builder.links(between))
+    if links and each is not None:
+        namespace.values.add_at_key(
+            "DB108",
+            ("robots", links[0].receiver, "hear"),
+            "`hear` together with copies of a robot is not supported yet",
+            "remove it",
+        )
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
     poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
@@ -306,6 +331,7 @@ def _program(namespace: Namespace) -> Program:
         disturbances=disturbances(namespace),
         engine=spec.world.engine,
         supplied_by=tuple(spec.deploy.supplied_by.items()) if spec.deploy else (),
+        links=links,
     )
     sending = tuple(
         replace(robot, emit=builder.sent()) for robot, builder in zip(robots, builders, strict=True)
@@ -337,7 +363,7 @@ def _agent(
         observation=observation,
         critic=observations.of_critic(observation),
         reward=rewards,
-        success=tuple(spec.termination.success),
+        success=(*spec.termination.success, *(spec.truncation.success if spec.truncation else ())),
         goal=goals.goal(rewards),
         solved=solved(namespace, limits, timestep),
         frame_stack=spec.agent.frame_stack,

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.joint import joint_program
+from deepbots_cli.compiler.joint_tests import DividedTests
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
@@ -22,11 +23,11 @@ from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Others
-from deepbots_cli.scenario.agent import AgentOfSeveral
+from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
 
-AGENTS, ENDINGS, ROLE, TRAIN = "agents", "endings", "role", "train"
+AGENTS, ENDINGS, ROLE, TRAIN, TRUNCATION = "agents", "endings", "role", "train", "truncation"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
 _SIGNALS, _LIKE = "signals", "like"
@@ -35,7 +36,6 @@ _OWN_OF_MIRROR = frozenset({_LIKE, "robots", "scripts", "solved", TRAIN})
 _KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {_LIKE, "robots", "frame_stack", _SIGNALS}
 _NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
 _REQUIRED = ("action", "observation", "reward")
-_ALL = "all"
 _MODEL_SUFFIX = ".zip"
 BEST_MODEL = "models/agent/best.zip"
 """The best model in the folder of a run."""
@@ -47,22 +47,20 @@ def has_several_agents(document: Document) -> bool:
 
 @dataclass(frozen=True)
 class AgentDocuments:
-    """The scenario of each agent, the agent that drives each robot, the section of each agent, and the agent
-    that one mirrors exactly."""
+    """The scenario of each agent, the agent that drives each robot, the section of each agent, the agent that
+    one mirrors exactly, and the tests."""
 
     documents: Mapping[str, Document]
     drivers: Mapping[str, str]
     sections: Mapping[str, AgentOfSeveral]
     mirrors: Mapping[str, str]
+    tests: DividedTests
 
 
 def divide(document: Document) -> AgentDocuments | None:
     """Return the scenarios of the agents; None after a finding that leaves none."""
     root = document.root
     assert root is not None
-    if (tests := root.entries.get(TESTS)) is not None:
-        headline = "`tests` together with several agents are not supported yet"
-        document.findings.add("DB108", tests.key.span, headline, _NOT_YET)
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
     agents = {
         name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
@@ -74,10 +72,16 @@ def divide(document: Document) -> AgentDocuments | None:
         return None
     drivers = _drivers(document, agents, sections)
     _report_shared_names(document)
+    _check_limits(document, [*sections])
+    tests = DividedTests(
+        root, {name: [*section.scripts] for name, section in sections.items()}, document.findings
+    )
     documents = {
         name: replace(
             document,
-            root=_root_of(root, name, agents[name], drivers, _outcomes(document, name, list(sections))),
+            root=_root_of(
+                root, name, agents[name], drivers, _outcomes(document, name, list(sections)), tests
+            ),
             findings=Findings(document.findings.limit),
             agent=name,
         )
@@ -86,7 +90,7 @@ def divide(document: Document) -> AgentDocuments | None:
     return (
         None
         if document.findings.errors
-        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)))
+        else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)), tests)
     )
 
 
@@ -348,15 +352,14 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
         when = ending.get("when") if isinstance(ending, MappingNode) else None
         if not isinstance(ending, MappingNode) or when is None:
             continue
-        named = {outcome: _named_agents(ending.get(outcome)) for outcome in outcomes}
-        for names in named.values():
-            for other in names:
-                if other.text not in (*agents, _ALL):
-                    _report_unknown(document.findings, other, other.text, "agent", [*agents, _ALL])
-        texts = {outcome: {each.text for each in names} for outcome, names in named.items()}
-        of_agent = [outcome for outcome in outcomes if texts[outcome] & {agent, _ALL}]
-        if len(of_agent) != 1 and not document.findings.errors:
-            _report_outcome(document.findings, entry.key, agent, is_both=bool(of_agent))
+        ends = ending.get("ends")
+        ended = agents if ends is None else _agents_of(ends, agents, agents, document.findings)
+        named = {
+            outcome: _agents_of(ending.get(outcome), ended, agents, document.findings) for outcome in outcomes
+        }
+        of_agent = [outcome for outcome in outcomes if agent in named[outcome]]
+        if not document.findings.errors:
+            _report_outcome(document.findings, entry.key, agent, of_agent, is_ended=agent in ended)
         for outcome in of_agent[:1]:
             outcomes[outcome][name] = Entry(entry.key, when)
     entries = {
@@ -367,21 +370,41 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
     return replace(section, entries=entries)
 
 
-def _report_outcome(findings: Findings, key: ScalarNode, agent: str, *, is_both: bool) -> None:
-    if is_both:
+def _agents_of(node: Node | None, every: list[str], agents: list[str], findings: Findings) -> list[str]:
+    """Return the agents that are named, where `all` names `every` agent of a list; report unknown names."""
+    named = _named_agents(node)
+    for each in named:
+        if each.text not in (*agents, ALL_AGENTS):
+            _report_unknown(findings, each, each.text, "agent", [*agents, ALL_AGENTS])
+    texts = [each.text for each in named]
+    return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in every)]
+
+
+def _report_outcome(
+    findings: Findings, key: ScalarNode, agent: str, outcomes: list[str], *, is_ended: bool
+) -> None:
+    """Report an ending that is not exactly one outcome of an agent whose episode it ends."""
+    if len(outcomes) > 1:
         findings.add(
             "DB202",
             key.span,
             f"`{key.text}` is a success and a failure of `{agent}`",
             f"name `{agent}` under `success` or under `failure`",
         )
-        return
-    findings.add(
-        "DB102",
-        key.span,
-        f"`{key.text}` does not say what it is for the agent `{agent}`",
-        f"name `{agent}` under `success` or `failure`; `all` names all agents",
-    )
+    elif outcomes and not is_ended:
+        findings.add(
+            "DB202",
+            key.span,
+            f"`{key.text}` is a {outcomes[0]} of `{agent}`, whose episode it does not end",
+            f"name `{agent}` under `ends`, or remove it from `{outcomes[0]}`",
+        )
+    elif not outcomes and is_ended:
+        findings.add(
+            "DB102",
+            key.span,
+            f"`{key.text}` does not say what it is for the agent `{agent}`",
+            f"name `{agent}` under `success` or `failure`; `all` names all agents",
+        )
 
 
 def _named_agents(node: Node | None) -> list[ScalarNode]:
@@ -407,6 +430,7 @@ def _root_of(
     section: MappingNode,
     drivers: Mapping[str, str],
     termination: MappingNode | None,
+    tests: DividedTests,
 ) -> MappingNode:
     entries = {key: entry for key, entry in root.entries.items() if key not in _OF_ALL}
     entries |= {key: entry for key, entry in section.entries.items() if key in _KEYS_OF_AGENT}
@@ -418,16 +442,49 @@ def _root_of(
     if (stack := section.entries.get("frame_stack")) is not None:
         settings = Entry(stack.key, replace(section, entries={"frame_stack": stack}))
         entries["agent"] = _with_entries(entries.get("agent"), settings)
+    if (limits := entries.get(TRUNCATION)) is not None and isinstance(limits.value, MappingNode):
+        entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent))
+    if (section_of_tests := entries.get(TESTS)) is not None:
+        entries[TESTS] = tests.of_agent(agent, section_of_tests)
     robots = entries.get("robots")
     if robots is not None and isinstance(robots.value, MappingNode):
+        heard = set(_heard_robots(robots.value))
         bodies = {
             name: entry
             if drivers.get(name, agent) == agent
-            else Entry(entry.key, _without_controller(entry.value))
+            else Entry(entry.key, _without_controller(entry.value, is_heard=name in heard))
             for name, entry in robots.value.entries.items()
         }
         entries["robots"] = Entry(robots.key, replace(robots.value, entries=bodies))
     return replace(root, entries=entries)
+
+
+def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
+    """Return `truncation` as it is for an agent: a limit that is no success of the agent is a plain limit."""
+    entries = {}
+    for name, entry in limits.entries.items():
+        limit = entry.value.get("limit") if isinstance(entry.value, MappingNode) else None
+        if limit is None or not isinstance(entry.value, MappingNode):
+            entries[name] = entry
+            continue
+        named = [each.text for each in _named_agents(entry.value.get("success"))]
+        of_all = ScalarNode(entry.key.span, ALL_AGENTS, ALL_AGENTS)
+        own = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
+        is_success = not {agent, ALL_AGENTS}.isdisjoint(named)
+        entries[name] = Entry(entry.key, replace(entry.value, entries=own) if is_success else limit)
+    return replace(limits, entries=entries)
+
+
+def _key(name: str, place: ScalarNode) -> ScalarNode:
+    return ScalarNode(place.span, name, name)
+
+
+def _check_limits(document: Document, agents: list[str]) -> None:
+    """Report names of agents under `truncation` that do not exist."""
+    for entry in entries_at(document.root, TRUNCATION).values():
+        for named in _named_agents(node_at(entry.value, "success")):
+            if named.text not in (*agents, ALL_AGENTS):
+                _report_unknown(document.findings, named, named.text, "agent", [*agents, ALL_AGENTS])
 
 
 def _with_entries(shared: Entry | None, own: Entry) -> Entry:
@@ -437,35 +494,96 @@ def _with_entries(shared: Entry | None, own: Entry) -> Entry:
     return Entry(own.key, replace(own.value, entries={**shared.value.entries, **own.value.entries}))
 
 
-def _without_controller(robot: Node) -> Node:
+def _heard_robots(robots: MappingNode) -> Iterator[str]:
+    """Yield the robots that send values to other robots."""
+    for entry in robots.entries.values():
+        for heard in entries_at(entry.value, "hear").values():
+            if isinstance(heard.value, ScalarNode):
+                yield heard.value.text.partition(".")[0]
+
+
+def _without_controller(robot: Node, *, is_heard: bool) -> Node:
+    """Return a robot of another agent: without a controller, except for what it sends to other robots."""
     if not isinstance(robot, MappingNode):
         return robot
-    kept = {key: entry for key, entry in robot.entries.items() if key not in _CONTROLLER_KEYS}
+    left_out = _CONTROLLER_KEYS - ({"sensors", "emit"} if is_heard else set())
+    kept = {key: entry for key, entry in robot.entries.items() if key not in left_out}
     return replace(robot, entries=kept)
 
 
 # Results
-
-_OF_ALL_REWARDS = frozenset({"previous_reward", "episode_return"})
 
 
 def report_unsupported(document: Document, programs: Mapping[str, Program]) -> None:
     """Report parts of an agent that only a scenario with one agent may have."""
     for name, program in programs.items():
         agent = program.agent
-        for value in program.computed_expressions:
-            used = _OF_ALL_REWARDS & {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
-            for word in used:
-                document.findings.add(
-                    "DB108",
-                    value.span,
-                    f"`{word}` of one among several agents is not supported yet",
-                    "use the values that the reward is made of",
-                )
         if agent.goal is not None or agent.copies is not None:
             what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
             headline = f"{what} together with several agents is not supported yet"
             document.findings.add("DB108", _key_of(document, name).span, headline, _NOT_YET)
+
+
+def report_own_names(
+    document: Document, programs: Mapping[str, Program], sections: Mapping[str, AgentOfSeveral]
+) -> None:
+    """Report endings of all agents that use a name which is that of one agent alone."""
+    of_each = [{ending.name for ending in program.endings} for program in programs.values()]
+    of_all = set.intersection(*of_each) if of_each else set[str]()
+    for agent, program in programs.items():
+        augmented = sections[agent].augment
+        own = {*sections[agent].signals, *(augmented if isinstance(augmented, Mapping) else ())}
+        own |= {name for part in program.agent.action for name in part.variables}
+        for ending in program.endings:
+            used = own & {leaf.name for scalar in ending.scalars for leaf in names_in(scalar)}
+            if used and ending.name in of_all:
+                document.findings.add(
+                    "DB201",
+                    ending.span,
+                    f"`{min(used)}` is a name of each agent, but `{ending.name}` is an ending of all",
+                    "use a value under `signals` at the top level, or let the ending end the episode of one"
+                    " agent with `ends`",
+                )
+                return
+
+
+def report_foreign_values(
+    document: Document, programs: Mapping[str, Program], drivers: Mapping[str, str]
+) -> None:
+    """Report that an agent uses what a robot of another agent sends, or what it hears."""
+    places: set[Span] = set()  # of which an agent that mirrors another one has the same
+    for agent, program in programs.items():
+        for value in program.computed_expressions:
+            names = {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
+            foreign = [name for name in sorted(names) if drivers.get(name.partition(".")[0], agent) != agent]
+            heads = [name.partition(".") for name in foreign if "." in name]
+            if heads and value.span not in places:
+                robot, _, sent = heads[0]
+                headline, help = _foreign_words(robot, sent, drivers[robot], agent)
+                document.findings.add("DB402", value.span, headline, help)
+                places.add(value.span)
+
+
+def _foreign_words(robot: str, value: str, owner: str, agent: str) -> tuple[str, str]:
+    return (
+        f"`{robot}` sends `{value}` to its agent `{owner}`, and not to `{agent}`",
+        "define a value of the world under `augment`, or let a robot of the agent `hear` it",
+    )
+
+
+def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]) -> Iterator[Finding]:
+    """Yield the findings of an agent. The help of an unknown name that is a value of a robot of another agent
+    says who sends it."""
+    for finding in findings:
+        robot, dot, value = finding.span.text.partition(".")
+        other = drivers.get(robot, agent)
+        is_written = (
+            f"`{finding.span.text}`" in finding.headline
+        )  # and no name that a mirrored agent has instead
+        if finding.code == "DB402" and dot and other != agent and is_written:
+            headline, help = _foreign_words(robot, value, other, agent)
+            finding = replace(finding, headline=headline, help=help)
+        yield finding
 
 
 def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) -> None:

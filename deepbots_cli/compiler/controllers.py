@@ -44,6 +44,7 @@ from deepbots_cli.program.robots import (
     Cartesian,
     Command,
     CustomActuator,
+    Link,
     MessageField,
     Motor,
     Response,
@@ -421,6 +422,7 @@ class RobotBuilder:
         self.poses = poses(self.robot, self.namespace)
         self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
         self.fields: dict[str, Expression] = {}
+        self.heard: dict[str, Expression] = {}
         self.received: dict[str, Expression] = {}
         self._check_names()
         self._define_fields()
@@ -458,6 +460,57 @@ class RobotBuilder:
         for name, place in entries:
             make = partial(self._sensor_field if emit is None else self._field, name, place)
             self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, make)
+
+    def define_heard(self) -> None:
+        """Define the names of what other robots send to this one; call this when all fields are defined."""
+        for name, source in self.robot.spec.hear.items():
+            place = (*self.path, "hear", name)
+            self.namespace.define(
+                f"{self.robot.name}.{name}", Origin.FIELD, place, partial(self._heard, name, source, place)
+            )
+
+    def _heard(self, name: str, source: str, place: NodePath) -> Symbol:
+        full, sender = f"{self.robot.name}.{name}", source.partition(".")[0]
+        namespace = self.namespace
+        if sender == self.robot.name:
+            self.values.add(
+                "DB407",
+                place,
+                f"`{sender}` cannot hear itself",
+                "use the value itself, or that of another robot",
+            )
+            return Symbol(full, None)
+        heard = namespace.definitions.get(source)
+        if heard is not None and heard.path[2:3] == ("hear",):
+            help = "hear the robot that sends the value, or send a value of `emit`"
+            self.values.add("DB407", place, f"`{sender}` hears `{source}`, and does not send it", help)
+            return Symbol(full, None)
+        if namespace.origin(source) is not Origin.FIELD:
+            fields = [
+                each
+                for each in namespace.names_of(Origin.FIELD)
+                if not each.startswith(self.robot.name + ".")
+            ]
+            self.values.report_unknown(self.values.span(place), "value of another robot", source, fields)
+            return Symbol(full, None)
+        symbol = namespace.symbol(source)
+        if symbol is None or symbol.type is None:
+            return Symbol(full, None)
+        typed = Reference(symbol.type, 0, len(source), symbol)
+        self.heard[name] = Expression(
+            name, self.values.span(place), source, typed, f"{self.robot.name}.hear.{name}"
+        )
+        return Symbol(full, symbol.type._replace(known=Known.STEP))
+
+    def links(self, route: Route) -> Iterator[Link]:
+        """Yield the paths of messages from other robots to this one."""
+        for name in self.robot.spec.hear:
+            self.namespace.resolve(f"{self.robot.name}.{name}")
+        senders = dict.fromkeys(value.text.partition(".")[0] for value in self.heard.values())
+        for sender in senders:
+            values = [each for each in self.heard.values() if each.text.partition(".")[0] == sender]
+            own = route.route_for(sender, f"to_{self.robot.name}")
+            yield Link(sender, self.robot.name, tuple(values), own)
 
     def sent(self) -> tuple[Expression, ...]:
         """Return the values that the robot sends; without an `emit`, the sensors that the supervisor uses,

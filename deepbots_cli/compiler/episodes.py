@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 from deepbots_cli.compiler.namespace import (
     Namespace,
@@ -45,11 +46,13 @@ from deepbots_cli.program.robots import Direction, Robot, Route
 from deepbots_cli.program.task import Solved, Truncation
 from deepbots_cli.program.values import Expression, Foreign
 from deepbots_cli.program.world import MAX_SETTLING_STEPS, ObjectBody, WorldModel
-from deepbots_cli.scenario.agent import Measured, PythonTerm
+from deepbots_cli.scenario.agent import ALL_AGENTS, Measured, PythonTerm
+from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import Quantity, choices_help, read_until
 from deepbots_cli.scenario.scenario import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.scenario import JointState
 from deepbots_cli.scenario.scenario import Route as RouteSpec
+from deepbots_cli.scenario.scenario import Truncation as TruncationSpec
 
 
 class Parameters(NamespaceReader):
@@ -79,8 +82,8 @@ class Parameters(NamespaceReader):
         return Symbol(name, typed.type)
 
 
-def route(direction: Direction, namespace: Namespace) -> Route:
-    """Return the route that `messages.to_robot` or `messages.from_robot` describes."""
+def route(direction: Direction | Literal["between_robots"], namespace: Namespace) -> Route:
+    """Return the route that `messages.to_robot`, `from_robot` or `between_robots` describes."""
     spec: RouteSpec = getattr(namespace.scenario.messages, direction)
     values = namespace.values
     if namespace.scenario.messages.format == "none" and spec.model_fields_set:
@@ -639,8 +642,27 @@ def truncation(namespace: Namespace) -> Truncation:
                 "DB803", (key,), "the scenario has no time limit, so an episode could last forever", help
             )
         return Truncation()
-    steps = namespace.fields.fixed(limits, "max_steps")
-    return Truncation(None if steps is None else int(steps), namespace.fields.fixed(limits, "max_time"))
+    steps = namespace.fields.fixed(*_limit(limits, "max_steps"))
+    for name in limits.success:
+        _check_successful(namespace, limits, name)
+    return Truncation(
+        None if steps is None else int(steps), namespace.fields.fixed(*_limit(limits, "max_time"))
+    )
+
+
+def _limit(limits: TruncationSpec, name: str) -> tuple[Section, str]:
+    """Return the section and the key of the value of a limit."""
+    limit = getattr(limits, name)
+    return (limit, "limit") if isinstance(limit, Section) else (limits, name)
+
+
+def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -> None:
+    """Report agents that do not exist: the only agent of a scenario is named by `all`."""
+    path, named = ("truncation", name, "success"), getattr(limits, name).success
+    places = {path: named} if isinstance(named, str) else {(*path, i): each for i, each in enumerate(named)}
+    for place, agent in places.items():
+        if agent != ALL_AGENTS:
+            namespace.values.report_unknown(namespace.values.span(place), "agent", agent, [ALL_AGENTS])
 
 
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
@@ -665,11 +687,7 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
     metric, threshold, episodes = read_until(spec.solved) or ("", 0.0, None)
     if metric == "mean_return":
         return Solved(episodes or 0, mean_return=threshold)
-    if not (
-        spec.termination.success
-        or spec.goal
-        or any(map(values.is_invalid, ("success", "termination", "goal")))
-    ):
+    if not (spec.defines_success or any(map(values.is_invalid, ("success", "termination", "goal")))):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
         help = success_help(limits, timestep, instead, bool(spec.termination.failure))
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)

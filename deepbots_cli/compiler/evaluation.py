@@ -371,7 +371,7 @@ class _VariantCompiler:
             first.setdefault(stage.name, here)
             last = index == len(spec.stages) - 1
             criterion = read_until(stage.until)
-            if criterion and criterion[0] == "success_rate" and not (spec.termination.success or spec.goal):
+            if criterion and criterion[0] == "success_rate" and not spec.defines_success:
                 until = f"until: mean_return >= 100 over {criterion[2]} episodes"
                 help = success_help(
                     self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure)
@@ -524,6 +524,9 @@ class _Reader(NamespaceReader):
         """Return the test; None after an error."""
         errors_before = len(self._values.findings.errors)
         driver = self._actions(spec) if spec.actions is not None else self._driver(spec)
+        if spec.agent is not None:
+            headline = "`agent` of a test belongs to a scenario with several `agents`"
+            self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.stages]
         for word, section, chosen, others in (
             ("case", "cases", spec.case, list(cases)),
@@ -543,6 +546,10 @@ class _Reader(NamespaceReader):
     # Who acts, for how long
 
     def _driver(self, spec: TestSpec) -> str | None:
+        if isinstance(spec.driver, dict):
+            headline = "a driver of each agent belongs to a scenario with several `agents`"
+            self._values.add("DB103", (*spec.path, "driver"), headline, "write one driver")
+            return None
         name, drivers = spec.driver or "", [*self._spec.scripts, *PLAIN_DRIVERS]
         if name not in drivers and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
             self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, drivers)
@@ -617,7 +624,7 @@ class _Reader(NamespaceReader):
 
     def _expected(self, spec: Expectation) -> Iterator[ExpectedResult]:
         ends = self._spec.termination
-        endings = {"success_rate": ends.success or self._spec.goal, "failure_rate": ends.failure}
+        endings = {"success_rate": self._spec.defines_success, "failure_rate": ends.failure}
         for key in _RATE_KEYS:
             if getattr(spec, key) is not None:
                 text = self._values.field(spec, key)

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from deepbots_cli.expressions.scalar import Const, Scalar, renamed
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import JointNames, joint_name, members_of
+from deepbots_cli.program.members import JointNames, endings_alone, joint_name, members_of
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.task import (
     ONLY_AGENT,
@@ -64,7 +64,10 @@ def joint_program(
     }
     together = iter(action_names([*chain.from_iterable(action.values())]))
     names = {
-        name: _joint_names(name, program, specs[name], together, mirrors.get(name))
+        name: replace(
+            _joint_names(name, program, specs[name], together, mirrors.get(name)),
+            ends_alone=bool(endings_alone(name, programs)),
+        )
         for name, program in programs.items()
     }
     renamings = {name: Renaming(program, names[name]) for name, program in programs.items()}
@@ -88,6 +91,7 @@ def joint_program(
         ),
         parameters=_united(program.parameters for program in programs.values()),
         signals=_united(renaming.signals() for renaming in renamings.values()),
+        endings=_united(renaming.endings() for renaming in renamings.values()),
         reset=replace(
             first.reset,
             variations=tuple(
@@ -198,6 +202,10 @@ class Renaming:
     def signals(self) -> Iterator[Expression]:
         """Yield the signals: those of the agent renamed, shared ones as they are."""
         return map(self._names.signal, self._program.signals)
+
+    def endings(self) -> Iterator[Expression]:
+        """Yield the endings; one that ends the episode of this agent alone may use names of the agent."""
+        return (self._names.expression(ending, own=False) for ending in self._program.endings)
 
     def robot(self, robot: Robot) -> Robot:
         """Return a robot that the agent drives: its action variables have other names in its messages, and

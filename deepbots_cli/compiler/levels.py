@@ -187,6 +187,7 @@ class _LevelsReader(NamespaceReader):
         termination, truncation = self._spec.termination, self._spec.truncation
         limits = {limit for limit in LIMITS if getattr(truncation, limit, None) is not None}
         success = {*termination.success, *({SUCCESS} if self._spec.goal else ())}
+        success |= {*truncation.success} if truncation is not None else set()
         failure = {*termination.failure}
         groups = {
             "success": success,

@@ -361,6 +361,12 @@ _CATALOG = (
         "doing nothing earns at least half of what a success earns",
         deep="exploits",
     ),
+    Rule(
+        "DB718",
+        "nearly-zero-sum",
+        "warning",
+        "rewards of two agents that look like a zero-sum game and are none",
+    ),
     Rule("DB801", "never-true", "warning", "an ending that can never be true"),
     Rule("DB802", "always-true", "error", "an ending that is true in every step"),
     Rule("DB803", "no-time-limit", "error", "the scenario has no time limit"),

@@ -39,6 +39,7 @@ from deepbots_cli.rollout.seats import (
 from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.runtime.agents import Place
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
@@ -74,6 +75,7 @@ class JointLearner(Learner):
                 "agents with choices and agents with ranges cannot learn in the same worlds yet; train one"
                 " of them: --agent NAME"
             )
+        self._check_ends(setup)
         program, seen = setup.program, setup.program.with_critic
         self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
         self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
@@ -145,6 +147,19 @@ class JointLearner(Learner):
                     f" `train.teacher`, or train it alone: --agent {name}"
                 )
             learners.class_of(own).check(own)
+
+    def _check_ends(self, setup: Setup) -> None:
+        """Check that agents whose episode may end before that of others learn by an algorithm that supports
+        it."""
+        assert setup.program is not None
+        for name, own in setup.training.agents:
+            alone = setup.program.members[name].alone
+            is_recurrent = ALGORITHMS[own.algorithm].base() == "RecurrentPPO"
+            if alone and (is_recurrent or not learners.class_of(own).learns_from_parts):
+                raise UsageError(
+                    f"`{min(alone)}` ends the episode of `{name}` alone, which {own.algorithm} does not support;"
+                    " use PPO, A2C or MaskablePPO, or let the ending end the episode of all agents"
+                )
 
     @property
     def log(self) -> Any:

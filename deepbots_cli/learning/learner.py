@@ -112,6 +112,8 @@ class Learner(ABC):
     takes_masks = False
     """Whether `predict` uses action masks."""
     takes_callbacks = True
+    learns_from_parts = False
+    """Whether it leaves out the steps in which one of several agents does not take part."""
     """Whether the learner calls the `followers` of `begin`."""
     is_off_policy = False
     """Whether the learner has a replay buffer, so that a step of the training takes much longer than one of

@@ -25,7 +25,7 @@ from deepbots_cli.program import Program, identity
 from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
-from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.rollout.episode import OnEpisode, own_episode
 from deepbots_cli.runtime.agents import Predictor
 
 POLICY = "policy"
@@ -209,8 +209,7 @@ def _both_sides(
     wins = losses = 0
     for done, mine, other in ((as_first, one, two), (as_second, two, one)):
         for episode in done:
-            endings = () if episode.ended_by is None else (episode.ended_by,)
-            won, lost = mine.has_succeeded(endings), other.has_succeeded(endings)
+            won, lost = (own_episode(each, episode).is_success for each in (mine, other))
             wins += won and not lost
             losses += lost and not won
     decided = wins + losses

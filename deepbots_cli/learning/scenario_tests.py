@@ -22,8 +22,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.rollout import Episode, Start, Step, result_of, steps
-from deepbots_cli.rollout.drivers import named_driver, sequence_driver
-from deepbots_cli.rollout.episode import OnEpisode
+from deepbots_cli.rollout.drivers import AgentsDriver, named_driver, sequence_driver
+from deepbots_cli.rollout.episode import Driver, OnEpisode, own_episode
 
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
@@ -83,6 +83,7 @@ def run_tests(
     for (case, stage), group in groupby(sorted(tests, key=setting), setting):
         together = tuple(group)
         chosen = program.variant(case or None, stage or None)
+        chosen = chosen if chosen.others is None else chosen.others.world
         with closing(
             api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)
         ) as environment:
@@ -135,7 +136,9 @@ def _episode(
     `misses`."""
     start = Start.of_evaluation(test.seed, number)
     watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
-    if isinstance(test.driver, str):
+    if test.drivers:
+        driver: Driver = AgentsDriver(environment, test.drivers)
+    elif isinstance(test.driver, str):
         driver = named_driver(environment, test.driver)
     else:
         driver = sequence_driver(
@@ -218,6 +221,9 @@ def _over_episodes(
     program: Program, test: ScenarioTest, done: Sequence[Episode]
 ) -> Iterator[UnmetExpectation]:
     """Yield the requirements that the episodes together do not meet."""
+    if test.agent is not None:
+        member = program.members[test.agent]
+        program, done = member.program, [own_episode(member, episode) for episode in done]
     returns = [episode.total_return for episode in done]
     for expected in test.expected:
         match expected.key:

@@ -181,6 +181,15 @@ class SelfPlayLearner(JointLearner):
             raise UsageError("`self_play` does not support `shards`; leave one of them out")
         super().check(training)
 
+    def _check_ends(self, setup: Setup) -> None:
+        assert setup.program is not None
+        for member in setup.program.members.values():
+            if member.alone:
+                raise UsageError(
+                    f"`{min(member.alone)}` ends the episode of `{member.name}` alone, which `self_play` does"
+                    " not support; let it end the episode of all agents"
+                )
+
     @property
     def _settings(self) -> SelfPlay:
         _, training = self.setup.training.agents[0]

@@ -89,6 +89,7 @@ def make_worlds(
     seeds = [world_seed(run, number) for number in plan.numbers]
     levels = run.program.levels
     agent_terms = {name: [*member.terms.values()] for name, member in run.program.members.items()}
+    agents_alone = [name for name, member in run.program.members.items() if member.alone]
     outcomes: list[list[str]] = [[] for _ in seeds]
 
     def guarded(stage: int) -> FailureRecorder:
@@ -134,6 +135,7 @@ def make_worlds(
             options=options,
             recorder=recorder,
             agent_terms=agent_terms,
+            agents_alone=agents_alone,
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
@@ -147,6 +149,7 @@ def make_worlds(
             next_world=next_world,
             options=options,
             agent_terms=agent_terms,
+            agents_alone=agents_alone,
         )
     stack.callback(env.close)
     return env

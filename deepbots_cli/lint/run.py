@@ -16,6 +16,7 @@ from deepbots_cli.lint import (
     names,
     observations,
     rewards,
+    rivals,
     robots,
     saturation,
     shaping,
@@ -35,6 +36,8 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
     rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
 )
 
+JOINT_RULES = rivals.JOINT_RULES
+
 _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
 
@@ -51,6 +54,12 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         yield from _of_agents(
             [list(static_findings(own, preview=preview)) for own in checked.agents.values()]
         )
+        for joint in JOINT_RULES:
+            yield from exceptions_as_findings(
+                f"the rule {joint.code}",
+                checked.document.source,
+                partial(_found, partial(joint, checked.program)),
+            )
         return
     context = RuleContext(checked, checked.program, checked.namespace)
     cascade = CascadeFilter(checked)

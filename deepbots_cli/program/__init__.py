@@ -46,7 +46,7 @@ from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.levels import Levels
 from deepbots_cli.program.members import Member, Others, members_of
 from deepbots_cli.program.resets import Disturbance, Reset
-from deepbots_cli.program.robots import Direction, Robot, Timing
+from deepbots_cli.program.robots import Direction, Link, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
 from deepbots_cli.program.values import Expression, Foreign, NamedScalars
 from deepbots_cli.program.world import WorldModel
@@ -76,6 +76,7 @@ class Program:
 
     If the scenario has several agents, `members` has them by name, and `agent` has the actions, observations
     and rewards of all of them in a row. The program of one of them has the `others`, who act by themselves.
+    `links` are the messages from robot to robot.
     """
 
     name: str
@@ -104,6 +105,7 @@ class Program:
     levels: Levels | None = None
     members: Mapping[str, Member] = field(default_factory=dict)
     others: Others | None = None
+    links: tuple[Link, ...] = ()
 
     def digest_fields(self) -> dict[str, object]:
         left_out = {"ros", "stored_signals", "supplied_by", "tests"}
@@ -111,6 +113,7 @@ class Program:
         left_out |= {"levels"} if self.levels is None else set()
         left_out |= set() if self.members else {"members"}
         left_out |= {"others"} if self.others is None else set()
+        left_out |= set() if self.links else {"links"}
         return {
             name: value
             for name, value in vars(self).items()

@@ -31,6 +31,11 @@ class Definitions:
         self._followed: dict[str, tuple[Robot | None, Expression | NamedScalars]] = {
             **{value.name: (None, value) for value in (*program.signals, *program.endings)},
             **self.fields,
+            **{
+                f"{link.receiver}.{value.name}": (None, value)
+                for link in program.links
+                for value in link.values
+            },
         }
 
     def nodes(self, trees: Iterable[Scalar]) -> Iterator[Node]:

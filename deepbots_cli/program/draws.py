@@ -150,14 +150,18 @@ class EpisodeDraws:
                 if is_drawn(tree)
             )
         yield from self._of_reset()
-        for spec in self.program.robots:
-            for route in (spec.to_route, spec.from_route):
+        routes = [
+            (spec.name, route) for spec in self.program.robots for route in (spec.to_route, spec.from_route)
+        ]
+        routes += [(link.receiver, link.route) for link in self.program.links]
+        for robot_name, route in routes:
+            if route.settings:
                 lasting = (
                     value
                     for _, value in route.settings
                     if value.redraw is None and not _reads(value, changing)
                 )
-                yield from ((spec.name, entry) for value in lasting for entry in _draws(value))
+                yield from ((robot_name, entry) for value in lasting for entry in _draws(value))
         noises = [
             value.noise for value in (*(entry.value for entry in agent.observation), *self.program.signals)
         ]

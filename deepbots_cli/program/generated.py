@@ -35,6 +35,11 @@ def channel(robot: str, direction: Direction) -> str:
     return f"to_{robot}" if direction == "to_robot" else f"from_{robot}"
 
 
+def link(sender: str, receiver: str) -> str:
+    """Return the name of the path of messages from one robot to another."""
+    return f"{sender}_to_{receiver}"
+
+
 def term(name: str) -> str:
     """Return the name of a term of the last reward."""
     return f"{_TERM}{name}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.expressions.scalar import Name, Scalar, renamed
 from deepbots_cli.program.task import Agent
@@ -31,6 +31,10 @@ def joint_name(agent: str, name: str) -> str:
 
 
 PREVIOUS_ACTION = "previous_action"
+PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
+"""Values of an agent itself: they are made of its own reward terms."""
+TERMINATED, ENDED = "terminated", "ended"
+"""Values of an agent itself if its episode may end while others go on."""
 _OWN_SECTIONS = frozenset({"action", "augment", "critic", "observation", "reward", "scripts"})
 _SIGNALS = "signals"
 
@@ -45,6 +49,7 @@ class JointNames:
         names: Names of its action variables and its own signals, and what they are called there.
         previous: The names of the numbers of its last action, and what they are called there.
         mirrors: The agent that it mirrors.
+        ends_alone: Whether its episode may end while those of other agents go on.
     """
 
     agent: str
@@ -52,6 +57,7 @@ class JointNames:
     names: Mapping[str, str]
     previous: Mapping[str, str]
     mirrors: str | None = None
+    ends_alone: bool = False
 
     def scalars(self, scalars: Iterable[Scalar]) -> tuple[Scalar, ...]:
         return tuple(renamed(scalar, self._name, self._slot) for scalar in scalars)
@@ -74,6 +80,9 @@ class JointNames:
     def _name(self, name: Name) -> Name:
         if name.name == PREVIOUS_ACTION:
             return name._replace(component=self.previous[name.component or next(iter(self.previous))])
+        of_agent = (PREVIOUS_REWARD, EPISODE_RETURN, *((TERMINATED, ENDED) if self.ends_alone else ()))
+        if name.name in of_agent:
+            return name._replace(name=joint_name(self.agent, name.name))
         return name._replace(name=self.names.get(name.name, name.name))
 
     def _slot(self, slot: str) -> str:
@@ -85,6 +94,15 @@ class JointNames:
         section, _, rest = owner.partition(".")
         is_own = section in _OWN_SECTIONS or (section == _SIGNALS and rest.partition(".")[0] in self.signals)
         return f"agents.{self.agent}.{owner}" if is_own else owner
+
+
+class AgentEnding(NamedTuple):
+    """The end of the episode of one of several agents, while those of others went on: the endings that held,
+    whether it was a success, and its last step."""
+
+    endings: tuple[str, ...]
+    is_success: bool
+    step: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +118,7 @@ class Member:
         choices: The first choice of its action among those of all agents, and the one after its last.
         ranges: The first number of its ranges among those of all agents, and the one after its last.
         terms: The names of its reward terms in the program of all agents, by their own names.
+        alone: The names of the endings that end its episode, while those of other agents go on.
     """
 
     name: str
@@ -109,6 +128,7 @@ class Member:
     choices: tuple[int, int]
     ranges: tuple[int, int]
     terms: Mapping[str, str]
+    alone: frozenset[str] = frozenset()
 
     def reward(self, terms: Mapping[str, float]) -> float:
         """Return its reward, given the last value of each term of all agents."""
@@ -171,6 +191,12 @@ def world_of(program: Program, others: Others) -> Program:
     )
 
 
+def endings_alone(agent: str, programs: Mapping[str, Program]) -> frozenset[str]:
+    """Return the names of the endings of an agent that do not end the episode of all agents."""
+    endings = {name: frozenset(e.name for e in program.endings) for name, program in programs.items()}
+    return endings[agent].difference(frozenset.intersection(*endings.values()))
+
+
 def members_of(
     programs: Mapping[str, Program], names: Mapping[str, JointNames], joint: Agent
 ) -> dict[str, Member]:
@@ -194,6 +220,7 @@ def members_of(
             (choices, last_choice),
             (ranges, last_range),
             {term.name: joint_name(name, term.name) for term in agent.reward},
+            endings_alone(name, programs),
         )
         choices, ranges = last_choice, last_range
     return members

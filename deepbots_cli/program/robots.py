@@ -418,8 +418,8 @@ class Route:
         settings = (("latency", self.latency), ("loss", self.loss), ("range", self.range))
         return tuple((name, value) for name, value in settings if value is not None)
 
-    def route_for(self, robot: str, direction: Direction) -> Route:
-        """Return the route of one robot, whose draws have streams of their own."""
+    def route_for(self, robot: str, direction: str) -> Route:
+        """Return the route of one robot in a direction, whose draws have streams of their own."""
         own = {name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings}
         return replace(self, latency=own.get("latency"), loss=own.get("loss"), range=own.get("range"))
 
@@ -565,3 +565,30 @@ class Robot:
         return MessageLayout.from_fields(
             self.name, "from_robot", (*map(MessageField.from_expression, self.emit), *ages)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """The messages from one robot to another.
+
+    Attributes:
+        sender, receiver: The names of the robots.
+        values: What the receiver hears, by its own names: values that the sender sends to the supervisor too.
+        route: Its range is the distance (m) between the root links of the two robots.
+    """
+
+    sender: str
+    receiver: str
+    values: tuple[Expression, ...]
+    route: Route
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The names of the values at the sender."""
+        heads = (names_in(value.scalars[0])[0].name for value in self.values)
+        return tuple(name.partition(".")[2] for name in heads)
+
+    @cached_property
+    def layout(self) -> MessageLayout:
+        fields = tuple(map(MessageField.from_expression, self.values))
+        return MessageLayout.from_fields(self.receiver, "from_robot", fields)

@@ -4,8 +4,8 @@ and evaluation."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
 from typing import Literal, NamedTuple
@@ -415,7 +415,8 @@ class ScenarioTest:
     """Episodes without a trained policy, and the expected results.
 
     The driver is the name of a script, `random`, `zero`, or a sequence of actions. `steps` is the largest
-    number of steps of an episode.
+    number of steps of an episode. Of several agents, `agent` is the one whose results are expected; `drivers`
+    has the name of the driver of each, unless all act by a sequence of actions.
     """
 
     name: str
@@ -427,6 +428,8 @@ class ScenarioTest:
     expected: tuple[ExpectedResult, ...]
     case: str | None = None
     stage: str | None = None
+    agent: str | None = None
+    drivers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def conditions(self) -> tuple[ExpectedResult, ...]:

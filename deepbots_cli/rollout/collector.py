@@ -96,6 +96,9 @@ class Fragment:
         following_starts: Whether an episode begins with them.
         endings: The episodes that ended, each with the number of the step, in the order of steps and rows.
         agent_rewards: The rewards of each of several agents in a world, as `rewards`.
+        agent_phases: The phases of those agents whose episode may end while others go on (`Phase`).
+        taking_part: In the fragment of one of several agents, the steps of its own episodes; None if these are
+            all steps.
     """
 
     observations: Any
@@ -107,6 +110,8 @@ class Fragment:
     following_starts: Array
     endings: Sequence[tuple[int, Ending]]
     agent_rewards: Mapping[str, Array] = field(default_factory=dict)
+    agent_phases: Mapping[str, Array] = field(default_factory=dict)
+    taking_part: Array | None = None
 
 
 class ShardState(NamedTuple):
@@ -200,6 +205,7 @@ class LocalCollector:
         observations, starts = self.begin(), self.starts
         seen, decisions, rewards, begun, endings = [], [], [], [], []
         agent_rewards: list[Mapping[str, Array]] = []
+        agent_phases: list[Mapping[str, Array]] = []
         for number in range(steps):
             decision = actor(observations, starts, self.action_masks() if with_masks else None)
             if lesson is not None:
@@ -212,6 +218,7 @@ class LocalCollector:
                 return None
             rewards.append(step.rewards)
             agent_rewards.append(step.agent_rewards)
+            agent_phases.append(step.agent_phases)
             endings += [(number, ending) for ending in step.endings]
             observations, starts = step.observations, step.dones
         columns = {
@@ -229,6 +236,7 @@ class LocalCollector:
             starts,
             endings,
             {name: np.stack([rewards[name] for rewards in agent_rewards]) for name in agent_rewards[0]},
+            {name: np.stack([phases[name] for phases in agent_phases]) for name in agent_phases[0]},
         )
 
     def taught(self, decision: Decision, lesson: Lesson) -> Decision:
@@ -298,6 +306,10 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
         {
             name: side_by_side([fragment.agent_rewards[name] for fragment in fragments])
             for name in fragments[0].agent_rewards
+        },
+        {
+            name: side_by_side([fragment.agent_phases[name] for fragment in fragments])
+            for name in fragments[0].agent_phases
         },
     )
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.program.members import AgentEnding
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -138,7 +139,8 @@ def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Episode:
-    """A finished episode; `terms` are the reward terms, summed over it.
+    """A finished episode; `terms` are the reward terms, summed over it. `agent_endings` are the ends of the
+    episodes of those among several agents whose episode ended before.
 
     For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in
     SI units by their path in the scenario, such as `parameters.mark` (see `Supervisor.reset`).
@@ -151,6 +153,7 @@ class Episode:
     terms: Mapping[str, float] = field(default_factory=dict)
     seed: int | None = None
     drawn: Mapping[str, float | str] = field(default_factory=dict)
+    agent_endings: Mapping[str, AgentEnding] = field(default_factory=dict)
 
 
 class EpisodeAccumulator:
@@ -162,6 +165,11 @@ class EpisodeAccumulator:
         self._terms: dict[str, float] = {}
         self._seed: int | None = None
         self._drawn: Mapping[str, float | str] = {}
+
+    @property
+    def length(self) -> int:
+        """The number of steps so far."""
+        return self._length
 
     def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
         """Begin an episode with the seed of the reset, and the info that it returned."""
@@ -190,7 +198,10 @@ class EpisodeAccumulator:
     def close(self, info: Mapping[str, Any]) -> Episode:
         """Return the finished episode, given the info of its last step. The next one begins."""
         success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
-        episode = Episode(self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn)
+        ends = info.get("agent_endings", {})
+        episode = Episode(
+            self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn, ends
+        )
         self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
         return episode
 
@@ -214,11 +225,13 @@ def result_of(steps: Iterable[Step], seed: int | None = None) -> Episode:
 
 
 def own_episode(member: Member, episode: Episode) -> Episode:
-    """Return an episode as it was for an agent: its return, its reward terms, and whether it succeeded."""
+    """Return an episode as it was for an agent: its return, its reward terms, its length, and whether it
+    succeeded."""
     terms = {name: episode.terms[joint] for name, joint in member.terms.items() if joint in episode.terms}
+    own = replace(episode, total_return=sum(terms.values()), terms=terms)
+    end = episode.agent_endings.get(member.name)
+    if end is not None:
+        return replace(own, length=end.step, is_success=end.is_success, ended_by=end.endings[0])
     return replace(
-        episode,
-        total_return=sum(terms.values()),
-        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
-        terms=terms,
+        own, is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,))
     )

@@ -24,7 +24,7 @@ from deepbots_cli.rollout.collector import (
     PolicyActor,
 )
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.worlds import Array, Ending, WorldsStep
+from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
 from deepbots_cli.runtime.agents import Place
 from deepbots_cli.runtime.spaces import by_part
 
@@ -103,8 +103,11 @@ class OfferedCollector(FetchingCollector):
 
 def own_ending(place: Place, ending: Ending) -> Ending:
     """Return the last step of an episode as it was for an agent."""
+    has_ended = place.member.name in ending.episode.agent_endings
     return ending._replace(
-        episode=own_episode(place.member, ending.episode), observation=place.observation(ending.observation)
+        episode=own_episode(place.member, ending.episode),
+        observation=place.observation(ending.observation),
+        timed_out=ending.timed_out and not has_ended,
     )
 
 
@@ -131,7 +134,7 @@ class SeatCollector(OfferedCollector):
     def part_of(self, of_all: Fragment) -> Fragment:
         place, name = self._place, self._place.member.name
         return replace(
-            of_all,
+            _own_course(of_all, of_all.agent_phases.get(name)),
             observations=place.observation(of_all.observations),
             actions=place.actions(of_all.actions),
             rewards=of_all.agent_rewards[name],
@@ -139,7 +142,24 @@ class SeatCollector(OfferedCollector):
             following=place.observation(of_all.following),
             endings=[(number, own_ending(place, ending)) for number, ending in of_all.endings],
             agent_rewards={},
+            agent_phases={},
         )
+
+
+def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:
+    """Return a fragment with the episodes of an agent, which may end while others go on. The rest of the
+    episode of the world is an episode in which the agent does not take part."""
+    if phases is None:
+        return of_all
+    ends = phases == Phase.ENDS
+    starts = of_all.starts.copy()
+    starts[1:] |= ends[:-1]
+    return replace(
+        of_all,
+        starts=starts,
+        following_starts=of_all.following_starts | ends[-1],
+        taking_part=phases != Phase.RESTS,
+    )
 
 
 class JointActor:

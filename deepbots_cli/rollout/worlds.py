@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from enum import IntEnum
 from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.rollout.episode import Episode, EpisodeAccumulator, random_state, set_random_state
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
 from deepbots_cli.runtime.spaces import by_part
@@ -42,7 +44,7 @@ class Ending(NamedTuple):
 class WorldsStep(NamedTuple):
     """A step of all rows. The observations are those on which the agents act next. A batch has infos of ended
     episodes only. With several agents in a world, `agent_rewards` are the rewards of each, whose sum is
-    `rewards`."""
+    `rewards`, and `agent_phases` the phases of those whose episode may end while others go on."""
 
     observations: Any
     rewards: Array
@@ -50,6 +52,24 @@ class WorldsStep(NamedTuple):
     infos: list[dict[str, Any]]
     endings: list[Ending]
     agent_rewards: Mapping[str, Array] = {}
+    agent_phases: Mapping[str, Array] = {}
+
+
+class Phase(IntEnum):
+    """The part that one of several agents has in a step."""
+
+    ACTS = 0
+    ENDS = 1
+    """Its episode ends with the step, while others go on."""
+    RESTS = 2
+    """Its episode has ended before."""
+
+    @classmethod
+    def of(cls, end: AgentEnding | None, step: int) -> Phase:
+        """Return the phase in a step of the episode of the world, given the end of that of the agent."""
+        if end is None:
+            return cls.ACTS
+        return cls.ENDS if end.step == step else cls.RESTS
 
 
 AgentTerms = Mapping[str, Sequence[str]]
@@ -93,6 +113,7 @@ class Worlds:
         options: Returns the values that the next episode of a world takes in place of draws, as `options` of
             `reset`.
         agent_terms: The reward terms of each of several agents, for `agent_rewards` of each step.
+        agents_alone: Those among several agents whose episode may end while others go on.
     """
 
     def __init__(
@@ -105,8 +126,9 @@ class Worlds:
         next_world: Callable[[int], tuple[gym.Env[Any, Any], int] | None] = lambda world: None,
         options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
         agent_terms: AgentTerms = ONE_AGENT,
+        agents_alone: Sequence[str] = (),
     ) -> None:
-        self._agent_terms = agent_terms
+        self._agent_terms, self._agents_alone = agent_terms, agents_alone
         self.worlds = [_recorded(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
@@ -158,6 +180,7 @@ class Worlds:
         """Act in all rows."""
         observations: list[Any] = []
         rewards, dones, infos, endings = [], [], [], []
+        lengths: list[int] = []
         for index in range(len(self.worlds)):
             action = (
                 actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
@@ -170,6 +193,7 @@ class Worlds:
                 reward = float(reward)
                 accumulator = self._accumulators[row]
                 accumulator.add(reward, info)
+                lengths.append(accumulator.length)
                 self._on_step()
                 if done:
                     episode = accumulator.close(_own(info, terminated or truncated))
@@ -193,7 +217,14 @@ class Worlds:
                 )
                 for agent, names in self._agent_terms.items()
             },
+            {agent: self._phases(agent, infos, lengths) for agent in self._agents_alone},
         )
+
+    @staticmethod
+    def _phases(agent: str, infos: Sequence[Mapping[str, Any]], steps: Sequence[int]) -> Array:
+        """Return the phase of an agent in each row."""
+        ends = [info["agent_endings"].get(agent) for info in infos]
+        return np.array([Phase.of(end, step) for end, step in zip(ends, steps, strict=True)], np.int8)
 
     def _act(self, index: int, action: Any) -> tuple[list[Outcome], bool]:
         """Make a step of a world. Returns the outcome of each row, and whether the episode is over."""
@@ -343,7 +374,8 @@ class BatchEpisodes:
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
         self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
-        return Episode(total, length, info["is_success"], info["ended_by"], terms, seed, drawn or {})
+        success, ended_by, ends = info["is_success"], info["ended_by"], info.get("agent_endings", {})
+        return Episode(total, length, success, ended_by, terms, seed, drawn or {}, ends)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""
@@ -351,6 +383,13 @@ class BatchEpisodes:
         self.batch.restore(
             histories, lambda acting: self.add(self.batch.rewards(), self.batch.terms(), acting)
         )
+
+
+def _phases_of(batch: BatchSupervisor, agent: str) -> Array:
+    """Return the phase of one of several agents in each row."""
+    ends = batch.agent_ends[agent]
+    phases = np.where(ends.steps == batch.step_count, Phase.ENDS, Phase.RESTS)
+    return np.where(ends.ended, phases, Phase.ACTS).astype(np.int8)
 
 
 class LossRecorder(Protocol):
@@ -376,7 +415,7 @@ class BatchWorlds(Worlds):
             stage.
         options: As for `Worlds`.
         recorder: Keeps the episodes of worlds that fail.
-        agent_terms: As for `Worlds`.
+        agent_terms, agents_alone: As for `Worlds`.
     """
 
     def __init__(
@@ -391,6 +430,7 @@ class BatchWorlds(Worlds):
         options: Callable[[int], Mapping[str, Any] | None] = lambda world: None,
         recorder: LossRecorder | None = None,
         agent_terms: AgentTerms = ONE_AGENT,
+        agents_alone: Sequence[str] = (),
     ) -> None:
         self._build, self._next_seed, self._recorder = build, next_seed, recorder
         self.stages = [0] * len(seeds) if stages is None else stages
@@ -403,6 +443,7 @@ class BatchWorlds(Worlds):
             on_episode=on_episode,
             options=options,
             agent_terms=agent_terms,
+            agents_alone=agents_alone,
         )
         self._term_places = {
             agent: [first.TERMS.index(name) for name in names] for agent, names in agent_terms.items()
@@ -462,6 +503,7 @@ class BatchWorlds(Worlds):
     def step_all(self, actions: Any) -> WorldsStep:
         rewards, dones = np.zeros(self.rows, np.float32), np.zeros(self.rows, bool)
         agent_rewards = {agent: np.zeros(self.rows, np.float32) for agent in self._term_places}
+        phases = {agent: np.zeros(self.rows, np.int8) for agent in self._agents_alone}
         infos: list[dict[str, Any]] = [{}] * self.rows
         ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
         for stage, episodes in self._batches.items():
@@ -475,6 +517,8 @@ class BatchWorlds(Worlds):
             rewards[acting] = outcome.rewards[acting]
             for agent, places in self._term_places.items():
                 agent_rewards[agent][acting] = outcome.terms[places].sum(axis=0)[acting]
+            for agent in self._agents_alone:
+                phases[agent][acting] = _phases_of(episodes.batch, agent)[acting]
             dones[outcome.done] = True
             ended |= {row: (place, outcome, episodes) for place, row in enumerate(outcome.done.tolist())}
         begun: dict[int, list[tuple[int, int | None]]] = {}
@@ -498,7 +542,7 @@ class BatchWorlds(Worlds):
         for stage in [stage for stage in self._batches if stage not in self.stages]:
             self._batches.pop(stage).batch.close()
         self.observations = self._observe()
-        return WorldsStep(self.observations, rewards, dones, infos, endings, agent_rewards)
+        return WorldsStep(self.observations, rewards, dones, infos, endings, agent_rewards, phases)
 
     @contextmanager
     def _recording_failures(self, stage: int) -> Iterator[None]:

@@ -107,6 +107,12 @@ class Seat(Place):
             np.asarray(ranges).tolist() if isinstance(fitting, dict) or not self._choices else [],
         )
 
+    @property
+    def still(self) -> Any:
+        """The first option of each choice, and the middle of each range."""
+        agent = self.member.program.agent
+        return compose_action(self.action_space, [0] * len(agent.choices), [0.0] * len(agent.range_names))
+
     def own_action(self, of_all: Any) -> Any:
         """Return the part of the agent in an action of all agents."""
         choices = of_all["choices"] if isinstance(of_all, dict) else of_all
@@ -134,9 +140,13 @@ class Seat(Place):
     def info(self, of_all: Mapping[str, Any]) -> Info:
         """Return the info of a step as it is for the agent."""
         terms = of_all["reward_terms"]
+        end = of_all.get("agent_endings", {}).get(self.member.name)
+        endings = of_all["endings"] if end is None else end.endings
         own: Info = {
-            **of_all,
-            "is_success": self.member.has_succeeded(of_all["endings"]),
+            **{name: value for name, value in of_all.items() if name != "agent_endings"},
+            "is_success": self.member.has_succeeded(endings) if end is None else end.is_success,
+            "ended_by": of_all["ended_by"] if end is None else end.endings[0],
+            "endings": endings,
             "reward_terms": {name: terms[joint] for name, joint in self.member.terms.items()},
         }
         if "action_mask" in own:
@@ -240,9 +250,29 @@ class AgentEnvironment(gym.Env[Any, Any]):
         }
         actions[self._own] = action
         together = joint_action(self.supervisor, self._seats, actions)
-        self._observed, _, terminated, truncated, info = self.supervisor.step(together)
+        self._observed, _, _, _, info = self.supervisor.step(together)
         self._result = self.seat.reward(info), self.seat.info(info)
-        return self.get_observations(), self.get_reward(), terminated, truncated, self.get_info()
+        return self.get_observations(), self.get_reward(), self.terminated, self.truncated, self.get_info()
+
+    # The end of the episode of the agent, which may be before that of the world
+
+    @property
+    def terminated(self) -> bool:
+        return self.supervisor.terminated or self._own in self.supervisor.agent_endings
+
+    @property
+    def truncated(self) -> bool:
+        return self.supervisor.truncated and self._own not in self.supervisor.agent_endings
+
+    @property
+    def ended_by(self) -> str | None:
+        """The ending that ended the episode; None while it goes on."""
+        name: str | None = self._result[1].get("ended_by")
+        return name
+
+    @property
+    def is_success(self) -> bool:
+        return bool(self._result[1].get("is_success"))
 
     def get_observations(self) -> Any:
         return self.seat.observation(self._observed)
@@ -334,7 +364,7 @@ def driven(world: Supervisor, seat: Seat, driver: str) -> Act:
     """Return who acts for an agent: a script, `random` or `zero`."""
     agent = seat.member.program.agent
     if driver == ZERO:
-        still = compose_action(seat.action_space, [0] * len(agent.choices), [0.0] * len(agent.range_names))
+        still = seat.still
         return lambda _: still
     if driver != RANDOM:
         return lambda _: seat.script(driver)

@@ -22,6 +22,7 @@ from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.geometry import Heights, ground_heights
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
+from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
@@ -33,6 +34,32 @@ __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", 
 
 NOT_FINITE = "not_finite"
 """The name of the end of an episode whose world is no longer finite."""
+
+
+class AgentColumns:
+    """The ends of the episodes of one of several agents, while those of others go on, as columns.
+
+    Attributes:
+        ended: Whether the episode of the agent has ended.
+        steps: The step in which it ended.
+        holds: The endings that held then.
+        success: Whether this was a success.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.ended, self.success = np.zeros(count, bool), np.zeros(count, bool)
+        self.steps, self.holds = np.zeros(count, np.int64), dict[str, Column]()
+
+    def end(self, now: Column, steps: Column, endings: Mapping[str, Any], success: Any) -> None:
+        """Note the ends of this step, in the rows in which there is one `now`."""
+        self.steps, self.success = np.where(now, steps, self.steps), np.where(now, success, self.success)
+        for name, column in endings.items():
+            self.holds[name] = np.where(now, column, self.holds.get(name, False))
+
+    def ending(self, row: int) -> AgentEnding:
+        """Return the end in a row."""
+        held = tuple(name for name, column in self.holds.items() if column[row])
+        return AgentEnding(held, bool(self.success[row]), int(self.steps[row]))
 
 
 class BatchStep(NamedTuple):
@@ -166,6 +193,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             np.zeros(count, bool) for _ in range(4)
         )
         self._holds: dict[str, Column] = {}
+        self.agent_ends: dict[str, AgentColumns] = {}
         self._limit = ""
 
     # Parts that `bind` makes
@@ -341,6 +369,10 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         held = (
             tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
         )
+        alone = self._agent_endings(row)
+        if self.terminated[row] and not held:  # the episode of the last agent has ended
+            last = [end for end in alone.values() if end.step == self.step_count[row]]
+            held = tuple(dict.fromkeys(name for end in last for name in end.endings))
         if self.truncated[row]:
             held = (NOT_FINITE if self.lost[row] else self._limit,)
         terms = {
@@ -353,7 +385,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             "endings": held,
         }
         masks = {"action_mask": self.options.of_space(self.action_space, row)} if self.forbids_options else {}
-        return {**info, **masks, "reward_terms": terms}
+        ends = {"agent_endings": alone} if self.agent_ends else {}
+        return {**info, **ends, **masks, "reward_terms": terms}
 
     @cached_property
     def ground_height(self) -> Heights:
@@ -460,6 +493,28 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         ended = np.logical_or.reduce(list(self._holds.values()))
         self.is_success = where_running(self.running, ended & success, self.is_success)
         self.terminated = where_running(self.running, ended, self.terminated)
+
+    def _end_agent(
+        self, agent: str, ended: Column, ending: Any, endings: dict[str, Any], *, success: Any = False
+    ) -> Column:
+        """End the episodes of one of several agents where an ending of its own holds, while others go on.
+        Returns where they have ended."""
+        now = where_running(self.running, np.broadcast_to(ending, self.count) & ~ended, False)
+        columns = self.agent_ends.setdefault(agent, AgentColumns(self.count))
+        columns.end(now, self.step_count, endings, success)
+        columns.ended = ended | now
+        return columns.ended
+
+    def _end_with_agents(self, reached: Any) -> None:
+        """End the task where the episode of every agent has ended."""
+        now = where_running(self.running, reached & ~self.terminated, False)
+        success = np.logical_and.reduce([columns.success for columns in self.agent_ends.values()])
+        self.terminated = self.terminated | now
+        self.is_success = np.where(now, success, self.is_success)
+
+    def _agent_endings(self, row: int) -> dict[str, AgentEnding]:
+        ends = self.agent_ends.items()
+        return {agent: columns.ending(row) for agent, columns in ends if columns.ended[row]}
 
     def _truncate(self, limit: str, reached: Any, success: Any = None) -> None:
         """Cut the episodes short that reached a limit."""

@@ -258,3 +258,8 @@ class BatchRobots(BatchPart, ABC):
             [getattr(single, attribute) for single in self._singles], self._batch
         )
         return channel
+
+    def link(self, sender: str, receiver: str) -> BatchLossyChannel:
+        """Return the paths of messages from one robot to another."""
+        attribute = generated.link(sender, receiver)
+        return BatchLossyChannel([getattr(single, attribute) for single in self._singles], self._batch)

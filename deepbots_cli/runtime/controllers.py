@@ -138,6 +138,8 @@ class SupervisedRobots(WithMemories):
         self.controllers: dict[str, RobotController] = {}
         self.channels: dict[tuple[str, Direction], Channel | LossyChannel] = {}
         """The paths of messages, by robot and direction."""
+        self.links: dict[tuple[str, str], LossyChannel] = {}
+        """The paths of messages between robots, by sender and receiver."""
 
     def bind(self, engine: Engine) -> None:
         """Take readers from the engine."""
@@ -177,12 +179,35 @@ class SupervisedRobots(WithMemories):
         self.channels[name, direction] = channel
         return channel
 
+    def link(self, sender: str, receiver: str) -> LossyChannel:
+        """Return the path of messages from one robot to another, which take at least a timestep."""
+        spec = next(
+            each for each in self.scenario.links if (each.sender, each.receiver) == (sender, receiver)
+        )
+        here, there = self.engine.pose(sender), self.engine.pose(receiver)
+
+        def apart() -> tuple[tuple[float, float, float], Any]:
+            (a, _), (b, _) = here(), there()
+            return (b[0] - a[0], b[1] - a[1], b[2] - a[2]), None
+
+        channel = LossyChannel(
+            f"{sender}.to_{receiver}",
+            spec.route,
+            self.scenario.world.timestep,
+            1,
+            apart,
+            FieldCodec(spec.layout, self.scenario.format, self._rejected),
+            first_at_once=True,
+        )
+        self.links[sender, receiver] = channel
+        return channel
+
     def _spec(self, name: str) -> Robot:
         return next(robot for robot in self.scenario.robots if robot.name == name)
 
     def begin_robots(self, streams: Streams) -> None:
         """Make controllers, channels and memories forget the last episode."""
-        for part in (*self.controllers.values(), *self.channels.values()):
+        for part in (*self.controllers.values(), *self.channels.values(), *self.links.values()):
             part.begin(streams)
         self.clear_memories()
 

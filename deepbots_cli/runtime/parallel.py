@@ -20,7 +20,8 @@ DRAWS = "draws"
 class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # PettingZoo has no types
     """All agents of a scenario, which act at the same time.
 
-    An episode ends for all agents at once. `infos[agent]` has `is_success`, `ended_by`, `endings` and
+    An episode ends for all agents at once, unless an ending ends that of some agents alone: these are then no
+    longer among `agents`, and their robots stop. `infos[agent]` has `is_success`, `ended_by`, `endings` and
     `reward_terms`, and `action_mask` if the action of the agent has choices that may be forbidden.
 
     Attributes:
@@ -71,19 +72,21 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         """
         if not self.agents:
             raise UsageError("call reset() before step()")
-        together = joint_action(self.world, self._seats, actions)
+        acting = list(self.agents)
+        resting = {name: seat.still for name, seat in self._seats.items() if name not in acting}
+        together = joint_action(self.world, self._seats, {**actions, **resting})
         self._observed, _, terminated, truncated, info = self.world.step(together)
-        ended = (
-            dict.fromkeys(self.possible_agents, terminated),
-            dict.fromkeys(self.possible_agents, truncated),
-        )
-        if terminated or truncated:
-            self.agents = []
+        alone = self.world.agent_endings
+        ends = {name: terminated or name in alone for name in acting}
+        cuts = {name: truncated and name not in alone for name in acting}
+        self.agents = [name for name in acting if not (ends[name] or cuts[name])]
+        observations = self._observations()
         return (
-            self._observations(),
-            {name: seat.reward(info) for name, seat in self._seats.items()},
-            *ended,
-            {name: seat.info(info) for name, seat in self._seats.items()},
+            {name: observations[name] for name in acting},
+            {name: self._seats[name].reward(info) for name in acting},
+            ends,
+            cuts,
+            {name: self._seats[name].info(info) for name in acting},
         )
 
     def state(self) -> Any:

@@ -17,6 +17,7 @@ from deepbots_cli.errors import EndsAtResetError, EvaluationError, UsageError
 from deepbots_cli.geometry import Height, ground_height
 from deepbots_cli.port import Engine, View
 from deepbots_cli.program import Program, generated
+from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.runtime.controllers import SupervisedRobots
 from deepbots_cli.runtime.failures import infinite_reward, without_option, without_value
 from deepbots_cli.runtime.formulas import clip
@@ -139,10 +140,11 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             self.fill_frames()
         except (ArithmeticError, ValueError, NameError) as error:
             raise without_value(error, self.engine, self.step_count) from error
-        if self.terminated:
+        alone = [name for end in self.agent_endings.values() for name in end.endings]
+        if self.terminated or alone:
             raise EndsAtResetError(
-                f"the ending '{self.ended_by}' is already true at reset (seed {self.streams.root}); change"
-                " the start or the ending"
+                f"the ending '{self.ended_by or alone[0]}' is already true at reset (seed {self.streams.root});"
+                " change the start or the ending"
             )
         self._go_on = self._advance
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
@@ -301,6 +303,23 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         self.endings = tuple(name for name, holds in endings.items() if holds)
         self.ended_by = self.endings[0]
 
+    def _end_agent(self, agent: str, endings: Mapping[str, bool], *, success: bool = False) -> bool:
+        """End the episode of one of several agents by the endings that hold, while others go on. Returns
+        True."""
+        held = tuple(name for name, holds in endings.items() if holds)
+        self.agent_endings[agent] = AgentEnding(held, success, self.step_count)
+        return True
+
+    def _end_with_agents(self) -> None:
+        """End the task, since the episode of every agent has ended."""
+        ends = self.agent_endings.values()
+        newest = max(end.step for end in ends)
+        last = [end for end in ends if end.step == newest]
+        self.terminated = True
+        self.is_success = all(end.is_success for end in ends)
+        self.endings = tuple(dict.fromkeys(name for end in last for name in end.endings))
+        self.ended_by = self.endings[0]
+
     def _truncate(self, limit: str) -> None:
         """Cut the episode short at a limit."""
         self.truncated = True
@@ -317,6 +336,8 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
         self.terminated = self.truncated = self.is_success = False
         self.ended_by = None
         self.endings = ()
+        self.agent_endings: dict[str, AgentEnding] = {}
+        """The ends of the episodes of agents, while those of others go on."""
         self.episode_values = {}
         self._view.restart()
 

@@ -141,6 +141,8 @@ Observation = dict[
 
 # Several agents
 
+ALL_AGENTS = "all"
+"""The word that names all agents."""
 AgentName = Annotated[str, Reference("agent")]
 AgentNames = Annotated[Annotated[Many[AgentName], Size(1, "agent")] | AgentName, FORMS]
 
@@ -180,10 +182,13 @@ class AgentOfSeveral(Section):
 
 
 class Ending(Section):
-    """A condition that ends the task of all agents, and what it is for each of them."""
+    """A condition that ends the task of agents, and what it is for each of them."""
 
     when: Condition
     """The condition."""
+    ends: AgentNames = ALL_AGENTS
+    """The agents whose episode ends: names, or `all`. Others go on; the episode of the world ends with that of
+    the last agent."""
     success: AgentNames = ()
     """The agents that have then succeeded: names, or `all`."""
     failure: AgentNames = ()

@@ -11,6 +11,8 @@ from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.agent import (
     Action,
     Agent,
+    AgentName,
+    AgentNames,
     AgentOfSeveral,
     Augmentation,
     Choice,
@@ -152,6 +154,10 @@ class Robot(Section):
     emit: Emitted | None = None
     """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
     that the supervisor uses."""
+    hear: dict[LocalName, Annotated[str, Reference("reading")]] = {}
+    """Values that other robots send to this one, each under a name that you choose: `{mate_angle: scout.angle}`.
+    They arrive over the channel `messages.between_robots`, at the earliest in the timestep after they were
+    sent."""
     apply: dict[
         Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]
     ] = {}
@@ -193,6 +199,9 @@ class Messages(Section):
     """The channel from the supervisor to the robots."""
     from_robot: Route = Field(default_factory=Route)
     """The channel from the robots to the supervisor."""
+    between_robots: Route = Field(default_factory=Route)
+    """The channels between robots, for `hear`. Their `range` is the distance between the root links of the two
+    robots."""
 
 
 # Task
@@ -225,15 +234,43 @@ class Termination(Section):
     over success."""
 
 
+MaxSteps = Annotated[Scalar, Quantity("number", minimum=1, whole=True)]
+MaxTime = Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)]
+
+
+class StepLimit(Section):
+    """A number of steps at which an agent has succeeded."""
+
+    limit: MaxSteps
+    """Maximum number of steps of the agent."""
+    success: AgentNames
+    """The agents that have then succeeded: names, or `all`. With one agent: `all`."""
+
+
+class TimeLimit(Section):
+    """A time at which an agent has succeeded."""
+
+    limit: MaxTime
+    """Maximum simulated time."""
+    success: AgentNames
+    """The agents that have then succeeded: names, or `all`. With one agent: `all`."""
+
+
 class Truncation(Section):
     """Limits that are not part of the task: the episode is `truncated`."""
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("max_steps", "max_time"), min=1, max=2),)
 
-    max_steps: Annotated[Scalar, Quantity("number", minimum=1, whole=True)] | None = None
-    """Maximum number of steps of the agent."""
-    max_time: Annotated[Scalar, Quantity("time", minimum=0, exclusive=True)] | None = None
-    """Maximum simulated time, such as `60 s`."""
+    max_steps: Annotated[StepLimit | MaxSteps, FORMS] | None = None
+    """Maximum number of steps of the agent; `{limit: 200, success: all}` is also a success of agents."""
+    max_time: Annotated[TimeLimit | MaxTime, FORMS] | None = None
+    """Maximum simulated time, such as `60 s`; `{limit: 60 s, success: all}` is also a success of agents."""
+
+    @property
+    def success(self) -> tuple[str, ...]:
+        """The limits that are a success."""
+        limits = {"max_steps": self.max_steps, "max_time": self.max_time}
+        return tuple(name for name, limit in limits.items() if isinstance(limit, StepLimit | TimeLimit))
 
 
 class Case(Section):
@@ -281,6 +318,7 @@ class Tune(Section):
 
 # Tests
 
+DriverName = Annotated[str, Reference("driver")]
 FixedAction = dict[
     Annotated[str, Reference("action")],
     Annotated[dict[Annotated[str, Reference("choice")], Choice] | Choice, FORMS],
@@ -320,11 +358,16 @@ class ScenarioTest(Section):
         KeyCount(("case", "stage")),
     )
 
-    driver: Annotated[str, Reference("driver")] | None = None
-    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each
-    choice)."""
+    agent: AgentName | None = None
+    """Of several agents, the one whose results are expected, and whose names conditions may use. Default: the
+    first one."""
+    driver: Annotated[dict[AgentName, Annotated[str, Reference("driver")]] | DriverName, FORMS] | None = None
+    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice).
+    Of several agents, the driver of each: `{hunter: chase, prey: zero}`; an agent without one acts by its
+    script of the common name, else by its first script, else at random."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
-    """Actions of the first steps; the episode stops after the last of them."""
+    """Actions of the first steps; the episode stops after the last of them. Of several agents, the action of
+    each: `{hunter: {gas: 1}, prey: {gas: 0}}`; an agent without one does nothing in this step."""
     episodes: Annotated[int, WholeNumber(1, 1000)] = 1
     """Number of episodes."""
     seed: Annotated[int, WholeNumber(0, 1_000_000_000)] = 0
@@ -592,6 +635,12 @@ class Scenario(Section):
     def stages(self) -> tuple[Stage, ...]:
         """The stages of the curriculum; none if it has levels."""
         return () if isinstance(self.curriculum, Levels) else self.curriculum
+
+    @property
+    def defines_success(self) -> bool:
+        """Whether an ending, a goal or a limit is a success."""
+        is_limit = self.truncation is not None and bool(self.truncation.success)
+        return bool(self.termination.success) or self.goal is not None or is_limit
 
     @property
     def levels(self) -> Levels | None:

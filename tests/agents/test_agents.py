@@ -195,7 +195,6 @@ def test_pettingzoo_accepts_the_environment(several: Path) -> None:
             "does not say what it is for the agent `left`",
         ),
         ("role.agent=middle", "there is no agent `middle`"),
-        ("agents.left.reward.upright=previous_reward", "`previous_reward` of one among several agents"),
         ("agents.left.signals={apart: 1 m}", "`apart` of `left` is already a signal of all agents"),
         ("observation.gap=0 .. 1 m", "`observation` at the top level cannot be combined with `agents`"),
     ],
@@ -216,12 +215,6 @@ def test_a_batch_of_worlds_shows_what_single_worlds_show(several: Path) -> None:
             actions = generator.uniform(-1, 1, (3, 2)).astype(np.float32)
             seen = batch.step(actions)[0]
             assert seen[1].tolist() == single.step(actions[1])[0].tolist()
-
-
-def test_tests_of_several_agents_are_refused_and_not_left_out(several: Path) -> None:
-    several.write_text(SEVERAL + "tests: {rests: {driver: zero, expect: {failure_rate: 0}}}\n")
-    errors = [finding.headline for finding in api.lint(several) if finding.severity == "error"]
-    assert errors == ["`tests` together with several agents are not supported yet"]
 
 
 def test_the_options_of_a_command_replace_the_role_of_the_file(
@@ -268,3 +261,11 @@ def test_a_batch_is_refused_where_other_agents_act_by_themselves(several: Path) 
     program = api.compile(several, overrides=[role, "world.engine=mujoco"]).program
     with pytest.raises(BatchError, match="other agents act by themselves"):
         api.build_batch(program, 8, engine="mujoco")
+
+
+def test_a_value_that_the_robot_of_another_agent_sends_is_named_so(several: Path) -> None:
+    several.write_text(
+        SEVERAL.replace("gap: 0 .. 2 m, speed", "gap: 0 .. 2 m, right.angle: -1 .. 1 rad, speed")
+    )
+    (error,) = [finding for finding in api.lint(several) if finding.severity == "error"]
+    assert error.headline == "`right` sends `angle` to its agent `right`, and not to `left`"

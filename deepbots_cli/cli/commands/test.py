@@ -27,6 +27,7 @@ from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.executor import results
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
+from deepbots_cli.program.task import ScenarioTest
 from deepbots_cli.runtime.streams import derive_seed
 
 
@@ -161,12 +162,20 @@ def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options:
     """Return the command that shows the episode of a miss, with the options of this one."""
     test, episode = result.test, miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
-    where = " ".join([quote(scenario), *settings, *options])
+    where = " ".join([quote(scenario), *settings, *options, *_acting_options(test)])
     if isinstance(test.driver, str):
         return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
     actions = ",".join(action.text for action in test.driver)
     seed = derive_seed(test.seed, "evaluation", episode)
     return f"deepbots try {where} --driver={actions} --steps {len(test.driver)} --episodes 1 --seed {seed}"
+
+
+def _acting_options(test: ScenarioTest) -> list[str]:
+    """Return the options that let the other agents act as in a test of several agents."""
+    if not test.drivers:
+        return []
+    others = [f"--against {name}={driver}" for name, driver in test.drivers.items() if name != test.agent]
+    return [f"--agent {test.agent}", *others]
 
 
 def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from operator import attrgetter, methodcaller
 from typing import Any, Literal
 
+import numpy as np
+
 from deepbots_cli.rollout.worlds import Array
 
 # Counters of an algorithm, as checkpoints name them; each algorithm has some of them.
@@ -138,6 +140,26 @@ def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
         yield
     finally:
         del buffer._get_samples
+
+
+@contextmanager
+def samples_chosen(buffer: Any, chosen: Array) -> Iterator[None]:
+    """Context in which a rollout buffer returns only chosen samples (truth values, steps x rows)."""
+    usual, numbers = buffer.get, np.flatnonzero(chosen.T)
+
+    def get(batch_size: int | None = None) -> Iterator[Any]:
+        if not buffer.generator_ready:
+            next(usual(1))  # it flattens the arrays
+        order = np.random.permutation(numbers)
+        size = batch_size or len(order)
+        for first in range(0, len(order), size):
+            yield buffer._get_samples(order[first : first + size])
+
+    buffer.get = get
+    try:
+        yield
+    finally:
+        del buffer.get
 
 
 def update_returns(normalizer: Any, rewards: Array) -> None:

@@ -325,10 +325,13 @@ class OnPolicyLearner(StableLearner):
     """The learner of PPO, A2C, MaskablePPO and RecurrentPPO, which learn from the experience of the present
     policy."""
 
+    learns_from_parts = True
+
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._shown = None if self._demonstrations is None else Lessons(self.model, self._demonstrations)
         self._taught: Array | None = None
+        self._taking_part: Array | None = None
         self._lessons: Lessons | None = None
         rate = self.model.learning_rate
         self._adaptive_rate = rate if isinstance(rate, algorithms.DivergenceRate) else None
@@ -367,6 +370,7 @@ class OnPolicyLearner(StableLearner):
             if self.setup.training.staleness and isinstance(collector, ShardedCollector):
                 collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
+            self._taking_part = fragment.taking_part
             self._taught = fragment.columns.get("taught")
             if self.setup.teacher is not None and self._plan.weight:
                 self._taught = self.setup.teacher.actions(fragment.observations)
@@ -395,11 +399,20 @@ class OnPolicyLearner(StableLearner):
             count = model.num_timesteps // (model.n_steps * model.n_envs)
             if count % self._log_interval == 0:
                 model.dump_logs(count)
-            with self._imitation():
-                model.train()
+            if self._taking_part is None or self._taking_part.any():
+                with self._imitation(), self._samples():
+                    model.train()
         divergence = model.logger.name_to_value.get("train/approx_kl")
         if self._adaptive_rate is not None and divergence is not None:
             self._adaptive_rate.follow(divergence)
+
+    def _samples(self) -> AbstractContextManager[None]:
+        """Return the context in which the algorithm learns from the steps in which the agent took part."""
+        buffer = self.model.rollout_buffer
+        if self._taking_part is None:
+            return nullcontext()
+        images = buffer.n_envs // self.model.n_envs  # with mirror images, the buffer has twice as many rows
+        return internals.samples_chosen(buffer, np.tile(self._taking_part, images))
 
     def _imitation(self) -> AbstractContextManager[None]:
         """Return the context of an update: with a teacher, or with mirror images."""

@@ -1,0 +1,194 @@
+"""Tests of a scenario with several agents.
+
+A test is about one agent, whose results it expects. It is compiled in the scenario of each agent, with the
+driver or the actions of that agent there; the expectations are compiled in that of its own agent. The parts
+are then joined to a test of the program of all agents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
+
+from deepbots_cli.diagnostics import Findings
+from deepbots_cli.document import Entry, MappingNode, Node, ScalarNode, SequenceNode
+from deepbots_cli.document.load import TESTS
+from deepbots_cli.document.nodes import entries_at
+from deepbots_cli.program import Program
+from deepbots_cli.program.members import RANDOM, ZERO, Member
+from deepbots_cli.program.task import ActionPart, ActionRange, FixedAction, ScenarioTest
+from deepbots_cli.scenario.fields import choices_help
+
+_AGENT, _DRIVER, _ACTIONS, _EXPECT = "agent", "driver", "actions", "expect"
+_NOTHING = "mean_return"
+"""The key of an expectation that stands for those of another agent."""
+
+
+class DividedTests:
+    """The tests of a file, divided among its agents.
+
+    Args:
+        root: The file.
+        scripts: The names of the scripts of each agent.
+        findings: Takes names of agents and drivers that do not exist.
+    """
+
+    def __init__(self, root: MappingNode, scripts: Mapping[str, Sequence[str]], findings: Findings) -> None:
+        self._written, self._scripts, self._findings = entries_at(root, TESTS), scripts, findings
+        self._agents = [*scripts]
+        for entry in self._written.values():
+            self._check(entry)
+
+    def owner(self, test: str) -> str:
+        """Return the agent that a test is about."""
+        node = _get(self._written[test].value, _AGENT)
+        return node.text if isinstance(node, ScalarNode) else self._agents[0]
+
+    def of_agent(self, agent: str, section: Entry) -> Entry:
+        """Return the section `tests` as it is for an agent."""
+        assert isinstance(section.value, MappingNode)
+        entries = {
+            name: Entry(entry.key, self._part(name, agent, entry.key, entry.value))
+            for name, entry in section.value.entries.items()
+            if isinstance(entry.value, MappingNode)
+        }
+        return Entry(section.key, replace(section.value, entries=entries))
+
+    def _part(self, test: str, agent: str, name: ScalarNode, written: MappingNode) -> MappingNode:
+        entries = {key: entry for key, entry in written.entries.items() if key != _AGENT}
+        if _DRIVER in entries:
+            entries[_DRIVER] = Entry(entries[_DRIVER].key, self._driver(agent, written))
+        elif _ACTIONS in entries:
+            own = [_get(step, agent) for step in _steps(written)]
+            first = next((item for item in own if item is not None), None)
+            key = entries.pop(_ACTIONS).key
+            if first is None:
+                entries[_DRIVER] = Entry(_scalar(key, _DRIVER), _scalar(key, ZERO))
+            else:  # a step without an action has any one, which is left out again in the joined test
+                items = tuple(first if item is None else item for item in own)
+                entries[_ACTIONS] = Entry(key, SequenceNode(key.span, items))
+        if agent != self.owner(test) and _EXPECT in entries:
+            expected = {_NOTHING: Entry(_scalar(name, _NOTHING), name._replace(text="0", value=0))}
+            entries[_EXPECT] = Entry(entries[_EXPECT].key, MappingNode(name.span, expected))
+        return replace(written, entries=entries)
+
+    def _driver(self, agent: str, written: MappingNode) -> ScalarNode:
+        """Return the driver of an agent: its script of the name that all agents share, else its first script,
+        else `random`."""
+        node, own = written.get(_DRIVER), self._scripts[agent]
+        of_agent = _get(node, agent)
+        if isinstance(of_agent, ScalarNode):
+            return of_agent
+        if isinstance(node, ScalarNode) and node.text in (*own, RANDOM, ZERO):
+            return node
+        return _scalar(written.entries[_DRIVER].key, next(iter(own), RANDOM))
+
+    def _check(self, entry: Entry) -> None:
+        if not isinstance(entry.value, MappingNode):
+            return
+        agent, driver = entry.value.get(_AGENT), entry.value.get(_DRIVER)
+        keys = [step for step in (driver, *_steps(entry.value)) if isinstance(step, MappingNode)]
+        names = [each.key for mapping in keys for each in mapping.entries.values()]
+        names += [agent] if isinstance(agent, ScalarNode) else []
+        self._report_unknown(names, "agent", self._agents)
+        if isinstance(driver, ScalarNode):
+            every = dict.fromkeys(name for own in self._scripts.values() for name in own)
+            self._report_unknown([driver], "script", [*every, RANDOM, ZERO])
+        for step in _steps(entry.value):
+            if isinstance(step, ScalarNode):
+                self._findings.add(
+                    "DB103",
+                    step.span,
+                    "one action for several agents",
+                    f"write `{{{', '.join(f'{name}: ...' for name in self._agents)}}}`",
+                )
+
+    def _report_unknown(self, nodes: Iterable[ScalarNode], what: str, names: Sequence[str]) -> None:
+        for node in nodes:
+            if node.text not in names:
+                headline = f"there is no {what} `{node.text}`"
+                self._findings.add("DB201", node.span, headline, choices_help(node.text, names))
+
+    def about(self, agent: str, tests: Iterable[ScenarioTest]) -> tuple[ScenarioTest, ...]:
+        """Return the tests that are about an agent."""
+        return tuple(test for test in tests if self.owner(test.name) == agent)
+
+    # The tests of all agents
+
+    def joined(
+        self, program: Program, tests: Mapping[str, Mapping[str, ScenarioTest]]
+    ) -> Iterator[ScenarioTest]:
+        """Yield the tests of the program of all agents, given those of each agent by name."""
+        for name in self._written:
+            owner = self.owner(name)
+            parts = {agent: own[name] for agent, own in tests.items() if name in own}
+            if len(parts) < len(self._agents):
+                continue
+            drivers = {agent: part.driver for agent, part in parts.items() if isinstance(part.driver, str)}
+            joint = _about(parts[owner], program.members[owner])
+            if written := _steps_of(self._written[name]):
+                actions = tuple(_joint_actions(program.members, parts, written))
+                yield replace(joint, driver=actions, steps=min(joint.steps, len(actions)))
+            else:
+                yield replace(joint, drivers=drivers)
+
+
+def _about(test: ScenarioTest, member: Member) -> ScenarioTest:
+    """Return a test of one agent with the names of the program of all."""
+    expected = tuple(
+        replace(
+            each,
+            condition=None if each.condition is None else member.names.expression(each.condition, own=False),
+            compared=tuple(member.names.expression(value, own=False) for value in each.compared),
+        )
+        for each in test.expected
+    )
+    return replace(test, expected=expected, agent=member.name)
+
+
+def _joint_actions(
+    members: Mapping[str, Member], parts: Mapping[str, ScenarioTest], steps: Sequence[Node]
+) -> Iterator[FixedAction]:
+    """Yield the actions of all agents, given those of each in the steps in which it has one."""
+    own = {name: part.driver for name, part in parts.items() if not isinstance(part.driver, str)}
+    resting = {name: _resting(member.program.agent.action) for name, member in members.items()}
+    for number, step in enumerate(steps):
+        actions = [resting[name] if _get(step, name) is None else own[name][number] for name in members]
+        yield FixedAction(
+            tuple(chain.from_iterable(action.choices for action in actions)),
+            tuple(chain.from_iterable(action.ranges for action in actions)),
+            ":".join(action.text for action in actions),
+        )
+
+
+def _resting(action: Sequence[ActionPart]) -> FixedAction:
+    """Return the first option of each choice, and the middle of each range."""
+    choices, ranges, words = list[int](), list[float](), list[str]()
+    for part in action:
+        if isinstance(part, ActionRange):
+            ranges += [0.0] * len(part.names)
+            words += ["0"] * len(part.names)
+        else:
+            choices.append(0)
+            words.append(part.options[0].name)
+    return FixedAction(tuple(choices), tuple(ranges), ":".join(words))
+
+
+def _steps_of(test: Entry) -> tuple[Node, ...]:
+    return _steps(test.value) if isinstance(test.value, MappingNode) else ()
+
+
+def _steps(test: MappingNode) -> tuple[Node, ...]:
+    """Return the actions of a test, one for each step."""
+    actions = test.get(_ACTIONS)
+    return actions.items if isinstance(actions, SequenceNode) else ()
+
+
+def _get(node: Node | None, key: str) -> Node | None:
+    return node.get(key) if isinstance(node, MappingNode) else None
+
+
+def _scalar(place: ScalarNode, text: str) -> ScalarNode:
+    """Return a text at the place of a key."""
+    return ScalarNode(place.span, text, text)

@@ -1,0 +1,108 @@
+"""Rules about several agents together: rewards of two agents that compete."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+from itertools import combinations
+from math import isclose, prod
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics import Finding, Label
+from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.lint.context import LintRule, rule
+from deepbots_cli.program import Program
+from deepbots_cli.program.members import Member
+from deepbots_cli.program.values import Expression
+
+JointRule = LintRule[Program, Finding]
+"""A rule about the program of all agents."""
+
+
+class Multiple(NamedTuple):
+    """A value as a number times something; two values with the same something are multiples of each other.
+    It is None for a constant."""
+
+    factor: float
+    of: Hashable
+
+
+@rule("DB718")
+def nearly_zero_sum(program: Program) -> Iterator[Finding]:
+    """Two agents get opposite multiples of the same value that do not cancel."""
+    if not program.has_rivals:
+        return
+    for one, two in combinations(program.members.values(), 2):
+        for mine, other in _opposite_terms(one, two):
+            (a, first), (b, second) = mine, other
+            yield Finding(
+                "DB718",
+                second.span,
+                f"`{second.name}` of `{two.name}` pays {_number(b)} where `{first.name}` of `{one.name}` pays"
+                f" {_number(a)}, so the rewards of the two do not add up to zero",
+                f"write {_number(-a)} here if one agent should gain what the other loses",
+                labels=(Label(first.span, "the same value for the other agent"),),
+            )
+
+
+def _opposite_terms(
+    one: Member, two: Member
+) -> Iterator[tuple[tuple[float, Expression], tuple[float, Expression]]]:
+    """Yield pairs of terms of two agents that are opposite multiples of the same value, with the multiples,
+    unless they cancel."""
+    others = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(two)}
+    for multiple, term in _multiples(one):
+        if multiple.of in others:
+            factor, other = others[multiple.of]
+            opposite = multiple.factor * factor < 0.0
+            if opposite and not isclose(multiple.factor, -factor, rel_tol=1e-9):
+                yield (multiple.factor, term), (factor, other)
+
+
+def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
+    """Yield the terms of an agent as multiples, without constant ones; its own names are replaced by their
+    expressions."""
+    own: dict[tuple[str, str | None], Scalar] = {}
+    for signal in map(member.names.signal, member.program.signals):
+        parts = signal.components or (None,)
+        own |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
+    for term in member.program.agent.reward:
+        if term.foreign is None:
+            multiple = multiple_of(member.names.expression(term, own=False).scalar, own)
+            if multiple.of is not None:
+                yield multiple, term
+
+
+def multiple_of(tree: Scalar, own: Mapping[tuple[str, str | None], Scalar]) -> Multiple:
+    """Return a value as a multiple. `own` has the expressions of signals."""
+    match tree:
+        case Const(value=value):
+            return Multiple(float(value), None)
+        case Name(name, component) if (name, component) in own:
+            return multiple_of(own[name, component], own)
+        case Op("neg", (value,)):
+            inner = multiple_of(value, own)
+            return inner._replace(factor=-inner.factor)
+        case Op("mul", args):
+            parts = [multiple_of(part, own) for part in args]
+            rest = tuple(part.of for part in parts if part.of is not None)
+            of = rest[0] if len(rest) == 1 else ("mul", rest)
+            return Multiple(prod(part.factor for part in parts), of if rest else None)
+        case Op("div", (value, Const(value=divisor))) if divisor:
+            inner = multiple_of(value, own)
+            return inner._replace(factor=inner.factor / float(divisor))
+        case Op("where", (condition, value, Const(value=0.0))):
+            inner = multiple_of(value, own)
+            return Multiple(inner.factor, ("where", multiple_of(condition, own), inner.of))
+        case Op(op, args):
+            return Multiple(1.0, (op, tuple(multiple_of(part, own) for part in args)))
+        case State(function, args):  # each call has a memory of its own, at a place of its own
+            return Multiple(1.0, (function, tuple(multiple_of(part, own) for part in args)))
+        case Name() | EngineRead() | Draw():
+            return Multiple(1.0, tree)
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
+
+
+JOINT_RULES: tuple[JointRule, ...] = (nearly_zero_sum,)

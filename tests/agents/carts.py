@@ -1,0 +1,36 @@
+"""Two carts as two agents: the scenario that tests of several agents change."""
+
+from __future__ import annotations
+
+CARTS = """\
+deepbots: 1
+name: Carts
+world: {timestep: 32 ms, arena: {size: 4 4 m}}
+robots:
+  left:
+    urdf: cartpole
+    sensors: {angle: {type: joint_position, joint: pole_hinge}}
+    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
+    apply: {wheels: drive * 5 rad/s}
+  right:
+    urdf: cartpole
+    pose: {y: 1 m}
+    sensors: {angle: {type: joint_position, joint: pole_hinge}}
+    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
+    apply: {wheels: drive * 5 rad/s}
+signals: {apart: "distance(left, right)"}
+agents:
+  left:
+    robots: [left]
+    action: {drive: -1 .. 1}
+    augment: {speed: velocity(left).x}
+    observation: {left.angle: -1 .. 1 rad, speed: -1 .. 1 m/s}
+    reward: {upright: cos(left.angle), near: -0.1 * apart / m}
+    scripts: {lean: {drive: 5 * left.angle / rad}, ahead: {drive: 1}}
+  right: {like: left, robots: [right]}
+endings:
+  left_fell:  {when: tilt(left.pole) > 30 deg, success: right, failure: left}
+  right_fell: {when: tilt(right.pole) > 30 deg, success: left, failure: right}
+truncation: {max_steps: 60}
+reset: {joints: {left.pole_hinge: uniform(-5 .. 5 deg), right.pole_hinge: uniform(-5 .. 5 deg)}}
+"""
