@@ -243,23 +243,24 @@ def parallel_env(
     """Return a scenario with several agents as a `pettingzoo.ParallelEnv`, which steps them together.
 
     Args:
-        engine, render_mode: As for `make`.
+        engine: As for `make`.
+        render_mode: None, `rgb_array`, or `human`: a window shows each step.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
         UsageError: The scenario has only one agent; use `make`.
-        MissingExtraError: PettingZoo is not installed.
+        MissingExtraError: PettingZoo is not installed, or matplotlib, which shows the window.
     """
     compiled = compile(source, overrides=overrides, permissions=permissions)
     if not compiled.program.members:
         raise UsageError(f"{compiled.program.name} has only one agent; use deepbots_cli.make")
     try:
-        from deepbots_cli.runtime.parallel import ParallelEnvironment
+        from deepbots_cli.runtime.parallel import HUMAN, RGB_ARRAY, ParallelEnvironment
     except ModuleNotFoundError as error:
         raise MissingExtraError("agents", "an environment of PettingZoo") from error
-    return ParallelEnvironment(
-        make(compiled, permissions=permissions, engine=engine, render_mode=render_mode)
-    )
+    of_world = RGB_ARRAY if render_mode == HUMAN else render_mode
+    world = make(compiled, permissions=permissions, engine=engine, render_mode=of_world)
+    return ParallelEnvironment(world, render_mode)
 
 
 def make_vec(
