@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program.members import Others
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.agents import Predictor
     from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.forward_pass import Predictor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
 
@@ -303,6 +303,27 @@ def build_batch(
     program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()
 ) -> BatchSupervisor:
     """Return the supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
+    if program.others is None:
+        return _build_batch(program, count, engine, fixed)
+    from deepbots_cli.program.members import world_of
+
+    world = _build_batch(
+        world_of(program, program.others), count, engine, fixed, scripts=program.others.scripts
+    )
+    from deepbots_cli.runtime.agent_batch import AgentBatch
+
+    # It has the interface of a batch, for one agent.
+    return cast("BatchSupervisor", AgentBatch(world, program, _policies_of(program.others)))
+
+
+def _build_batch(
+    program: Program,
+    count: int,
+    engine: str,
+    fixed: tuple[str, ...],
+    scripts: tuple[str, ...] = (),
+) -> BatchSupervisor:
+    """Return the supervisor of `count` worlds, which computes these scripts."""
     if not 1 <= count <= MAX_WORLDS:
         raise UsageError(f"a batch of {count} worlds cannot be made; from 1 to {MAX_WORLDS} are possible")
     try:
@@ -316,7 +337,9 @@ def build_batch(
 
     name, mark = class_name(program.name), digest(program)[:12]
     of_batch = load_module(
-        generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>"
+        generate_module(program, "batch", scripts),
+        f"deepbots_batch_{name}",
+        f"<deepbots {name} {mark} batch>",
     )
     of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
     kinds = vars(of_one)[f"{name}Supervisor"], vars(of_batch)[f"{name}Batch"]
@@ -353,12 +376,14 @@ class Builder:
         return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
 
-def _policy_of(others: Others, agent: str) -> Predictor:
-    """Return the policy that acts for an agent beside the one that is trained."""
+def _policies_of(others: Others) -> dict[str, Predictor]:
+    """Return the policies that act for agents beside the one that is trained."""
+    if not others.models:
+        return {}
     from deepbots_cli.plugins import import_attribute
 
-    policy: Predictor = import_attribute("deepbots_cli.learning.rivals:load_rival")(others, agent)
-    return policy
+    load = import_attribute("deepbots_cli.learning.rivals:load_rival")
+    return {name: load(others, name) for name in others.models}
 
 
 def build(
@@ -408,7 +433,7 @@ def build(
         )
         builder = Builder(program, permissions, fixed)
         rebuild = partial(builder, engine=engine, render_mode=render_mode)
-        policies = {name: _policy_of(program.others, name) for name in program.others.models}
+        policies = _policies_of(program.others)
         # It has the interface of a supervisor, for one agent.
         return cast("Supervisor", AgentEnvironment(world, program, rebuild, policies))
     engine = engine_kinds.chosen(engine or program.engine)

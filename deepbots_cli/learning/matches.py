@@ -26,7 +26,7 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.runtime.agents import Predictor
+from deepbots_cli.runtime.forward_pass import Predictor
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""

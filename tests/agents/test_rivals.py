@@ -17,6 +17,7 @@ from deepbots_cli.errors import RunError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.matches import play_matches
 from deepbots_cli.learning.run import Run
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from tests.agents.test_joint_training import SHARED, written
 from tests.worlds import RAIL
@@ -49,7 +50,8 @@ def test_the_policy_of_a_run_acts_for_the_other_agent(trained: Path) -> None:
         for step in range(20):
             assert own.tolist() == observed["left"].tolist()
             action = np.array([np.sin(step)], np.float32)
-            right, _ = policy.predict(observed["right"][None], deterministic=True)
+            rows = np.repeat(observed["right"][None], FORWARD_BATCH_SIZE, axis=0)
+            right, _ = policy.predict(rows, deterministic=True)
             own, reward, *_ = world.step(action)
             observed, rewards, *_ = all_agents.step({"left": action, "right": right[0]})
             assert reward == pytest.approx(rewards["left"])
