@@ -93,6 +93,17 @@ class Rating(NamedTuple):
     deviation: float
 
 
+class PoolGames(NamedTuple):
+    """The recent games of a policy against a past version of itself, from after so many `steps`.
+
+    A game counts half each time that a version has joined the pool since.
+    """
+
+    steps: int
+    wins: float
+    losses: float
+
+
 class RunResult(BaseModel):
     """The result of a training, or its progress so far.
 
@@ -114,6 +125,7 @@ class RunResult(BaseModel):
         inexact: Reasons why a resumed training differs from one without interruption.
         agents: The mean return of each of several agents in the recent episodes; empty for one agent.
         ratings: The ratings of a policy that played against past versions of itself.
+        pool_games: Its games against the versions in the pool at the end, the oldest version first.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -141,6 +153,7 @@ class RunResult(BaseModel):
     confirmed_seed: int | None = None
     agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
     ratings: tuple[Rating, ...] = Field(default=(), exclude_if=lambda ratings: not ratings)
+    pool_games: tuple[PoolGames, ...] = Field(default=(), exclude_if=lambda games: not games)
 
     @property
     def confirmed_at(self) -> SolvedAt | None:

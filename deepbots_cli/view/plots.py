@@ -3,6 +3,7 @@ seeds."""
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import textwrap
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.directories import run_folders
-from deepbots_cli.learning.episodes import KeptNames, read_evaluations, read_log
+from deepbots_cli.learning.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
@@ -231,9 +232,9 @@ def _read_tensorboard(path: Path) -> TrainingLog:
     return log
 
 
-def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
+def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
     """Return the episodes of a training and its evaluations, both in order. A last line that is half written
-    is left out.
+    is left out. Of several agents, `agent` is the one whose returns and successes are read.
 
     Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes`
     (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values of the
@@ -250,6 +251,12 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
         nonlocal letters
         for row in read_log(path):
             numbers = [float(row[name]) for name in ("steps", "r", "l", "is_success")]
+            if agent:
+                if AGENTS_COLUMN not in row:
+                    raise RunError(
+                        f"the log of {run} has no returns of each agent; an older version wrote it"
+                    )
+                numbers[1], numbers[3] = map(float, json.loads(row[AGENTS_COLUMN])[agent])
             if not all(map(math.isfinite, numbers)) or numbers[0] < 0:
                 raise ValueError("a number is not finite, or a step is negative")
             newest.append(row.get("drawn") or "")
@@ -260,10 +267,10 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
 
     try:
         table = np.fromiter(episodes(), _EPISODE_COLUMNS)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
     table["drawn"][len(table) - len(newest) :] = newest
-    return table.view(np.recarray), read_evaluations(run)
+    return table.view(np.recarray), read_evaluations(run, agent)
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:
