@@ -219,11 +219,12 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
     causes: list[Statement] = []
     for training in read_trainings(Run.open(run)):
         name = f"{training.agent}: " if training.agent else ""
-        causes += [replace(each, text=f"{name}{each.text}") for each in _causes_after(training, permissions)]
+        causes += [replace(each, text=f"{name}{each.text}") for each in causes_of(training, permissions)]
     return causes
 
 
-def _causes_after(training: TrainingEvidence, permissions: Permissions) -> list[Statement]:
+def causes_of(training: TrainingEvidence, permissions: Permissions = Permissions()) -> list[Statement]:
+    """Return the causes of a training that has ended, as `causes_after` does."""
     if has_learned(training):
         causes = (
             [] if training.verdict.solved is not False and training.decline is None else diagnose(training)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from deepbots_cli.program.members import Member
+
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # points of a curve
 # Per curve and stage. Without a limit, the means of 20 endings over a million episodes take 400 MB.
@@ -135,7 +137,16 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
     return logs
 
 
-def _read_run(path: Path, window: int) -> TrainingLog:
+def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog:
+    """Read the log of a run as it is for one of its several agents.
+
+    Raises:
+        RunError: The run is damaged, or an older version wrote it, which did not log each agent.
+    """
+    return _read_run(path, window, member)
+
+
+def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
     teacher = teacher_of(path)
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""  # a recording is no part of the scenario
@@ -143,7 +154,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log = TrainingLog(
         path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher
     )
-    episodes, evaluations = logs_of(path)
+    episodes, evaluations = logs_of(path, "" if member is None else member.name)
     if not len(episodes):
         raise RunError(f"{path} contains no finished episode yet; plot it later")
     log.stages = stage_starts(record, episodes)
@@ -157,7 +168,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         if share.any()
     }
     if quoted := quoted_evaluation(path, record):
-        log.evaluation = quoted[1]
+        log.evaluation = quoted[1] if member is None else quoted[1].of_agent(member.name)
         best = record.result.best_model if record.result else None
         steps = quoted[1].model_steps if quoted[1].model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
@@ -171,7 +182,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         )
         log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
-    log.decline = decline_of(path, record)
+    log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")
     finite = {
         tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()
@@ -180,6 +191,10 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log.terms = {
         tag.removeprefix("reward/"): curve for tag, curve in curves.items() if tag.startswith("reward/")
     }
+    if member is not None:
+        names = {joint: term for term, joint in member.terms.items()}
+        log.terms = {names[name]: curve for name, curve in log.terms.items() if name in names}
+        return log
     log.agents = {
         tag.removesuffix(_AGENT_RETURNS): curve
         for tag, curve in curves.items()

@@ -152,3 +152,22 @@ def test_a_log_without_the_agents_is_refused_with_the_reason(hopeless: Path, tmp
     (run / "monitor.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(RunError, match="an older version wrote it"):
         read_trainings(Run.open(run))
+
+
+def test_a_report_has_the_figures_and_the_causes_of_each_agent(
+    hopeless: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser")
+    page, figures = tmp_path / "run.html", tmp_path / "figures"
+    words = ["report", str(hopeless), "-o", str(page), "--no-clips", "--episodes", "3", "--json"]
+    assert main([*words, "--figures", str(figures)]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["agents"]["right"]["causes"][0]["cause"] == "rival_too_strong"
+    assert "success rate 0.0%" in data["agents"]["right"]["result"]
+    names = {file.stem for file in figures.glob("*-*.png")}
+    assert names == {
+        f"{agent}-{name}" for agent in ("left", "right") for name in ("returns", "shares", "actions")
+    } | {"left-successes"}
+    text = page.read_text()
+    assert "<h2>left</h2>" in text
+    assert "The rival is too strong" in text
