@@ -62,6 +62,11 @@ class BestModel(BaseModel):
     evaluation_seed: int | None = Field(default=None, ge=0, lt=2**63)
 
     @property
+    def label(self) -> str:
+        """`newest` for the model of agents that compete, which have no best one, else `best`."""
+        return "newest" if self.chosen_by == "newest" else "best"
+
+    @property
     def text(self) -> str:
         """The origin of the model, such as `after 35,288 steps, by success rate on new starts`."""
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
@@ -70,7 +75,7 @@ class BestModel(BaseModel):
         if self.chosen_by == "hand":
             return f"{after}chosen by hand"
         if self.chosen_by == "newest":
-            return f"{after}the newest one, because the agents compete"
+            return f"{after}because the agents compete and have no best one"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
         where = (
@@ -367,7 +372,7 @@ class EvaluationRecord(Evaluation, frozen=True):
         of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
         against = "" if self.against is None else f" against {self.against}"
         return (
-            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from evaluation seed"
             f" {self.seed}{in_parentheses(self.remarks)}"
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
 from deepbots_cli.learning.records import PoolGames
 from deepbots_cli.learning.run import Run
+from deepbots_cli.view.episodes import Showing
+from deepbots_cli.view.players import open_player
 from tests.agents.test_joint_training import SHARED, written
 
 HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late: {when: step > 13")
@@ -171,3 +174,22 @@ def test_a_report_has_the_figures_and_the_causes_of_each_agent(
     text = page.read_text()
     assert "<h2>left</h2>" in text
     assert "The rival is too strong" in text
+
+
+def test_the_model_of_agents_that_compete_is_called_the_newest(
+    hopeless: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", str(hopeless), "--episodes", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "run (newest, after 768 steps)" in shown
+    assert "2 held-out starts from evaluation seed 1, which no training uses" in shown
+    assert main(["runs", str(hopeless)]) == 0
+    assert " newest " in capsys.readouterr().out
+
+
+def test_the_caption_of_a_picture_names_the_agent_that_succeeds(hopeless: Path) -> None:
+    pytest.importorskip("viser")
+    player = open_player(Showing(str(hopeless)).open())
+    with closing(player):
+        last = [*player.episode(1, 0)][-1]
+    assert last.ending == "success of left: late"

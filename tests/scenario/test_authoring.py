@@ -121,7 +121,7 @@ def test_a_scenario_of_several_agents_is_changed_in_python() -> None:
 
 def test_without_agents_the_sections_of_one_agent_are_required() -> None:
     with pytest.raises(ValidationError, match="reward"):
-        Scenario(**{**cartpole().model_dump(exclude_unset=True, exclude={"reward"})})
+        Scenario(**cartpole().model_dump(exclude_unset=True, exclude={"reward"}))
 
 
 def test_a_file_with_mistakes_is_not_read(tmp_path: Path) -> None:

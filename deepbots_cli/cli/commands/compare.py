@@ -143,7 +143,7 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         where = ""
     yield (
         f"{where}{comparison.episodes:,} held-out episode{'' if comparison.episodes == 1 else 's'} of each"
-        f" run, from seed {comparison.seed}"
+        f" run, from evaluation seed {comparison.seed}"
     )
     has_success = all(group.success_defined for group in comparison.groups)
     yield table([_row(group, success_defined=has_success) for group in comparison.groups])
@@ -170,7 +170,9 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
     count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
     return {
         "group": group.name,
-        "model": ", ".join(dict.fromkeys(result.model for result in group.evaluations)),
+        "model": ", ".join(
+            dict.fromkeys(records.shown_model(result.run, result.model) for result in group.evaluations)
+        ),
         "after_steps": _range(
             [result.model_steps for result in group.evaluations if result.model_steps is not None]
         ),

@@ -445,7 +445,7 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
         {"evaluations": [each.as_json() for each in evaluations], "differences": pairs},
         f"evaluation of {first.scenario} in {len(evaluations)} engines, trained in"
         f" {run.record.engine}{scenario}",
-        f"  {records.held_out(first.episodes)} from seed {first.seed}, the same in every engine",
+        f"  {records.held_out(first.episodes)} from evaluation seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
         *(f"{each.result.engine}: {each.result.verdict}" for each in evaluations),
