@@ -26,7 +26,7 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.document import Document, Permissions
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
-from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
+from deepbots_cli.errors import BatchError, MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program.members import Others
     from deepbots_cli.program.world import WorldModel
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.agents import Predictor
     from deepbots_cli.runtime.batch import BatchSupervisor
+    from deepbots_cli.runtime.forward_pass import Predictor
     from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
 
@@ -243,23 +243,24 @@ def parallel_env(
     """Return a scenario with several agents as a `pettingzoo.ParallelEnv`, which steps them together.
 
     Args:
-        engine, render_mode: As for `make`.
+        engine: As for `make`.
+        render_mode: None, `rgb_array`, or `human`: a window shows each step.
 
     Raises:
         ScenarioError: The scenario has findings at error level.
         UsageError: The scenario has only one agent; use `make`.
-        MissingExtraError: PettingZoo is not installed.
+        MissingExtraError: PettingZoo is not installed, or matplotlib, which shows the window.
     """
     compiled = compile(source, overrides=overrides, permissions=permissions)
     if not compiled.program.members:
         raise UsageError(f"{compiled.program.name} has only one agent; use deepbots_cli.make")
     try:
-        from deepbots_cli.runtime.parallel import ParallelEnvironment
+        from deepbots_cli.runtime.parallel import HUMAN, RGB_ARRAY, ParallelEnvironment
     except ModuleNotFoundError as error:
         raise MissingExtraError("agents", "an environment of PettingZoo") from error
-    return ParallelEnvironment(
-        make(compiled, permissions=permissions, engine=engine, render_mode=render_mode)
-    )
+    of_world = RGB_ARRAY if render_mode == HUMAN else render_mode
+    world = make(compiled, permissions=permissions, engine=engine, render_mode=of_world)
+    return ParallelEnvironment(world, render_mode)
 
 
 def make_vec(
@@ -302,6 +303,30 @@ def build_batch(
     program: Program, count: int, *, engine: str = "mujoco", fixed: tuple[str, ...] = ()
 ) -> BatchSupervisor:
     """Return the supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
+    if program.others is None:
+        return _build_batch(program, count, engine, fixed)
+    from deepbots_cli.codegen import batch_obstacles
+    from deepbots_cli.program.members import world_of
+
+    if reasons := batch_obstacles(program):
+        raise BatchError(f"{program.name} does not fit a batch: {'; '.join(reasons)}")
+    world = _build_batch(
+        world_of(program, program.others), count, engine, fixed, scripts=program.others.scripts
+    )
+    from deepbots_cli.runtime.agent_batch import AgentBatch
+
+    # It has the interface of a batch, for one agent.
+    return cast("BatchSupervisor", AgentBatch(world, program, _policies_of(program.others)))
+
+
+def _build_batch(
+    program: Program,
+    count: int,
+    engine: str,
+    fixed: tuple[str, ...],
+    scripts: tuple[str, ...] = (),
+) -> BatchSupervisor:
+    """Return the supervisor of `count` worlds, which computes these scripts."""
     if not 1 <= count <= MAX_WORLDS:
         raise UsageError(f"a batch of {count} worlds cannot be made; from 1 to {MAX_WORLDS} are possible")
     try:
@@ -315,7 +340,9 @@ def build_batch(
 
     name, mark = class_name(program.name), digest(program)[:12]
     of_batch = load_module(
-        generate_module(program, "batch"), f"deepbots_batch_{name}", f"<deepbots {name} {mark} batch>"
+        generate_module(program, "batch", scripts),
+        f"deepbots_batch_{name}",
+        f"<deepbots {name} {mark} batch>",
     )
     of_one = load_module(generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {mark}>")
     kinds = vars(of_one)[f"{name}Supervisor"], vars(of_batch)[f"{name}Batch"]
@@ -352,12 +379,14 @@ class Builder:
         return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
 
 
-def _policy_of(others: Others, agent: str) -> Predictor:
-    """Return the policy that acts for an agent beside the one that is trained."""
+def _policies_of(others: Others) -> dict[str, Predictor]:
+    """Return the policies that act for agents beside the one that is trained."""
+    if not others.models:
+        return {}
     from deepbots_cli.plugins import import_attribute
 
-    policy: Predictor = import_attribute("deepbots_cli.learning.rivals:load_rival")(others, agent)
-    return policy
+    load = import_attribute("deepbots_cli.learning.rivals:load_rival")
+    return {name: load(others, name) for name in others.models}
 
 
 def build(
@@ -407,7 +436,7 @@ def build(
         )
         builder = Builder(program, permissions, fixed)
         rebuild = partial(builder, engine=engine, render_mode=render_mode)
-        policies = {name: _policy_of(program.others, name) for name in program.others.models}
+        policies = _policies_of(program.others)
         # It has the interface of a supervisor, for one agent.
         return cast("Supervisor", AgentEnvironment(world, program, rebuild, policies))
     engine = engine_kinds.chosen(engine or program.engine)

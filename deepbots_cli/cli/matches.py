@@ -18,11 +18,11 @@ def match_lines(result: MatchTable) -> Iterator[str]:
     starts = records.held_out(result.starts)
     if result.is_symmetric:
         measured = "share of decided episodes that the row wins against the column"
-        yield f"{result.scenario}: {measured}, on {starts} from seed {result.seed}, both sides of each"
+        yield f"{result.scenario}: {measured}, on {starts} from evaluation seed {result.seed}, both sides of each"
     else:
         measured = "success rate" if result.success_defined else "mean return"
         yield f"{result.scenario}: {measured} of {one} (rows) against {two} (columns)"
-        yield f"{starts} of each match, from seed {result.seed}"
+        yield f"{starts} of each match, from evaluation seed {result.seed}"
     cells = {(match.row, match.column): _cell(result, match) for match in result.matches}
     if result.is_symmetric:
         cells |= {(match.column, match.row): _cell(result, _swapped(match)) for match in result.matches}

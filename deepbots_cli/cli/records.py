@@ -167,7 +167,8 @@ def training_text(result: TrainingResult) -> str:
     if at is not None:
         took = f"{at.simulated_hours:.3f} simulated h, {at.cpu_seconds:.1f} s of CPU time"
         rows["solved"] = f"confirmed on new starts after {at.steps:,} steps, {took}"
-    rows["best model"] = result.best_model and result.best_model.text
+    if result.best_model is not None:
+        rows[f"{result.best_model.label} model"] = result.best_model.text
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback
     rows["initialized from"] = result.initialized_from
@@ -215,6 +216,13 @@ def group_training_text(result: GroupTraining) -> str:
 # Evaluations
 
 
+def shown_model(run: str | Path, name: str) -> str:
+    """Return the name of a model as it is shown: the best model of agents that compete is the newest one."""
+    record = RunRecord.read(Path(run)) if name == "best" else None
+    best = None if record is None or record.result is None else record.result.best_model
+    return name if best is None else best.label
+
+
 def held_out(episodes: int) -> str:
     """Return `1 held-out start`, `100 held-out starts`."""
     return f"{counted(episodes, 'held-out start')}"
@@ -229,13 +237,13 @@ def evaluation_text(
     `scenario` is the scenario, in words, if it is not the one of the training.
     """
     terms = result.term_means if len(result.term_means) > 1 else {}
+    after = "" if result.model_steps is None else f", after {result.model_steps:,} steps"
     rows = {
-        "model": f"{result.run}"
-        f" ({result.model}{'' if result.model_steps is None else f', after {result.model_steps:,} steps'})",
+        "model": f"{result.run} ({shown_model(result.run, result.model)}{after})",
         "agent": None if result.against is None else f"{result.agent}, against {result.against}",
         "scenario": scenario,
-        "episodes": f"{held_out(result.episodes)} from seed"
-        f" {result.seed}{'' if result.deterministic else ', actions sampled'}",
+        "episodes": f"{held_out(result.episodes)} from evaluation seed"
+        f" {result.seed}, which no training uses{'' if result.deterministic else ', actions sampled'}",
         **(
             _statistics_of_agents(result, result.agents, success_defined=result.success_defined)
             if result.agents
@@ -359,7 +367,7 @@ def _group_of_rivals_text(group: GroupResult) -> str:
     ]
     head = (
         f"evaluation of {first.scenario}, group {group.name}: mean return of each agent, on"
-        f" {held_out(first.episodes)} of each run, from seed {first.seed}"
+        f" {held_out(first.episodes)} of each run, from evaluation seed {first.seed}"
     )
     return f"{head}\n{table(rows)}"
 
@@ -398,7 +406,7 @@ def group_text(group: GroupResult) -> str:
     return "\n".join(
         [
             f"evaluation of {first.scenario}, group {group.name}: {held_out(first.episodes)} of each run,"
-            f" from seed {first.seed}",
+            f" from evaluation seed {first.seed}",
             table(evaluation_rows("run", ((result.run.name, result) for result in group.evaluations))),
             seeds,
             row_as_lines(rows),
@@ -441,7 +449,7 @@ def robustness_text(robustness: Robustness) -> str:
     nominal = robustness.nominal
     title = (
         f"robustness of {robustness.run} in {robustness.scenario}: {nominal.episodes} held-out episodes of each"
-        f" level, from seed {nominal.seed}{in_parentheses(nominal.circumstances)}"
+        f" level, from evaluation seed {nominal.seed}{in_parentheses(nominal.circumstances)}"
     )
     if robustness.bar is None:
         rate = with_interval(nominal.success_rate, nominal.success_interval, percent)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import linecache
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from types import CodeType, ModuleType
 from typing import Any
@@ -37,6 +37,7 @@ from deepbots_cli.expressions.functions import math_names
 from deepbots_cli.expressions.lower import BATCH, SCALAR, Target
 from deepbots_cli.program import Program
 from deepbots_cli.program.identity import digest
+from deepbots_cli.program.members import world_of
 
 _MODULE = '''
 """{name}, compiled by deepbots{purpose}; scenario {digest}.
@@ -72,13 +73,14 @@ _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]
 
 
 @lru_cache(maxsize=16)
-def generate_module(scenario: Program, target: str = "scalar") -> str:
+def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[str, ...] = ()) -> str:
     """Return the module that runs `scenario`: one controller class per robot and the supervisor class.
 
     It is kept for the next copy of the environment: printing PandaReach takes 50 ms.
 
     Args:
         target: `scalar` for single worlds, or `batch` for many at once.
+        scripts: The scripts that a batch computes; a single world computes all of them.
 
     Raises:
         BatchError: A batch cannot run the scenario; the message gives the reasons.
@@ -87,12 +89,12 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
     for name in _names(scenario):
         if not _NAME.fullmatch(name):
             raise ValueError(f"{name[:40]!r} cannot be a name in the code")
-    if target == "batch" and (reasons := batch_obstacles(scenario)):
+    if target == "batch" and (reasons := batch_obstacles(scenario, scripts)):
         raise BatchError(f"{scenario.name} does not fit a batch: {'; '.join(reasons)}")
     on_floats = target == "scalar"
     constants = Constants()
     chosen = SCALAR if on_floats else BATCH
-    classes = _classes(scenario, constants, chosen)
+    classes = _classes(scenario, constants, chosen, scripts)
     used = set(_NAME_IN_CODE.findall("\n".join([*constants.lines, *classes])))
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = fill_template(
@@ -112,7 +114,9 @@ def generate_module(scenario: Program, target: str = "scalar") -> str:
     return "\n".join(part for line in _without_gaps(lines) for part in wrap_line(line)).rstrip("\n") + "\n"
 
 
-def _classes(scenario: Program, constants: Constants, target: Target) -> list[str]:
+def _classes(
+    scenario: Program, constants: Constants, target: Target, scripts: Sequence[str] = ()
+) -> list[str]:
     lines = [
         line
         for robot in scenario.robots
@@ -123,7 +127,7 @@ def _classes(scenario: Program, constants: Constants, target: Target) -> list[st
         *(
             print_supervisor(scenario, constants)
             if target is SCALAR
-            else print_batch_supervisor(scenario, constants)
+            else print_batch_supervisor(scenario, constants, [*map(scenario.script, scripts)])
         ),
     ]
 
@@ -144,21 +148,24 @@ def _imports(used: set[str], on_floats: bool) -> list[str]:
     ]
 
 
-def batch_obstacles(scenario: Program) -> list[str]:
-    """Return the reasons why a batch cannot run a scenario; empty if it can."""
+def batch_obstacles(scenario: Program, scripts: Sequence[str] = ()) -> list[str]:
+    """Return the reasons why a batch cannot run a scenario, and compute these scripts; empty if it can."""
+    if (others := scenario.others) is not None:
+        of_all = world_of(scenario, others)
+        alone = [f"the episode of {others.agent} may end before those of others"]
+        return batch_obstacles(of_all, others.scripts) + (alone if of_all.members[others.agent].alone else [])
     agent = scenario.agent
     reasons = [
         (
             bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),
             "it has cameras, whose pictures are drawn world by world",
         ),
-        (scenario.others is not None, "other agents act by themselves, world by world"),
         (bool(scenario.python_functions), "it runs code of packages, which computes single numbers"),
     ]
     obstacles = [reason for holds, reason in reasons if holds]
     if not obstacles:
         try:
-            _classes(scenario, Constants(), BATCH)
+            _classes(scenario, Constants(), BATCH, scripts)
         except BatchError as error:
             obstacles = [str(error)]
     return obstacles

@@ -3,6 +3,7 @@ hand-written policies."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import get_args
 
 from deepbots_cli.codegen.printer import Printer
@@ -28,7 +29,7 @@ from deepbots_cli.codegen.text import (
 )
 from deepbots_cli.codegen.workspace import SupervisorPrinter
 from deepbots_cli.expressions.lower import BATCH, fold_operation
-from deepbots_cli.expressions.scalar import Const, Scalar
+from deepbots_cli.expressions.scalar import Const, Op, Scalar
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Direction
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
@@ -76,12 +77,14 @@ class {name}Batch(BatchSupervisor):
 """
 
 
-def print_batch_supervisor(scenario: Program, constants: Constants) -> list[str]:
-    """Return the lines of the class for a batch: only the steps are printed; episodes begin in the single
-    worlds."""
-    supervisor = SupervisorPrinter(scenario, constants, BATCH)
+def print_batch_supervisor(
+    scenario: Program, constants: Constants, scripts: Sequence[Script] = ()
+) -> list[str]:
+    """Return the lines of the class for a batch: only the steps and these scripts are printed; episodes begin
+    in the single worlds."""
+    supervisor = SupervisorPrinter(scenario, constants, BATCH, scripts)
     observing, acting = observe_method(supervisor), advance_methods(supervisor)
-    methods = [*acting, *observing]
+    methods = [*acting, *observing, *(line for script in scripts for line in _script(supervisor, script))]
     for name, lines in supervisor.per_world.items():
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", lines)]
     tables = choice_tables(supervisor)
@@ -278,6 +281,13 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
 def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
     """Print the choice of an option, and return the local with its number."""
     target, names = supervisor.names(f"{part.name} pick"), [option.name for option in part.options]
+    if supervisor.target is BATCH:
+        numbers = [Const(names.index(option)) for option in pick.options]
+        chosen: Scalar = numbers[-1]
+        for condition, number in zip(reversed(pick.scalars), reversed(numbers[:-1]), strict=True):
+            chosen = Op("where", (condition, number, chosen))
+        printer.line(f"{target} = {printer.value(chosen)}")
+        return target
     for index, option in enumerate(pick.options):
         setting = f"{target} = {names.index(option)}  # {option}"
         if len(pick.options) == 1:

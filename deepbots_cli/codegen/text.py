@@ -46,6 +46,7 @@ COLUMN_NAMES = (
         "all_of",
         "any_of",
         "atan2",
+        "clip",
         "cos",
         "exp",
         "hypot",

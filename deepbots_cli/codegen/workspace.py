@@ -18,7 +18,7 @@ from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, joint_name
-from deepbots_cli.program.task import action_names
+from deepbots_cli.program.task import Script, action_names
 
 # Readers of the engine
 
@@ -289,12 +289,19 @@ _GOAL = ("achieved", "desired", "goal_reached")
 class SupervisorPrinter(ClassPrinter):
     """The printer of one supervisor class.
 
-    `evaluated` are the expressions of every timestep; `sent` are the expressions of messages to robots, with
-    values of the timestep before; `scripted` are the expressions of hand-written policies and of tests, which
-    are called between two steps.
+    `scripts` are the scripts that a batch computes; a single world computes all of them. `evaluated` are the
+    expressions of every timestep; `sent` are the expressions of messages to robots, with values of the
+    timestep before; `scripted` are the expressions of hand-written policies and of tests, which are called
+    between two steps.
     """
 
-    def __init__(self, scenario: Program, constants: Constants, target: Target = SCALAR) -> None:
+    def __init__(
+        self,
+        scenario: Program,
+        constants: Constants,
+        target: Target = SCALAR,
+        scripts: Sequence[Script] = (),
+    ) -> None:
         super().__init__(scenario, constants, target)
         self.agent = scenario.agent
         self.per_world: dict[str, list[str]] = {}
@@ -322,6 +329,10 @@ class SupervisorPrinter(ClassPrinter):
         ]
         self.scripted = [value for script in self.agent.scripts for value in script.scalars]
         self.scripted += [value for test in scenario.tests for value in (*test.scalars, *test.compared)]
+        self._asked = [value for script in scripts for value in script.scalars]
+        """The expressions that are computed between two steps."""
+        if target is SCALAR:
+            self._asked = self.scripted
         self.sent = [
             value for robot in scenario.robots for entry in robot.received for value in entry.scalars
         ]
@@ -472,11 +483,9 @@ class SupervisorPrinter(ClassPrinter):
         """Return the names of the values that a timestep stores: those in messages, in `stored_signals` and
         in scripts, with parts of the action."""
         sent = self.names_read(self.sent)
-        read = (
-            {*self.names_read(self.scripted), *self.scenario.stored_signals}
-            if self.target is SCALAR
-            else set()
-        )
+        read = self.names_read(self._asked)
+        if self.target is SCALAR:
+            read |= self.scenario.stored_signals
         acted = [name for name, _ in (*self.variables, *self.agent_action_read) if name in read]
         ended = [
             name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read

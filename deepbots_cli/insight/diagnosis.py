@@ -47,6 +47,7 @@ from deepbots_cli.insight.rewards import (
     standing_still_pays,
     term_dominates,
 )
+from deepbots_cli.insight.rivals import rival_too_strong, strategies_cycle
 from deepbots_cli.insight.stages import (
     criterion,
     criterion_text,
@@ -76,13 +77,14 @@ from deepbots_cli.insight.training import (
     MIN_EPISODES,
     TrainingEvidence,
     latest_failure,
-    read_training,
+    read_trainings,
     returns_rise,
     run_probes,
     training_command,
 )
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.failures import Failure
+from deepbots_cli.learning.joint import SHARED
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import SAME_OBSERVATION
@@ -123,6 +125,7 @@ _EXPLAINED = {
     "reward_exploited": {"reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"},
     "ending_early_pays": {"exploration_collapsed", "success_never_seen"},
     "missed_condition": {"success_plateau"},
+    "rival_too_strong": {"success_never_seen", "one_ending"},
 }
 """For each cause, the causes that it implies, which are then not listed: a policy that repeats the action
 that pays most is not reported as exploring too little."""
@@ -171,6 +174,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
             stopped_early,
             kept_by_return,
             reward_exploited,
+            strategies_cycle,
             lint_warns,
             teacher_sees_more,
             *starts,
@@ -185,7 +189,20 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     ]
     explained = set[str]().union(*(_EXPLAINED.get(statement.cause, ()) for statement in kept))
     kept = [statement for statement in kept if statement.cause not in explained]
-    return [replace(statement, command=_next_command(training, statement)) for statement in kept]
+    own = [replace(each, settings=_settings_of_agent(training, each)) for each in kept]
+    return [replace(statement, command=_next_command(training, statement)) for statement in own]
+
+
+def _settings_of_agent(evidence: TrainingEvidence, statement: Statement) -> Mapping[str, str]:
+    """Return the advised settings: of several agents, in the section of the one that they are for, unless all
+    agents share them."""
+    section, shared = f"agents.{evidence.agent}.", {TOTAL_TIMESTEPS, *(f"train.{key}" for key in SHARED)}
+    result = evidence.run.record.result
+    if not evidence.agent or (result is not None and result.ratings):  # agents of self-play share a policy
+        return statement.settings
+    return {
+        path if path in shared else f"{section}{path}": value for path, value in statement.settings.items()
+    }
 
 
 QUICK_SECONDS = 10.0
@@ -199,7 +216,15 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
     Nothing is written. A training that fell apart after it had solved its task has the causes of its fall
     only.
     """
-    training = read_training(Run.open(run))
+    causes: list[Statement] = []
+    for training in read_trainings(Run.open(run)):
+        name = f"{training.agent}: " if training.agent else ""
+        causes += [replace(each, text=f"{name}{each.text}") for each in causes_of(training, permissions)]
+    return causes
+
+
+def causes_of(training: TrainingEvidence, permissions: Permissions = Permissions()) -> list[Statement]:
+    """Return the causes of a training that has ended, as `causes_after` does."""
     if has_learned(training):
         causes = (
             [] if training.verdict.solved is not False and training.decline is None else diagnose(training)
@@ -235,6 +260,10 @@ _COMMANDS: Mapping[str, str] = {
 a failed episode."""
 
 
+_OF_AGENT = {"diagnose", "eval", "try"}
+"""The commands above that show one of several agents."""
+
+
 def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     """Return the next command after a cause: the training with the advised values, or a command that shows
     the fault."""
@@ -256,6 +285,8 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     form = _COMMANDS.get(
         statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}"
     )
+    if evidence.agent and form.partition(" ")[0] in _OF_AGENT:
+        form += f" --agent {evidence.agent}"
     return "deepbots " + form.format(
         run=path,
         path=statement.evidence.get("path"),
@@ -858,6 +889,9 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     teacher_sees_more,
     success_never_seen,
     silent_terms,
+    # Other agents
+    rival_too_strong,
+    strategies_cycle,
     # The learner
     learning_rate_too_high,
     learning_rate_too_low,

@@ -14,9 +14,11 @@ from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.draws import DrawnEffects
+from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
+from deepbots_cli.runtime.spaces import joined, parts_of_rows
 from deepbots_cli.view.frames import COLORS, LinkName
 from deepbots_cli.view.plots import (
     THEMES,
@@ -99,6 +101,34 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     plot_teacher(panel, logs, "success_rate", THEMES[theme][1], f"teacher {logs[0].teacher}")
     panel.set_ylim(-0.03, 1.03)
     return _with_legend(figure, style_panel(panel, "success rate", theme, stages=[logs]))
+
+
+def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
+    """Draw what one of several agents does, given actions of all agents: how often it chooses each option, and
+    how the numbers of its ranges are distributed."""
+    agent = member.program.agent
+    if not taken:
+        return None
+    choices, ranges = parts_of_rows(joined(taken))
+    own_choices, own_ranges = choices[:, slice(*member.choices)], ranges[:, slice(*member.ranges)]
+    parts = [bool(agent.choices), bool(agent.range_names)]
+    figure, panels = new_figure(theme, 2.9 * sum(parts), rows=sum(parts))
+    rows, height = iter(panels[:, 0]), 0.0
+    if agent.choices:
+        panel = next(rows)
+        for part, column in zip(agent.choices, own_choices.T, strict=True):
+            shares = np.bincount(column.astype(int), minlength=len(part.options)) / len(column)
+            panel.bar([option.name for option in part.options], shares, label=part.name)
+        height += style_panel(panel, "share of the steps with each option", theme, axes=("", ""))
+    if agent.range_names:
+        panel = next(rows)
+        for name, column in zip(agent.range_names, np.clip(own_ranges, -1, 1).T, strict=True):
+            panel.hist(column, bins=_ACTION_BINS, range=(-1, 1), density=True, histtype="step", label=name)
+        height += style_panel(panel, "density of each number of the action", theme, axes=("", ""))
+    return _with_legend(figure, height)
+
+
+_ACTION_BINS = 20
 
 
 def _episodes_label(logs: Sequence[TrainingLog]) -> str:

@@ -12,6 +12,7 @@ import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 from itertools import chain, groupby
 from pathlib import Path
@@ -32,10 +33,11 @@ from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, R
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.diagnosis import causes_after
+from deepbots_cli.insight.diagnosis import causes_after, causes_of
 from deepbots_cli.insight.linted import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
+from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.draws import by_drawn_value, draw_labels
 from deepbots_cli.learning.group import Group
@@ -43,6 +45,7 @@ from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.statistics import UNBOUNDED, mean_interval
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
+from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
@@ -59,6 +62,13 @@ if TYPE_CHECKING:
 
 EPISODE_LABELS = ("best", "median", "worst")
 FIGURE_NAMES = ("returns", "successes", "teacher", "shares", "endings", "starts", "trajectories")
+AGENT_FIGURES = {
+    "returns": "Learning curve",
+    "successes": "Success",
+    "shares": "Reward terms",
+    "actions": "Actions",
+}
+"""The figures of each of several agents, and their titles."""
 _MAX_TRACED_EPISODES = 12
 _MAX_CLIP_S, _CLIP_FRAME_RATE = 10.0, 10.0
 _VIEWPOINT = pictures.Viewpoint(420, 300, samples=1)  # 60 instead of 200 ms a picture
@@ -112,6 +122,8 @@ class ReportEpisode:
     label: str = ""
     """The label `best`, `median` or `worst` by return; empty for the others."""
     positions: Positions = field(default_factory=dict)
+    actions: list[Any] = field(default_factory=list)
+    """The actions of all agents, one for each step."""
     end_poses: Sequence[Mapping[LinkName, Frame]] = ()
 
     @property
@@ -130,6 +142,25 @@ class ReportEpisode:
             f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f},"
             f" {self.outcome.ended_by}"
         )
+
+
+@dataclass
+class ReportAgent:
+    """The part of a report about one of several agents: its log in each run, and the causes why it does not
+    succeed."""
+
+    member: Member
+    logs: Sequence[TrainingLog]
+    causes: Sequence[Statement] = ()
+
+    @property
+    def name(self) -> str:
+        return self.member.name
+
+    @property
+    def result(self) -> str:
+        """The evaluation of each run in words."""
+        return "; ".join(log.evaluation.text for log in self.logs if log.evaluation is not None)
 
 
 @dataclass
@@ -153,6 +184,16 @@ class Report:
     causes: Sequence[Statement] = ()
     """The causes why the run `diagnosed` does not solve its task, the most likely first."""
     diagnosed: str = ""
+    agents: list[ReportAgent] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        try:
+            self.agents = [
+                ReportAgent(member, [plots.read_agent_log(each.run.path, member) for each in self.runs])
+                for member in self.runs[0].run.program.members.values()
+            ]
+        except RunError as error:
+            self.notes.append(str(error))
 
     @staticmethod
     def read(path: Path) -> Report:
@@ -290,7 +331,8 @@ class Report:
                     frames = player.episode(member.evaluation.seed, each.number)
                     first = next(frames)
                     each.positions = trajectories.read_positions(
-                        player.reader.layout, chain((first,), frames)
+                        player.reader.layout,
+                        chain((first,), _recording_actions(player, frames, each.actions)),
                     )
                     each.end_poses = (first.links, player.frame.links)
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
@@ -337,6 +379,9 @@ class Report:
 
     def find_causes(self, permissions: Permissions = Permissions()) -> None:
         """Find out why the run does not solve its task, or the worst unsolved seed of a group."""
+        if self.agents:
+            self._find_causes_of_agents(permissions)
+            return
         unsolved = [member for member in self.runs if member.is_unsolved]
         if not unsolved:
             return
@@ -350,7 +395,29 @@ class Report:
         except DeepbotsError as error:
             self.notes.append(f"there are no causes: {error}")
 
+    def _find_causes_of_agents(self, permissions: Permissions) -> None:
+        """Find out why an agent does not succeed, in the first run."""
+        self.diagnosed = self.runs[0].run.path.name
+        try:
+            for agent, training in zip(self.agents, read_trainings(self.runs[0].run), strict=True):
+                agent.causes = causes_of(training, permissions)
+        except DeepbotsError as error:
+            self.notes.append(f"there are no causes: {error}")
+
     # Figures
+
+    def agent_figures(self, agent: ReportAgent, theme: str) -> Iterator[tuple[str, str, Figure | None]]:
+        """Yield name, caption and figure of each figure of an agent, as `figures` does."""
+        mean = "Moving means over 100 episodes of the training, in which the policy explores."
+        yield "returns", mean, figures.returns(agent.logs, theme)
+        yield "successes", mean, figures.successes(agent.logs, theme)
+        shares = (
+            "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
+        )
+        yield "shares", shares, figures.shares(agent.logs, theme)
+        taken = [action for episode in self.episodes for action in episode.actions]
+        caption = f"What the policy does in {len(self.episodes)} evaluation episodes; numbers from -1 to 1."
+        yield "actions", caption, figures.actions(agent.member, taken, theme)
 
     @property
     def units(self) -> ShownUnits:
@@ -428,18 +495,24 @@ class Report:
         Raises:
             UsageError: A file cannot be written.
         """
-        return write_figure_files(
-            folder, ((name, figure) for name, _, figure in self.figures("light") if figure is not None)
+        of_all = ((name, figure) for name, _, figure in self.figures("light"))
+        of_agents = (
+            (f"{agent.name}-{name}", figure)
+            for agent in self.agents
+            for name, _, figure in self.agent_figures(agent, "light")
         )
+        return write_figure_files(
+            folder, ((name, figure) for name, figure in chain(of_all, of_agents) if figure is not None)
+        )
+
+    @property
+    def figure_names(self) -> tuple[str, ...]:
+        """The names of all figures, without those that there may not be."""
+        return (*FIGURE_NAMES, *(f"{agent.name}-{name}" for agent in self.agents for name in AGENT_FIGURES))
 
     def html(self) -> str:
         """Return the page."""
-        dark = {name: figure for name, _, figure in self.figures("dark")}
-        drawn = [
-            {"name": name, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
-            for name, caption, figure in self.figures("light")
-            if figure is not None
-        ]
+        drawn = _drawn(self.figures)
         run = self.runs[0].run
         linted = linted_scenario(run)
         clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
@@ -451,6 +524,8 @@ class Report:
             program=run.program,
             record=run.record,
             figures=drawn,
+            agents=[(agent, _drawn(partial(self.agent_figures, agent))) for agent in self.agents],
+            agent_titles=AGENT_FIGURES,
             clips=clips,
             findings=[(_place(run, finding.span), finding) for finding in linted.findings],
             listings=_listings(run, linted),
@@ -461,6 +536,23 @@ class Report:
             matplotlib=version("matplotlib"),
             notes=dict.fromkeys(notes),
         )
+
+
+def _recording_actions(player: Player, played: Iterable[Any], actions: list[Any]) -> Iterator[Any]:
+    """Yield the frames after the first one, and record the action before each."""
+    for frame in played:
+        actions.append(player.action)
+        yield frame
+
+
+def _drawn(draw: Callable[[str], Iterable[tuple[str, str, Figure | None]]]) -> list[dict[str, str]]:
+    """Return figures for the page, each for a light and a dark background."""
+    dark = {name: figure for name, _, figure in draw("dark")}
+    return [
+        {"name": name, "caption": caption, "light": svg_uri(figure), "dark": svg_uri(dark[name])}
+        for name, caption, figure in draw("light")
+        if figure is not None
+    ]
 
 
 @dataclass(frozen=True)

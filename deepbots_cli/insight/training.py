@@ -37,9 +37,11 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.verdict import RunVerdict, quoted_episodes, run_verdict
 from deepbots_cli.program import CurriculumStage, Program
+from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import AdaptiveRate, Schedule, idle_action
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.plots import logs_of, scalars_of
@@ -72,6 +74,10 @@ class TrainingEvidence:
     differs. `scripts` are whole episodes of the script that teaches the policy, or of each that could.
     `final_episodes` are those of the evaluation that `verdict` quotes, and `failed` are the first ones of
     them without success, repeated.
+
+    Of several agents that learned, the evidence is about one, `agent`: its returns, successes, curves and
+    actions, beside the policies of the others. `rivals` are the successes of the others in `all_episodes`, by
+    name, if the agents compete.
     """
 
     run: Run
@@ -88,6 +94,8 @@ class TrainingEvidence:
     constant_actions: dict[str, Mapping[str, Trace]] = field(default_factory=dict)
     scripts: dict[str, Sequence[Trace]] = field(default_factory=dict)
     failed: Sequence[Trace] = ()
+    agent: str = ""
+    rivals: Mapping[str, Array] = field(default_factory=dict)
 
     # Stages
 
@@ -353,8 +361,68 @@ def latest_failure(run: Path) -> Path | None:
     return max((run / FAILURES_FOLDER).glob("[0-9][0-9][0-9][0-9].json"), default=None)
 
 
+def read_trainings(run: Run) -> list[TrainingEvidence]:
+    """Read the logs of a run: one training, or that of each of several agents.
+
+    Raises:
+        RunError: A log is damaged.
+    """
+    return [_read_agent(run, name) for name in run.program.members] or [read_training(run)]
+
+
+def _read_agent(run: Run, agent: str) -> TrainingEvidence:
+    """Read the logs of a run of several agents, as they are about one of them.
+
+    Raises:
+        RunError: A log is damaged, or an older version wrote it, which did not log each agent.
+    """
+    of_all, members = read_training(run), run.program.members
+    episodes, evaluations = logs_of(run.path, agent)
+    done = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
+    if done:
+        returns, successes = [each.total_return for each in done], [each.is_success for each in done]
+        evaluations.append({"stage": "", "returns": returns, "successes": successes})
+    rivals = [name for name in members if run.program.has_rivals and name != agent]
+    return replace(
+        of_all,
+        run=run.of_agent(agent, beside_policies=run.model("best").is_file()),
+        all_episodes=episodes,
+        all_evaluations=evaluations,
+        scalars=_scalars_of_agent(of_all.scalars, members[agent]),
+        final_episodes=done,
+        verdict=of_all.verdict.of_agent(agent) if run.program.has_rivals else of_all.verdict,
+        agent=agent,
+        rivals={
+            name: np.array(
+                [
+                    members[name].has_succeeded((ending,) if ending else ())
+                    for ending in of_all.all_episodes.endings
+                ],
+                float,
+            )
+            for name in rivals
+        },
+    )
+
+
+def _scalars_of_agent(of_all: Mapping[str, Any], member: Member) -> dict[str, Any]:
+    """Return the scalars of one of several agents under its own tags, and those of all agents; an agent that
+    plays the policy of another one has the updates of this policy."""
+    own = {tag: curve for tag, curve in of_all.items() if tag.startswith("self_play/")}
+    for name in (member.names.mirrors, member.name):
+        prefix = f"{name}/"
+        updates = ("train/", "critic/") if name != member.name else ("",)
+        own |= {
+            tag.removeprefix(prefix): curve
+            for tag, curve in of_all.items()
+            if tag.startswith(prefix) and tag.removeprefix(prefix).startswith(updates)
+        }
+    terms = {f"reward/{joint}": f"reward/{term}" for term, joint in member.terms.items()}
+    return own | {own_tag: of_all[tag] for tag, own_tag in terms.items() if tag in of_all}
+
+
 def read_training(run: Run) -> TrainingEvidence:
-    """Read the logs of a run, without short episodes.
+    """Read the logs of a run, without short episodes. Several agents are one, which drives all robots.
 
     Raises:
         RunError: A log is damaged.
@@ -491,9 +559,8 @@ def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Per
     )
     if kept is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
-    numbers = [number for number, each in enumerate(kept[1].outcomes) if not each.is_success][
-        :FAILED_EPISODES
-    ]
+    numbers = [number for number, each in enumerate(evidence.final_episodes) if not each.is_success]
+    numbers = numbers[:FAILED_EPISODES]
     traces = []
     try:
         for trace in trace_episodes(evidence.run, numbers, **kept[1].replay_options, permissions=permissions):
@@ -509,7 +576,12 @@ def _teachers(evidence: TrainingEvidence) -> list[str]:
     """Return the script that teaches the policy, or else those that could teach it; empty if no success
     allows a comparison."""
     agent = evidence.program.agent
-    if not evidence.program.defines_success or agent.copies is not None or agent.training is None:
+    if (
+        evidence.agent
+        or not evidence.program.defines_success
+        or agent.copies is not None
+        or agent.training is None
+    ):
         return []
     if agent.training.teacher is not None:
         return [agent.training.teacher.script]

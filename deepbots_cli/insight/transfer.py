@@ -26,8 +26,8 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.episode import Episode
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
 from deepbots_cli.rollout.source import Source
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 
 MIN_EPISODES = FORWARD_BATCH_SIZE
 """The number of episodes of an evaluation that a number of steps does not leave out: deepbots plays as many

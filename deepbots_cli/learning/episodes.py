@@ -16,6 +16,7 @@ from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from statistics import fmean, stdev
+from types import MappingProxyType
 from typing import Annotated, Any, BinaryIO, Self, TextIO
 
 from pydantic import BaseModel, Field, NonNegativeInt
@@ -55,12 +56,22 @@ _MAX_NAMES_LETTERS = 1_000_000
 _LEAST_COLUMNS = ("r", "l", "t")
 
 
+AGENTS_COLUMN = "agents"
+"""The column of a log, and the key of an evaluation, with the returns and successes of several agents."""
+
+
 class EpisodeLog:
     """The file `monitor.csv`: a line per episode, in the format of Gym's monitor, which the `load_results` of
     learning libraries reads.
 
     The columns are r, l, t (return, length, seconds since the start), and then our own; `drawn` has the drawn
-    values as JSON. New lines are appended to an existing file.
+    values as JSON. With several agents, `agents` has the return and the success of each, as JSON. New lines
+    are appended to an existing file, with the columns of its first lines.
+
+    Args:
+        path: The file.
+        scenario: The name of the scenario.
+        members: The agents of a scenario with several.
     """
 
     COLUMNS = (
@@ -76,8 +87,10 @@ class EpisodeLog:
         "drawn",
     )
 
-    def __init__(self, path: Path, scenario: str) -> None:
-        self._path, self._scenario = path, scenario
+    def __init__(
+        self, path: Path, scenario: str, members: Mapping[str, Member] = MappingProxyType({})
+    ) -> None:
+        self._path, self._scenario, self._members = path, scenario, members
         self._stream: TextIO | None = None
         self._started = time.time()
 
@@ -89,8 +102,12 @@ class EpisodeLog:
         """
         try:
             is_new = not self._path.exists()
+            columns = [*self.COLUMNS, *([AGENTS_COLUMN] if self._members else [])]
+            if self._members and not is_new:  # a version without the column may have begun it
+                with _opened_log(self._path) as log:
+                    columns = columns if log is None else _read_header(self._path, log) or columns
             self._stream = self._path.open("a", newline="\n", encoding="utf-8")
-            self._rows = csv.DictWriter(self._stream, self.COLUMNS)
+            self._rows = csv.DictWriter(self._stream, columns, extrasaction="ignore")
             if is_new:
                 self._stream.write(f"#{json.dumps({'t_start': time.time(), 'env_id': self._scenario})}\n")
                 self._rows.writeheader()
@@ -118,6 +135,11 @@ class EpisodeLog:
             "stage": stage or "",
             "drawn": json.dumps(drawn) if drawn else "",
         }
+        if self._members:
+            own = {name: own_episode(member, episode) for name, member in self._members.items()}
+            row[AGENTS_COLUMN] = json.dumps(
+                {name: [round(each.total_return, 6), int(each.is_success)] for name, each in own.items()}
+            )
         self._rows.writerow(row)
         self._stream.flush()
 
@@ -236,8 +258,9 @@ class KeptNames:
         return self._names.setdefault(name, name)
 
 
-def read_evaluations(run: Path) -> list[dict[str, Any]]:
-    """Read the evaluations during a training, in order. A last line that is half written is left out.
+def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
+    """Read the evaluations during a training, in order. A last line that is half written is left out. Of
+    several agents, `agent` is the one whose returns and successes are read.
 
     An evaluation is a dictionary of `steps`, of the `stage` of the curriculum in which the policy acted (""
     without one), and of the `returns` and `successes` of their episodes, as numbers.
@@ -255,7 +278,8 @@ def read_evaluations(run: Path) -> list[dict[str, Any]]:
             _check_size(path, stream)
             for text in _whole_lines(path, stream, _MAX_EVALUATION_BYTES):
                 line = json.loads(text)
-                lists = {name: [float(value) for value in line[name]] for name in ("returns", "successes")}
+                own = line[AGENTS_COLUMN][agent] if agent else line
+                lists = {name: [float(value) for value in own[name]] for name in ("returns", "successes")}
                 # `fmean` raises an error for an evaluation without episodes.
                 means = [fmean(each) for each in lists.values()]
                 steps = float(line["steps"])
@@ -528,6 +552,18 @@ class Summary(Scores, frozen=True):
 
 
 # Several agents
+
+
+def agents_line(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[str, dict[str, Any]]:
+    """Return the returns and successes of each of several agents in the same episodes, for a log."""
+    line: dict[str, dict[str, Any]] = {}
+    for name, member in members.items():
+        own = [own_episode(member, episode) for episode in done]
+        line[name] = {
+            "returns": [each.total_return for each in own],
+            "successes": [each.is_success for each in own],
+        }
+    return line
 
 
 def agent_scores(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[str, Scores]:

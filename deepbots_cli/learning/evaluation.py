@@ -40,9 +40,10 @@ from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE, StopCondition, in_order
+from deepbots_cli.rollout.policies import StopCondition, in_order
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.spaces import action_space, observation_space
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario

@@ -44,7 +44,7 @@ from deepbots_cli.scenario.training import ALGORITHMS
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
 
-_SHARED = ("total_timesteps", "environments", "shards", "device", "staleness", "turns")
+SHARED = ("total_timesteps", "environments", "shards", "device", "staleness", "turns")
 """The settings that agents that learn in the same worlds have in common."""
 _DATA = "data"
 _MAX_DATA_BYTES = 8_000_000
@@ -134,7 +134,7 @@ class JointLearner(Learner):
     def check(cls, training: Training) -> None:
         _, first = training.agents[0]
         for name, own in training.agents:
-            for key in _SHARED:
+            for key in SHARED:
                 if getattr(own, key) != getattr(first, key):
                     raise UsageError(
                         f"the agents have different `{key}` ({getattr(first, key)}, and {getattr(own, key)} of"

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import TrainingCallback
     from deepbots_cli.learning.demonstrations import Demonstrations
     from deepbots_cli.learning.policy_teacher import PolicyTeacher
-    from deepbots_cli.learning.records import Rating
+    from deepbots_cli.learning.records import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
     from deepbots_cli.learning.teacher import Plan
 
@@ -101,10 +101,10 @@ class Learner(ABC):
         setup: The arguments that it was created with.
         fragment_steps: The steps of each row between two updates.
         ratings: The ratings of a policy that plays against past versions of itself.
+        pool_games: The recent games of such a policy against each version in its pool.
         steps: Timesteps, summed over all rows.
         log: The log for scalars.
         device: Device of the policy, by the name that torch uses.
-        ratings: The ratings of a policy that plays against past versions of itself.
     """
 
     State: ClassVar[type[CheckpointState]] = CheckpointState
@@ -120,6 +120,7 @@ class Learner(ABC):
     an evaluation."""
     device = "cpu"
     ratings: Sequence[Rating] = ()
+    pool_games: Sequence[PoolGames] = ()
     fragment_steps: int
     setup: Setup
     steps: int

@@ -6,15 +6,18 @@ a player takes both sides: each pair plays every start twice, with the sides swa
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from pydantic import BaseModel
 
 from deepbots_cli import api
+from deepbots_cli.api import Compiled
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Scores, agent_scores
 from deepbots_cli.learning.policy import loaded
@@ -26,7 +29,7 @@ from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import OnEpisode, own_episode
-from deepbots_cli.runtime.agents import Predictor
+from deepbots_cli.runtime.forward_pass import Predictor
 
 POLICY = "policy"
 """The name of the policy of the first run among the players."""
@@ -39,6 +42,8 @@ class Match(BaseModel, frozen=True):
         row: The player of the first agent.
         column: The player of the second agent.
         episodes: The number of episodes; twice that of the starts where players take both sides.
+        endings: The number of episodes that each ending ended, by its name.
+        mean_seconds: The mean duration of an episode in s of simulated time.
         agents: The scores of each agent by name; empty where players take both sides.
         wins: The number of episodes that are a success for the row alone; None unless players take both
             sides. `losses` are successes of the column alone.
@@ -48,6 +53,8 @@ class Match(BaseModel, frozen=True):
     row: str
     column: str
     episodes: int
+    endings: Mapping[str, int]
+    mean_seconds: float
     agents: Mapping[str, Scores] = {}
     wins: int | None = None
     losses: int | None = None
@@ -89,6 +96,7 @@ class Player:
 def play_matches(
     runs: Sequence[str | Path | ModelRef],
     *,
+    scenario: str | Path | Compiled | None = None,
     episodes: int | None = None,
     seed: int | None = None,
     engine: str | None = None,
@@ -97,25 +105,32 @@ def play_matches(
     """Play the policies of runs, the scripts of the scenario and random actions against each other.
 
     Args:
-        runs: Runs of all agents or of one of them, or models of such runs. The scenario is that of the first
-            one.
+        runs: Runs of all agents or of one of them, or models of such runs.
+        scenario: The scenario, which scripts alone play without `runs`; by default that of the first run.
         episodes: The number of starts of each match; by default that of the scenario.
-        seed: Root seed of the starts; by default that of the first training.
-        engine: The physics engine; by default that of the first training.
+        seed: Root seed of the starts; by default that of the evaluation of the first run, or 0.
+        engine: The physics engine; by default that of the first training, or of the scenario.
         on_episode: Called after each episode with the number of finished episodes, and of all.
 
     Raises:
         RunError: One of these is no run, or is damaged.
+        ScenarioError: The scenario has findings at error level.
         UsageError: The scenario does not have two agents, or the agents of a run are others.
     """
     refs = [run if isinstance(run, ModelRef) else ModelRef.open(run) for run in runs]
-    first = refs[0].run
-    program = _world_of(first.program)
+    first = refs[0].run if refs else None
+    if scenario is not None:
+        program = _world_of(api.compile(scenario).program)
+    elif first is not None:
+        program = _world_of(first.program)
+    else:
+        raise UsageError("a match needs a run or a scenario")
     if len(program.members) != 2:
         raise UsageError(
             f"a match needs a scenario with two agents; {program.name} has {max(1, len(program.members))}"
         )
-    seed = first.evaluation_seed if seed is None else seed
+    if seed is None:
+        seed = 0 if first is None else first.evaluation_seed
     starts = [
         Start.of_evaluation(seed, number) for number in range(episodes or program.evaluation_episodes())
     ]
@@ -139,7 +154,8 @@ def play_matches(
             yield episode
 
     matches: list[Match] = []
-    with torch_settings(), closing(api.build(program, engine=engine or first.record.engine)) as world:
+    engine = engine or (None if first is None else first.record.engine)
+    with torch_settings(), closing(api.build(program, engine=engine)) as world:
 
         def played(as_one: Player, as_two: Player) -> list[Episode]:
             driver = AgentsDriver(world, {one: as_one.drivers[one], two: as_two.drivers[two]})
@@ -151,7 +167,7 @@ def play_matches(
                 matches.append(_both_sides(program, a, b, done, played(b, a)))
             else:
                 scores = agent_scores(program.members, done)
-                matches.append(Match(row=a.name, column=b.name, episodes=len(done), agents=scores))
+                matches.append(_match(program, a, b, done, agents=scores))
     return MatchTable(
         scenario=program.name,
         agents=(one, two),
@@ -213,12 +229,25 @@ def _both_sides(
             wins += won and not lost
             losses += lost and not won
     decided = wins + losses
-    return Match(
-        row=a.name,
-        column=b.name,
-        episodes=len(as_first) + len(as_second),
+    return _match(
+        program,
+        a,
+        b,
+        [*as_first, *as_second],
         wins=wins,
         losses=losses,
         win_rate=wins / decided if decided else None,
         win_interval=wilson(wins, decided) if decided else None,
+    )
+
+
+def _match(program: Program, a: Player, b: Player, done: Sequence[Episode], **results: Any) -> Match:
+    """Return the match of two players with these episodes and `results`."""
+    return Match(
+        row=a.name,
+        column=b.name,
+        episodes=len(done),
+        endings=dict(Counter(str(episode.ended_by) for episode in done).most_common()),
+        mean_seconds=fmean(episode.length for episode in done) * program.period,
+        **results,
     )

@@ -63,6 +63,11 @@ class BestModel(BaseModel):
     evaluation_seed: int | None = Field(default=None, ge=0, lt=2**63)
 
     @property
+    def label(self) -> str:
+        """`newest` for the model of agents that compete, which have no best one, else `best`."""
+        return "newest" if self.chosen_by == "newest" else "best"
+
+    @property
     def text(self) -> str:
         """The origin of the model, such as `after 35,288 steps, by success rate on new starts`."""
         after = "" if self.steps is None else f"after {self.steps:,} steps, "
@@ -71,7 +76,7 @@ class BestModel(BaseModel):
         if self.chosen_by == "hand":
             return f"{after}chosen by hand"
         if self.chosen_by == "newest":
-            return f"{after}the newest one, because the agents compete"
+            return f"{after}because the agents compete and have no best one"
         if self.chosen_by == "confirmation":
             return f"{after}by the confirmation that ended the training"
         where = (
@@ -92,6 +97,17 @@ class Rating(NamedTuple):
     steps: int
     mean: float
     deviation: float
+
+
+class PoolGames(NamedTuple):
+    """The recent games of a policy against a past version of itself, from after so many `steps`.
+
+    A game counts half each time that a version has joined the pool since.
+    """
+
+    steps: int
+    wins: float
+    losses: float
 
 
 class RunResult(BaseModel):
@@ -115,6 +131,7 @@ class RunResult(BaseModel):
         inexact: Reasons why a resumed training differs from one without interruption.
         agents: The mean return of each of several agents in the recent episodes; empty for one agent.
         ratings: The ratings of a policy that played against past versions of itself.
+        pool_games: Its games against the versions in the pool at the end, the oldest version first.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -142,6 +159,7 @@ class RunResult(BaseModel):
     confirmed_seed: int | None = None
     agents: Mapping[str, float] = Field(default={}, exclude_if=lambda agents: not agents)
     ratings: tuple[Rating, ...] = Field(default=(), exclude_if=lambda ratings: not ratings)
+    pool_games: tuple[PoolGames, ...] = Field(default=(), exclude_if=lambda games: not games)
 
     @property
     def confirmed_at(self) -> SolvedAt | None:
@@ -358,7 +376,7 @@ class EvaluationRecord(Evaluation, frozen=True):
         of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
         against = "" if self.against is None else f" against {self.against}"
         return (
-            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from seed"
+            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from evaluation seed"
             f" {self.seed}{in_parentheses(self.remarks)}"
         )
 

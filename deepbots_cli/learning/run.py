@@ -43,6 +43,7 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.directories import write_numbered, write_text
 from deepbots_cli.learning.records import RunRecord, timestamp, write_record
 from deepbots_cli.program import Program, identity
+from deepbots_cli.program.members import Member
 from deepbots_cli.program.task import ONLY_AGENT
 from deepbots_cli.rollout.source import MODELS_FOLDER, RECORD_NAME, Source, SourceKind
 
@@ -93,11 +94,27 @@ class Run:
             text if others is None or role in text else f"{text.rstrip()}{role} {{agent: {others.agent}}}\n"
         )
 
-    def of_agent(self, agent: str) -> Run:
-        """Return the run of all agents as that of one of them, beside which the others act by their first
-        scripts."""
-        source = Source.kept(self.path)
-        compiled = api.compile(source, overrides=[f"role={{agent: {agent}}}"])
+    def member(self, agent: str) -> Member:
+        """Return one of the several agents that the run trained.
+
+        Raises:
+            UsageError: There is no such agent.
+        """
+        members = self.program.members
+        if agent not in members:
+            names = f"; its agents are {', '.join(members)}" if members else ", which trained one agent"
+            raise UsageError(f"there is no agent '{agent}' in {self.path}{names}")
+        return members[agent]
+
+    def of_agent(self, agent: str, *, beside_policies: bool = False) -> Run:
+        """Return the run of all agents as that of one of them. The others act by their first scripts, or by
+        the policies of the best model of the run (`beside_policies`)."""
+        model = json.dumps(str(self.model("best").absolute()))
+        others = [f"{name}: {model}" for name in self.program.members if beside_policies and name != agent]
+        source = Source.kept(self.path, Permissions(folders=(self.path,)))
+        compiled = api.compile(
+            source, overrides=[f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"]
+        )
         is_changed = self.digest != self.record.digest
         record = self.record if is_changed else self.record.model_copy(update={"digest": compiled.digest})
         return Run(self.path, record, compiled)

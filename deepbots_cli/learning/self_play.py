@@ -19,7 +19,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
 from deepbots_cli.learning.joint import JointLearner, JointState
 from deepbots_cli.learning.learner import Learner, Setup
-from deepbots_cli.learning.records import Rating
+from deepbots_cli.learning.records import PoolGames, Rating
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
@@ -28,7 +28,7 @@ from deepbots_cli.runtime.spaces import by_part
 from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import TrainingCallback
+    pass
 
 _OPPONENTS = "opponents"
 """The column of a fragment with the opponent in each world: its place in the pool, or `_PRESENT`."""
@@ -126,11 +126,13 @@ class SidesCollector(OfferedCollector):
 
 @dataclass
 class PastPolicy:
-    """A member of the pool."""
+    """A member of the pool, with the recent wins and losses of the present policy against it."""
 
     rating: Rating
     weights: Mapping[str, Array]
     policy: Learner
+    wins: float = 0.0
+    losses: float = 0.0
 
 
 class RatingState(CheckpointPart):
@@ -141,11 +143,18 @@ class RatingState(CheckpointPart):
     deviation: Annotated[float, Field(gt=0)]
 
 
+class PastState(RatingState):
+    """A member of the pool in a checkpoint."""
+
+    wins: Annotated[float, Field(ge=0)] = 0.0
+    losses: Annotated[float, Field(ge=0)] = 0.0
+
+
 class SelfPlayState(JointState):
     """The JSON part of a checkpoint; `pool` has the ratings of the members of the pool, and `ratings` those
     of the policy so far, the present one last."""
 
-    pool: Annotated[list[RatingState], Field(max_length=100)]
+    pool: Annotated[list[PastState], Field(max_length=100)]
     ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
 
 
@@ -226,9 +235,9 @@ class SelfPlayLearner(JointLearner):
     def _learner(self) -> Learner:
         return next(iter(self.learners.values()))
 
-    def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
-        super().begin(total, monitor, followers)
-        self._total = total
+    @property
+    def pool_games(self) -> Sequence[PoolGames]:  # type: ignore[override]  # an attribute of the base
+        return [PoolGames(past.rating.steps, past.wins, past.losses) for past in self.pool]
 
     def actor(self) -> PolicyActor:
         return _SidesActor(self)
@@ -303,6 +312,7 @@ class SelfPlayLearner(JointLearner):
             score = int(mine.has_succeeded(endings)) - int(other.has_succeeded(endings))
             wins, losses = wins + (score > 0), losses + (score < 0)
             past = self.pool[place]
+            past.wins, past.losses = past.wins + (score > 0), past.losses + (score < 0)
             self.ratings[-1], past.rating = self._rater.rated(self.ratings[-1], past.rating, score)
         self.ratings[-1] = self.ratings[-1]._replace(steps=self.steps)
         self.log.record("self_play/rating", self.ratings[-1].mean)
@@ -314,6 +324,8 @@ class SelfPlayLearner(JointLearner):
         """Make the present policy a member of the pool, with its rating."""
         rating = self.ratings[-1]._replace(steps=self.steps)
         weights = {name: np.array(array) for name, array in self._learner.weights().items()}
+        for member in self.pool:
+            member.wins, member.losses = member.wins / 2, member.losses / 2
         self.pool.append(self._past(rating, weights))
         self.ratings.append(rating)
         if len(self.pool) > self._settings.pool:
@@ -337,7 +349,9 @@ class SelfPlayLearner(JointLearner):
 
     def state(self) -> dict[str, Any]:
         return super().state() | {
-            "pool": [past.rating._asdict() for past in self.pool],
+            "pool": [
+                {**past.rating._asdict(), "wins": past.wins, "losses": past.losses} for past in self.pool
+            ],
             "ratings": [rating._asdict() for rating in self.ratings],
         }
 
@@ -363,12 +377,11 @@ class SelfPlayLearner(JointLearner):
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         super().restore(kept, arrays, same)
         names = [*self._learner.weights()]
-        self.pool = [
-            self._past(
-                Rating(**rating.model_dump()), {name: arrays[_pool_name(number, name)] for name in names}
-            )
-            for number, rating in enumerate(kept.pool)
-        ]
+        self.pool = []
+        for number, past in enumerate(kept.pool):
+            weights = {name: arrays[_pool_name(number, name)] for name in names}
+            member = self._past(Rating(past.steps, past.mean, past.deviation), weights)
+            self.pool.append(replace(member, wins=past.wins, losses=past.losses))
         self.ratings = [Rating(**rating.model_dump()) for rating in kept.ratings]
         opponents = arrays[_OPPONENTS]
         if opponents.min() < _PRESENT or opponents.max() >= len(self.pool):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.active import ActiveTraining
 from deepbots_cli.learning.confirmation import COST_SHARE
-from deepbots_cli.learning.episodes import Summary
+from deepbots_cli.learning.episodes import AGENTS_COLUMN, Summary, agents_line
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
 from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes
 from deepbots_cli.learning.report import Activity
@@ -157,5 +157,7 @@ class TrainingEvaluations:
             "successes": [episode.is_success for episode in done],
             "ended_by": [episode.ended_by for episode in done],
         }
+        if members := self._active.run.program.members:
+            line[AGENTS_COLUMN] = agents_line(members, done)
         with (self._active.run.evaluations / name).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")

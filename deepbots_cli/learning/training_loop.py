@@ -33,6 +33,7 @@ from deepbots_cli.learning.policy_teacher import PolicyTeacher
 from deepbots_cli.learning.records import (
     BestModel,
     ChosenBy,
+    PoolGames,
     Rating,
     RunRecord,
     Status,
@@ -132,6 +133,7 @@ class TrainingProcess:
         self._followers: list[plugins.PluginCallback] = []
         self._weights_digest = ""
         self._ratings: tuple[Rating, ...] = ()
+        self._pool_games: tuple[PoolGames, ...] = ()
         self._evaluation_seconds = 0.0
 
     def _restore_counts(self) -> None:
@@ -188,14 +190,14 @@ class TrainingProcess:
             reporter.update(callback.progress())
         finally:
             self._weights_digest = learner.digest()
-            self._ratings = tuple(learner.ratings)
+            self._ratings, self._pool_games = tuple(learner.ratings), tuple(learner.pool_games)
 
     def _open(self, stack: ExitStack) -> tuple[Learner, Collector, TrainingLog]:
         """Open the worlds, the learner and its log, and attach them to the callback and the checkpoints."""
         run, callback, checkpoints = self.run, self._callback, self.checkpoints
         stack.enter_context(algorithms.torch_settings())
         stack.callback(self._evaluator.close)
-        episode_log = EpisodeLog(run.monitor, run.program.name)
+        episode_log = EpisodeLog(run.monitor, run.program.name, run.program.members)
         checkpoints.on_restored.append(episode_log.open)
         stack.callback(episode_log.close)
         collector = self._make_collector(stack, TrainingCounter(callback, episode_log))
@@ -332,6 +334,7 @@ class TrainingProcess:
             inexact=tuple(self.checkpoints.inexact),
             agents=agent_returns(self.run.program.members, statistics.term_means()),
             ratings=self._ratings,
+            pool_games=self._pool_games,
         )
 
     def _best_model(self) -> BestModel | None:

@@ -169,6 +169,15 @@ class Others:
     models: Mapping[str, Path] = field(default_factory=dict)
 
     @property
+    def scripts(self) -> tuple[str, ...]:
+        """The scripts that act for other agents, by their names in the program of all agents."""
+        return tuple(
+            joint_name(name, driver)
+            for name, driver in self.drivers.items()
+            if driver not in (RANDOM, ZERO) and name not in self.models
+        )
+
+    @property
     def text(self) -> str:
         """Who acts for each other agent, such as `prey (flee)`."""
         return ", ".join(f"{name} ({self.models.get(name, driver)})" for name, driver in self.drivers.items())

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
-    from deepbots_cli.runtime.agents import Predictor
+    from deepbots_cli.runtime.forward_pass import Predictor
 
 HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
 """The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
@@ -106,7 +106,7 @@ class AgentsDriver(Driver):
 
     def begin(self, start: Start) -> None:
         for act in self._policies.values():
-            act.begin()
+            act.begin(start.number or 0)
 
     def act(self, observation: Any) -> Any:
         actions = {name: act(self._seats[name].observation(observation)) for name, act in self._acts.items()}

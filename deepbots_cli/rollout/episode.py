@@ -97,6 +97,8 @@ def steps(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> I
     if start.state is not None:
         set_random_state(world, start.state)
     driver.begin(start)
+    if start.number is not None:
+        set_number(world, start.number)
     observation, info = world.reset(
         seed=start.seed, options=None if start.options is None else dict(start.options)
     )
@@ -116,6 +118,14 @@ def play(world: gym.Env[Any, Any], driver: Driver, start: Start = Start()) -> Ep
         DeepbotsError: A reward is not finite, or the environment raised it.
     """
     return result_of(steps(world, driver, start), start.seed)
+
+
+def set_number(world: gym.Env[Any, Any], number: int) -> None:
+    """Let policies that act for other agents in the next episode act as in the episode of this number."""
+    from deepbots_cli.runtime.agents import AgentEnvironment
+
+    if isinstance(world.unwrapped, AgentEnvironment):
+        world.unwrapped.number = number
 
 
 def random_state(world: gym.Env[Any, Any]) -> dict[str, Any]:

@@ -1,9 +1,6 @@
-"""Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds.
-
-The rounding of a matrix product depends on the number of rows and on the index of a row, and a rounding error
-can change an action. Therefore every forward pass has `FORWARD_BATCH_SIZE` rows, and episode k always uses
-row k mod `FORWARD_BATCH_SIZE`. The content of other rows does not affect it. `evaluate_policy` of learning
-libraries provides neither this nor the same starts for every policy.
+"""Episodes of a policy, in several worlds at a time, with results that do not depend on the number of worlds
+(`runtime/forward_pass.py`). `evaluate_policy` of learning libraries provides neither this nor the same starts
+for every policy.
 """
 
 from __future__ import annotations
@@ -28,13 +25,9 @@ from deepbots_cli.rollout.episode import (
     steps,
 )
 from deepbots_cli.rollout.worlds import Array, BatchEpisodes, has_copies
-from deepbots_cli.runtime.agents import Predictor
 from deepbots_cli.runtime.batch import BatchSupervisor
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.streams import derive_seed
-
-FORWARD_BATCH_SIZE = 8
-"""The number of rows of a forward pass. A pass of a small policy takes about 0.1 ms for any number of rows up
-to 16; more worlds than 8 gain little."""
 
 NumberedEpisode = tuple[int, Episode]
 """A finished episode of an evaluation, with its number from 0."""
@@ -193,7 +186,7 @@ class PolicyDriver(Driver):
 
     def act(self, observation: Any) -> Any:
         if self._forward is not None:
-            self._forward.put(self._row, observation, self._world)
+            self._forward.put(self._row, observation, _masks(self._world, self._forward))
             return self._forward.predict(self._policy, deterministic=self._deterministic)[self._row]
         masks = self._masks() if self._takes_masks else None
         if masks is not None and self._size:
@@ -217,52 +210,6 @@ def _seed_sampling(seed: int) -> None:
         torch.default_generator.manual_seed(seed)
 
 
-class ForwardPass:
-    """The observations of one forward pass. Rows of worlds that do not run keep their last values.
-
-    If the policy takes action masks, `masks` has which of the `choices` of each row are allowed. A recurrent
-    policy has a `memory` for each row, which is reset where `starts` is true because an episode begins.
-    """
-
-    def __init__(self, space: gym.Space[Any], choices: int | None, size: int = FORWARD_BATCH_SIZE) -> None:
-        self.memory: Any = None
-        self.starts = np.ones(size, dtype=bool)
-        self.masks: Array | None = None if choices is None else np.ones((size, choices), dtype=bool)
-        self.observations: Any = (
-            {key: _zeros(part, size) for key, part in space.spaces.items()}
-            if isinstance(space, gym.spaces.Dict)
-            else _zeros(space, size)
-        )
-
-    def predict(self, policy: Predictor, *, deterministic: bool) -> Any:
-        """Return an action for each row."""
-        actions, self.memory = policy.predict(
-            self.observations, self.memory, self.starts, deterministic, self.masks
-        )
-        self.starts[:] = False
-        return actions
-
-    def put_all(self, observations: Any, worlds: slice, masks: Array | None) -> None:
-        """Put the rows of these worlds of a batch, from the first row on."""
-        count = worlds.stop - worlds.start
-        if self.masks is not None and masks is not None:
-            self.masks[:count] = masks[worlds]
-        if isinstance(self.observations, dict):
-            for key, rows in self.observations.items():
-                rows[:count] = observations[key][worlds]
-        else:
-            self.observations[:count] = observations[worlds]
-
-    def put(self, row: int, observation: Any, world: gym.Env[Any, Any]) -> None:
-        if self.masks is not None:
-            self.masks[row] = world.get_wrapper_attr("action_masks")()
-        if isinstance(self.observations, dict):
-            for key, rows in self.observations.items():
-                rows[row] = observation[key]
-        else:
-            self.observations[row] = observation
-
-
 def _choices(world: gym.Env[Any, Any]) -> int | None:
     """Return the number of options of the agent, over all parts of its action; None if the world forbids
     none."""
@@ -272,8 +219,9 @@ def _choices(world: gym.Env[Any, Any]) -> int | None:
     return int(space.n) if isinstance(space, gym.spaces.Discrete) else int(space.nvec.sum())
 
 
-def _zeros(space: gym.Space[Any], rows: int) -> Array:
-    return np.zeros((rows, *(space.shape or ())), dtype=space.dtype)
+def _masks(world: gym.Env[Any, Any], forward: ForwardPass) -> Array | None:
+    """Return which options the world allows, if the policy takes masks."""
+    return None if forward.masks is None else world.get_wrapper_attr("action_masks")()
 
 
 class EvaluationLane:
@@ -296,10 +244,10 @@ class EvaluationLane:
         self.number, seed = number, self._seeds[number]
         _seed_sampling(derive_seed(seed, "policy"))  # only a policy that samples draws from it
         forward.starts[self.row] = True
-        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed))
+        self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed, number=number))
         first = next(self._steps)
         self._accumulator.begin(seed, first.info)
-        forward.put(self.row, first.observation, self._world)
+        forward.put(self.row, first.observation, _masks(self._world, forward))
         return True
 
     def step(self, action: Any, forward: ForwardPass) -> Episode | None:
@@ -307,5 +255,5 @@ class EvaluationLane:
         self._action = action
         step = next(self._steps)
         self._accumulator.add(step.reward, step.info)
-        forward.put(self.row, step.observation, self._world)
+        forward.put(self.row, step.observation, _masks(self._world, forward))
         return self._accumulator.close(step.info) if step.is_last else None

@@ -21,7 +21,13 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.program.members import AgentEnding
-from deepbots_cli.rollout.episode import Episode, EpisodeAccumulator, random_state, set_random_state
+from deepbots_cli.rollout.episode import (
+    Episode,
+    EpisodeAccumulator,
+    random_state,
+    set_number,
+    set_random_state,
+)
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
 from deepbots_cli.runtime.spaces import by_part
 
@@ -250,6 +256,7 @@ class Worlds:
     def _begin(self, index: int, seed: int | None) -> list[Any]:
         """Begin an episode. Returns the observation of each row."""
         world = self.worlds[index]
+        set_number(world, index)
         options = self._options(index)
         observation, info = world.reset(seed=seed, options=None if options is None else dict(options))
         self.drawn[index] = info.get("drawn", {})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -18,9 +18,9 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, Member, joint_name
 from deepbots_cli.program.task import Agent
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.spaces import (
     action_space,
-    by_part,
     canonical_action,
     compose_action,
     mask_of_space,
@@ -139,16 +139,7 @@ class Seat(Place):
 
     def info(self, of_all: Mapping[str, Any]) -> Info:
         """Return the info of a step as it is for the agent."""
-        terms = of_all["reward_terms"]
-        end = of_all.get("agent_endings", {}).get(self.member.name)
-        endings = of_all["endings"] if end is None else end.endings
-        own: Info = {
-            **{name: value for name, value in of_all.items() if name != "agent_endings"},
-            "is_success": self.member.has_succeeded(endings) if end is None else end.is_success,
-            "ended_by": of_all["ended_by"] if end is None else end.endings[0],
-            "endings": endings,
-            "reward_terms": {name: terms[joint] for name, joint in self.member.terms.items()},
-        }
+        own = own_info(self.member, of_all)
         if "action_mask" in own:
             own["action_mask"] = mask_of_space(
                 self.action_space,
@@ -159,6 +150,20 @@ class Seat(Place):
     def reward(self, of_all: Mapping[str, Any]) -> float:
         """Return the reward of the last step."""
         return self.member.reward(of_all["reward_terms"])
+
+
+def own_info(member: Member, of_all: Mapping[str, Any]) -> Info:
+    """Return the info of a step as it is for an agent, with the masks of all agents."""
+    terms = of_all["reward_terms"]
+    end = of_all.get("agent_endings", {}).get(member.name)
+    endings = of_all["endings"] if end is None else end.endings
+    return {
+        **{name: value for name, value in of_all.items() if name != "agent_endings"},
+        "is_success": member.has_succeeded(endings) if end is None else end.is_success,
+        "ended_by": of_all["ended_by"] if end is None else end.endings[0],
+        "endings": endings,
+        "reward_terms": {name: terms[joint] for name, joint in member.terms.items()},
+    }
 
 
 def seats_of(world: Supervisor) -> dict[str, Seat]:
@@ -198,6 +203,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
     Attributes:
         supervisor: The supervisor of the world.
         scenario: The program of the agent.
+        number: The number of the next episode, or of the world among others: policies that act for other
+            agents then act as in a batch, to the bit (`forward_pass.py`).
 
     Args:
         rebuild: Makes a copy of the environment in another process.
@@ -213,7 +220,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
     ) -> None:
         others = scenario.others
         assert others is not None
-        self.supervisor, self.scenario, self.rebuild = supervisor, scenario, rebuild
+        self.supervisor, self.scenario, self.rebuild, self.number = supervisor, scenario, rebuild, 0
         self._seats = seats_of(supervisor)
         self._own = others.agent
         self.seat = self._seats[others.agent]
@@ -235,7 +242,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         """See `Supervisor.reset`."""
         self._observed, info = self.supervisor.reset(seed=seed, options=options)
         for act in self._policies.values():
-            act.begin()
+            act.begin(self.number)
         if seed is not None:
             self.action_space.seed(seed)
         self._result = 0.0, self.seat.info(info)
@@ -325,39 +332,27 @@ class AgentEnvironment(gym.Env[Any, Any]):
         return self.rebuild, ()
 
 
-class Predictor(Protocol):
-    """A policy: actions for rows of observations, and the memory of a recurrent policy after them."""
-
-    takes_masks: bool
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-        action_masks: Any = None,
-    ) -> tuple[Any, Any]: ...
+def forward_pass(policy: Predictor, place: Place) -> ForwardPass:
+    """Return a forward pass of a policy that acts for an agent."""
+    options = sum(len(part.options) for part in place.member.program.agent.choices)
+    return ForwardPass(place.observation_space, options if policy.takes_masks else None)
 
 
 class PolicyAct:
-    """Acts for an agent with a policy, which takes its most likely action."""
+    """Acts for an agent with a policy, which takes its most likely action, in one row of a forward pass."""
 
     def __init__(self, policy: Predictor, seat: Seat) -> None:
         self._policy, self._seat = policy, seat
         self.begin()
 
-    def begin(self) -> None:
-        """Begin an episode: a recurrent policy forgets the previous one."""
-        self._memory: Any = None
-        self._starts = np.ones(1, bool)
+    def begin(self, number: int = 0) -> None:
+        """Begin the episode of this number: a recurrent policy forgets the previous one."""
+        self._row, self._forward = number % FORWARD_BATCH_SIZE, forward_pass(self._policy, self._seat)
 
     def __call__(self, observation: Any) -> Any:
-        masks = self._seat.action_mask()[None] if self._policy.takes_masks else None
-        rows = by_part(lambda part: part[None], observation)
-        actions, self._memory = self._policy.predict(rows, self._memory, self._starts, True, masks)
-        self._starts = np.zeros(1, bool)
-        return actions[0]
+        masks = self._seat.action_mask() if self._policy.takes_masks else None
+        self._forward.put(self._row, observation, masks)
+        return self._forward.predict(self._policy, deterministic=True)[self._row]
 
 
 def driven(world: Supervisor, seat: Seat, driver: str) -> Act:

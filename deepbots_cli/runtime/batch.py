@@ -27,7 +27,7 @@ from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, Optio
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.failures import infinite_reward, without_option
-from deepbots_cli.runtime.spaces import Column, ObservedColumns, by_part, joined
+from deepbots_cli.runtime.spaces import Column, ObservedColumns, by_part, compose_rows, joined
 from deepbots_cli.runtime.supervisor import Supervisor
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
@@ -150,6 +150,19 @@ class EpisodeHistories:
         self._first = np.array([len(self.actions) - len(episode.actions) for episode in episodes])
 
 
+def advance_and_begin(batch: Any, action: Any) -> BatchStep:
+    """Advance a batch, and let episodes that end be followed by new ones; see `BatchSupervisor.step`."""
+    losses_before = len(batch.losses)
+    outcome: BatchStep = batch.advance(action)
+    for loss in batch.losses[losses_before:]:
+        warnings.warn(str(loss), RuntimeWarning, stacklevel=4)
+    if not len(outcome.done):
+        return outcome
+    worlds = (outcome.done[:: batch.copies] // batch.copies).tolist()
+    batch.begin(worlds, [None] * len(worlds))
+    return outcome._replace(observations=batch.observations())
+
+
 class BatchSupervisor(BatchRobots, ObservedColumns):
     """Base of the generated supervisors of a batch, over single supervisors and the engine of all of their
     worlds.
@@ -236,15 +249,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
             EvaluationError: An expression has no value in a world that is finite, all options of a choice are
                 forbidden, or an episode would end before its first step.
         """
-        losses_before = len(self.losses)
-        outcome = self.advance(action)
-        for loss in self.losses[losses_before:]:
-            warnings.warn(str(loss), RuntimeWarning, stacklevel=3)
-        if not len(outcome.done):
-            return outcome
-        worlds = (outcome.done[:: self.copies] // self.copies).tolist()
-        self.begin(worlds, [None] * len(worlds))
-        return outcome._replace(observations=self.observations())
+        return advance_and_begin(self, action)
 
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """Advance by one step all worlds except those that are `resting` (truth values), whose episodes have
@@ -289,13 +294,22 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self._take_over_from(worlds)
 
     def restore(
-        self, episodes: Sequence[EpisodeHistory], on_step: Callable[[Column], None] = lambda acting: None
+        self,
+        episodes: Sequence[EpisodeHistory],
+        on_step: Callable[[Column], None] = lambda acting: None,
+        *,
+        on_begin: Callable[[Sequence[int]], None] = lambda worlds: None,
+        complete: Callable[[Any], Any] = lambda action: action,
     ) -> Any:
         """Bring the worlds back to the moment of a snapshot, exactly: each episode begins again and repeats
         its actions.
 
         All end in the same step, so that short ones begin late. `on_step` is called after each step with the
         rows that repeated an action in it, as truth values.
+
+        Args:
+            on_begin: Called with the worlds whose episodes begin.
+            complete: Returns the action of all agents, given the actions of the episodes.
 
         Returns:
             The observations.
@@ -317,15 +331,17 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
                 )
             if begun:
                 self._take_over_from(begun)
+                on_begin(begun)
             if step < last:
                 places = [step - last + len(episode.actions) for episode in episodes]
                 rows = [
                     episode.actions[place] if place >= 0 else idle
                     for place, episode in zip(places, episodes, strict=True)
                 ]
-                self.histories.actions.append(joined(rows))
+                action = complete(self.rows.by_row(joined(rows)))
+                self.histories.actions.append(self.rows.by_world(action))
                 with np.errstate(all="ignore"):
-                    self._advance(self.rows.by_row(self.histories.actions[-1]))
+                    self._advance(action)
                 on_step((np.array(places) >= 0).repeat(self.copies))
         self.histories.replace(episodes)
         return self.observations()
@@ -403,6 +419,18 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         for row, name in zip(terms, self.TERMS, strict=True):
             row[:] = getattr(self, generated.term(name))
         return terms
+
+    def script(self, name: str) -> Any:
+        """Return the next actions of a script that the batch computes, in the action space."""
+        return getattr(self, generated.script(name))()
+
+    def make_action(self, choices: Sequence[Any], ranges: Sequence[Any]) -> Any:
+        """Return the actions with these options and numbers, a column each."""
+        of_choices, of_ranges = (
+            np.array([np.broadcast_to(column, self.count) for column in columns]).reshape(-1, self.count).T
+            for columns in (choices, ranges)
+        )
+        return compose_rows(self.action_space, of_choices, of_ranges)
 
     def action_masks(self) -> Column:
         """Return `Supervisor.action_masks` of each agent, a row each; a copy."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium as gym
@@ -217,6 +217,12 @@ class OptionMasks:
             if stuck.any():
                 return StuckRow(int(stuck.argmax()), choice)
         return None
+
+    def of_agent(self, agent: Agent, names: Mapping[str, str]) -> OptionMasks:
+        """Return the masks of one of several agents, whose choices have other `names` here; a view."""
+        own = OptionMasks(agent, 0)
+        own._masks = {part.name: self._masks[names[part.name]] for part in agent.choices}
+        return own
 
     def by_row(self) -> Column:
         """Return the options of all choices in a row per agent; a copy."""

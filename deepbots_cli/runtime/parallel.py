@@ -12,7 +12,9 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.agents import joint_action, seats_of
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.runtime.supervisor import Supervisor
+from deepbots_cli.runtime.window import Window
 
+RGB_ARRAY, HUMAN = "rgb_array", "human"
 DRAWS = "draws"
 """The key of `options` of a reset with values in place of draws."""
 
@@ -26,14 +28,27 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
 
     Attributes:
         world: The supervisor of the world.
+
+    Args:
+        render_mode: That of the world, or `human`: a window then shows each step, for which the world needs
+            the mode `rgb_array`.
     """
 
-    def __init__(self, world: Supervisor) -> None:
+    def __init__(self, world: Supervisor, render_mode: str | None = None) -> None:
         self.world, self._seats = world, seats_of(world)
         self.possible_agents = list(self._seats)
         self.agents: list[str] = []
-        self.metadata = {**world.metadata, "name": world.scenario.name, "is_parallelizable": True}
-        self.render_mode = world.render_mode
+        modes = world.metadata["render_modes"]
+        self.metadata = {
+            **world.metadata,
+            "render_modes": [HUMAN, *modes] if RGB_ARRAY in modes else modes,
+            "name": world.scenario.name,
+            "is_parallelizable": True,
+        }
+        self.render_mode = HUMAN if render_mode == HUMAN else world.render_mode
+        self._window = (
+            Window(world.scenario.name, world.scenario.period) if self.render_mode == HUMAN else None
+        )
         self.observation_spaces = {name: seat.observation_space for name, seat in self._seats.items()}
         self.action_spaces = {name: seat.action_space for name, seat in self._seats.items()}
         self._observed: Any = None
@@ -60,6 +75,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
             for name, space in self.action_spaces.items():
                 space.seed(derive_seed(seed, "actions", name))
         self.agents = list(self.possible_agents)
+        self._show()
         return self._observations(), {name: seat.info(info) for name, seat in self._seats.items()}
 
     def step(
@@ -81,6 +97,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         cuts = {name: truncated and name not in alone for name in acting}
         self.agents = [name for name in acting if not (ends[name] or cuts[name])]
         observations = self._observations()
+        self._show()
         return (
             {name: observations[name] for name in acting},
             {name: self._seats[name].reward(info) for name in acting},
@@ -96,11 +113,18 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         return np.array(self._observed)
 
     def render(self) -> Any:
-        """Return an image of the world, uint8 of shape (rows, columns, 3); None without a render mode."""
-        return self.world.render()
+        """Return an image of the world, uint8 of shape (rows, columns, 3). Without a render mode, and in the
+        mode `human`, whose window shows each step, return None."""
+        return None if self._window is not None else self.world.render()
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self.world.render())
 
     def close(self) -> None:
-        """Release the engine."""
+        """Release the engine, and close the window."""
+        if self._window is not None:
+            self._window.close()
         self.world.close()
 
     def _observations(self) -> dict[str, Any]:

@@ -95,6 +95,31 @@ def compose_action(space: gym.Space[Any], choices: Sequence[int], ranges: Sequen
     return np.array(choices, np.int64) if choices else np.array(ranges, np.float32)
 
 
+def compose_rows(space: gym.Space[Any], choices: NDArray[Any], ranges: NDArray[Any]) -> Any:
+    """Return actions of `space`, given options by number (row, choice) and values from -1 to 1 (row,
+    range)."""
+    if isinstance(space, gym.spaces.Dict):
+        return {
+            "choices": compose_rows(space["choices"], choices, ranges),
+            "ranges": compose_rows(space["ranges"], choices, ranges),
+        }
+    if isinstance(space, gym.spaces.Box):
+        return ranges.astype(np.float32)
+    options = choices.astype(np.int64)
+    return options[:, 0] if isinstance(space, gym.spaces.Discrete) else options
+
+
+def parts_of_rows(actions: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the options by number (row, choice) and the values (row, range) in actions of one space, one a
+    row."""
+    if isinstance(actions, dict):
+        return parts_of_rows(actions["choices"])[0], actions["ranges"]
+    none = np.zeros((len(actions), 0), np.float32)
+    if actions.dtype.kind == "f":
+        return none.astype(np.int64), actions
+    return actions.reshape(len(actions), -1), none
+
+
 def mask_of_space(space: gym.Space[Any], masks: Sequence[NDArray[np.int8]]) -> Any:
     """Return masks of options, one of each choice, in the form that `space.sample` takes; each may have a row
     per world."""

@@ -1,11 +1,13 @@
 """The scenario: robots, messages, the task, and the whole file."""
 
 import pathlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
-from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.document.nodes import MappingNode, NodePath, node_at
 from deepbots_cli.message_formats import FORMATS
 from deepbots_cli.scenario.actuators import AnyActuator, JointPosition
 from deepbots_cli.scenario.agent import (
@@ -544,6 +546,14 @@ TITLE = Text(
 )
 
 
+_OF_ONE_AGENT: Mapping[str, Any] = {
+    "action": {"none": "-1 .. 1"},
+    "observation": {"none": "-1 .. 1"},
+    "reward": {"none": 0},
+}
+"""Stand-ins for the sections that a scenario with one agent requires."""
+
+
 class Scenario(Section):
     """One task: world, robots, messages, observation, reward, endings, resets, training.
 
@@ -631,6 +641,19 @@ class Scenario(Section):
 
     _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _leave_sections_to_agents(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
+        """With several agents, the sections that a scenario with one requires are in those of the agents."""
+        if not isinstance(data, Mapping) or data.get("agents") is None:
+            return handler(data)
+        missing = {key: value for key, value in _OF_ONE_AGENT.items() if key not in data}
+        scenario = handler({**data, **missing})
+        for key in missing:
+            scenario.__dict__[key] = {}
+            scenario.model_fields_set.discard(key)
+        return scenario
+
     @property
     def stages(self) -> tuple[Stage, ...]:
         """The stages of the curriculum; none if it has levels."""
@@ -656,7 +679,7 @@ class Scenario(Section):
     @classmethod
     def from_yaml(cls, path: str | pathlib.Path) -> Self:
         """Load a scenario from a file, including the files that it extends and includes. Paths of other files
-        become absolute.
+        become absolute. Where an agent has some keys of `train`, those at the top level are added.
 
         Raises:
             ScenarioError: The file has findings at error level.
@@ -667,7 +690,7 @@ class Scenario(Section):
         from deepbots_cli.scenario.validate import validate
 
         document = load(path)
-        root = document.root
+        root = None if document.root is None else _with_whole_training(document.root)
         scenario = validate(root, document.findings) if root is not None else None
         if root is None or scenario is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
@@ -696,3 +719,20 @@ class Scenario(Section):
         from deepbots_cli.scenario.json_schema import json_schema
 
         return json_schema()
+
+
+def _with_whole_training(root: MappingNode) -> MappingNode:
+    """Return the scenario in which the `train` of each agent has the keys at the top level too."""
+    agents, shared = node_at(root, "agents"), node_at(root, "train")
+    if not isinstance(agents, MappingNode) or not isinstance(shared, MappingNode):
+        return root
+    sections = {}
+    for name, entry in agents.entries.items():
+        section, own = entry.value, node_at(entry.value, "train")
+        if isinstance(section, MappingNode) and isinstance(own, MappingNode):
+            whole = replace(own, entries={**shared.entries, **own.entries})
+            training = section.entries["train"]._replace(value=whole)
+            section = replace(section, entries={**section.entries, "train": training})
+        sections[name] = entry._replace(value=section)
+    divided = root.entries["agents"]._replace(value=replace(agents, entries=sections))
+    return replace(root, entries={**root.entries, "agents": divided})

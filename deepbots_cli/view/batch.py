@@ -21,7 +21,14 @@ from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.spaces import joined
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, RunDriver
-from deepbots_cli.view.frames import AgentFrame, FrameReader, ReceivedMessage, WorldFrame, value_of_row
+from deepbots_cli.view.frames import (
+    AgentFrame,
+    FrameReader,
+    ReceivedMessage,
+    WorldFrame,
+    successful_agents,
+    value_of_row,
+)
 
 
 class BatchPlayer(Player):
@@ -104,7 +111,11 @@ class BatchPlayer(Player):
         self._running.resting[outcome.done] = True
         for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
             ended = {name: info[name] for name in ("ended_by", "is_success")}
-            self._endings[world] = {**ended, "truncated": bool(outcome.truncated[world])}
+            self._endings[world] = {
+                **ended,
+                "truncated": bool(outcome.truncated[world]),
+                "succeeded": successful_agents(self.program, info["endings"]),
+            }
         return self._read()
 
     @property

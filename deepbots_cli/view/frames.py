@@ -194,6 +194,8 @@ class WorldFrame:
     ended_by: str | None
     is_success: bool
     truncated: bool
+    succeeded: tuple[str, ...] = ()
+    """Of several agents, those for which the episode is a success."""
 
     @property
     def ending(self) -> str:
@@ -202,7 +204,14 @@ class WorldFrame:
             return ""
         if self.is_success:
             return f"success: {self.ended_by}"
+        if self.succeeded:
+            return f"success of {', '.join(self.succeeded)}: {self.ended_by}"
         return f"{'time limit' if self.truncated else 'failure'}: {self.ended_by}"
+
+
+def successful_agents(program: Program, endings: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of those of several agents for which these endings are a success."""
+    return tuple(name for name, member in program.members.items() if member.has_succeeded(endings))
 
 
 def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
@@ -417,6 +426,7 @@ class FrameReader:
             ended_by=env.ended_by,
             is_success=env.is_success,
             truncated=env.truncated,
+            succeeded=successful_agents(env.scenario, env.endings),
         )
 
     def links(self) -> dict[LinkName, Frame]:

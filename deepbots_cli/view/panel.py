@@ -210,7 +210,7 @@ class Panel:
         color = "#0072B2"
         if frame.ended_by:
             unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
-            color = "#009E73" if frame.is_success else unsuccessful
+            color = "#009E73" if frame.is_success or frame.succeeded else unsuccessful
         total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""

@@ -3,6 +3,7 @@ seeds."""
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import textwrap
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.decline import Decline, decline_of
 from deepbots_cli.learning.directories import run_folders
-from deepbots_cli.learning.episodes import KeptNames, read_evaluations, read_log
+from deepbots_cli.learning.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
@@ -30,6 +31,8 @@ from deepbots_cli.view.frames import COLORS
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from deepbots_cli.program.members import Member
 
 SUFFIXES = (".png", ".svg")
 _MAX_CURVE_POINTS = 200  # points of a curve
@@ -134,7 +137,16 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
     return logs
 
 
-def _read_run(path: Path, window: int) -> TrainingLog:
+def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog:
+    """Read the log of a run as it is for one of its several agents.
+
+    Raises:
+        RunError: The run is damaged, or an older version wrote it, which did not log each agent.
+    """
+    return _read_run(path, window, member)
+
+
+def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
     teacher = teacher_of(path)
     recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""  # a recording is no part of the scenario
@@ -142,7 +154,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log = TrainingLog(
         path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher
     )
-    episodes, evaluations = logs_of(path)
+    episodes, evaluations = logs_of(path, "" if member is None else member.name)
     if not len(episodes):
         raise RunError(f"{path} contains no finished episode yet; plot it later")
     log.stages = stage_starts(record, episodes)
@@ -156,7 +168,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         if share.any()
     }
     if quoted := quoted_evaluation(path, record):
-        log.evaluation = quoted[1]
+        log.evaluation = quoted[1] if member is None else quoted[1].of_agent(member.name)
         best = record.result.best_model if record.result else None
         steps = quoted[1].model_steps if quoted[1].model_steps is not None or best is None else best.steps
         log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
@@ -170,7 +182,7 @@ def _read_run(path: Path, window: int) -> TrainingLog:
         )
         log.evaluations, log.evaluated_successes = (at, means), (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
-    log.decline = decline_of(path, record)
+    log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")
     finite = {
         tag: (at[np.isfinite(values)], values[np.isfinite(values)]) for tag, (at, values) in scalars.items()
@@ -179,6 +191,10 @@ def _read_run(path: Path, window: int) -> TrainingLog:
     log.terms = {
         tag.removeprefix("reward/"): curve for tag, curve in curves.items() if tag.startswith("reward/")
     }
+    if member is not None:
+        names = {joint: term for term, joint in member.terms.items()}
+        log.terms = {names[name]: curve for name, curve in log.terms.items() if name in names}
+        return log
     log.agents = {
         tag.removesuffix(_AGENT_RETURNS): curve
         for tag, curve in curves.items()
@@ -231,9 +247,9 @@ def _read_tensorboard(path: Path) -> TrainingLog:
     return log
 
 
-def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
+def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
     """Return the episodes of a training and its evaluations, both in order. A last line that is half written
-    is left out.
+    is left out. Of several agents, `agent` is the one whose returns and successes are read.
 
     Episodes are a record array with the timesteps at their end (`steps`), `returns`, `lengths`, `successes`
     (1 or 0), `endings`, `stages` of the curriculum ("" without one), and `drawn`, the drawn values of the
@@ -250,6 +266,12 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
         nonlocal letters
         for row in read_log(path):
             numbers = [float(row[name]) for name in ("steps", "r", "l", "is_success")]
+            if agent:
+                if AGENTS_COLUMN not in row:
+                    raise RunError(
+                        f"the log of {run} has no returns of each agent; an older version wrote it"
+                    )
+                numbers[1], numbers[3] = map(float, json.loads(row[AGENTS_COLUMN])[agent])
             if not all(map(math.isfinite, numbers)) or numbers[0] < 0:
                 raise ValueError("a number is not finite, or a step is negative")
             newest.append(row.get("drawn") or "")
@@ -260,10 +282,10 @@ def logs_of(run: Path) -> tuple[Any, list[dict[str, Any]]]:
 
     try:
         table = np.fromiter(episodes(), _EPISODE_COLUMNS)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error
     table["drawn"][len(table) - len(newest) :] = newest
-    return table.view(np.recarray), read_evaluations(run)
+    return table.view(np.recarray), read_evaluations(run, agent)
 
 
 def scalars_of(path: Path) -> dict[str, Curve]:

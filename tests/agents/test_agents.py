@@ -14,7 +14,7 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
-from deepbots_cli.errors import BatchError, UsageError
+from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import joint_action, seats_of
@@ -254,13 +254,6 @@ def test_a_driver_lets_each_agent_act_by_its_script_of_this_name(several: Path) 
             observed, *_ = world.step(action)
         with pytest.raises(UsageError, match="the drivers are lean, random, zero"):
             named_driver(world, "nothing")
-
-
-def test_a_batch_is_refused_where_other_agents_act_by_themselves(several: Path) -> None:
-    role = "role={agent: left, others: {right: lean}}"
-    program = api.compile(several, overrides=[role, "world.engine=mujoco"]).program
-    with pytest.raises(BatchError, match="other agents act by themselves"):
-        api.build_batch(program, 8, engine="mujoco")
 
 
 def test_a_value_that_the_robot_of_another_agent_sends_is_named_so(several: Path) -> None:

@@ -209,6 +209,8 @@ def test_an_agent_adds_keys_to_the_training_of_all(tmp_path: Path) -> None:
     assert settings["left"]["n_steps"] == settings["right"]["n_steps"] == 64
     assert "learning_rate" not in settings["left"]
     assert settings["right"]["learning_rate"] == 1e-5
+    in_python = deepbots_cli.Scenario.from_yaml(tmp_path / "several.yaml")
+    assert api.compile(in_python).digest == api.compile(tmp_path / "several.yaml").digest
 
 
 def test_a_damaged_model_of_an_agent_is_refused_by_its_name(trained: Path, tmp_path: Path) -> None:

@@ -17,6 +17,9 @@ from deepbots_cli.errors import RunError, ScenarioError, UsageError
 from deepbots_cli.learning.evaluation import evaluate, load_model
 from deepbots_cli.learning.matches import play_matches
 from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout.drivers import named_driver
+from deepbots_cli.runtime.agents import driven
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from tests.agents.test_joint_training import SHARED, written
 from tests.worlds import RAIL
@@ -49,7 +52,8 @@ def test_the_policy_of_a_run_acts_for_the_other_agent(trained: Path) -> None:
         for step in range(20):
             assert own.tolist() == observed["left"].tolist()
             action = np.array([np.sin(step)], np.float32)
-            right, _ = policy.predict(observed["right"][None], deterministic=True)
+            rows = np.repeat(observed["right"][None], FORWARD_BATCH_SIZE, axis=0)
+            right, _ = policy.predict(rows, deterministic=True)
             own, reward, *_ = world.step(action)
             observed, rewards, *_ = all_agents.step({"left": action, "right": right[0]})
             assert reward == pytest.approx(rewards["left"])
@@ -147,6 +151,39 @@ def test_compare_prints_a_table_of_players(trained: Path, capsys: pytest.Capture
     assert [line.split()[0] for line in lines[3:6]] == ["policy", "lean", "random"]
     assert main(["compare", str(trained), "--episodes", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["agents"] == ["left", "right"]
+
+
+def test_scripts_play_against_each_other_before_any_training(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = str(trained.parent / "several.yaml")
+    assert main(["compare", scenario, "--episodes", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[3:5]] == ["lean", "random"]
+    assert main(["compare", scenario, "--episodes", "3", "--json"]) == 0
+    (match,) = json.loads(capsys.readouterr().out)["matches"]
+    assert sum(match["endings"].values()) == match["episodes"] == 6
+    seconds = []
+    for one, two in (("lean", "random"), ("random", "lean")):
+        role = f"role={{agent: left, others: {{right: {two}}}}}"
+        with closing(api.make(scenario, overrides=[role])) as world:
+            for number in range(3):
+                driver = named_driver(world, one) if one == "lean" else None
+                seat = world.seat  # type: ignore[attr-defined]  # of an agent
+                draw = driven(world.supervisor, seat, "random")  # type: ignore[attr-defined]
+                seen, _ = world.reset(seed=derive_seed(0, "evaluation", number))
+                steps, ended = 0, False
+                while not ended:
+                    action = driver.act(seen) if driver is not None else draw(seen)
+                    seen, _, terminated, truncated, _ = world.step(action)
+                    steps, ended = steps + 1, terminated or truncated
+                seconds.append(steps * 0.032)
+    assert match["mean_seconds"] == pytest.approx(np.mean(seconds))
+
+
+@pytest.mark.parametrize("words", [["cartpole"], ["tag", "--case", "easy"]])
+def test_a_comparison_of_scripts_needs_two_agents_and_no_other_setting(words: list[str]) -> None:
+    assert main(["compare", *words]) == 2
 
 
 def test_a_match_of_one_agent_is_refused(tmp_path: Path) -> None:

@@ -75,3 +75,20 @@ def test_a_hunter_that_chases_catches_the_prey_and_from_one_that_rests_it_escape
     assert infos[winner]["ended_by"] == ending
     assert infos[winner]["is_success"]
     assert not infos[loser]["is_success"]
+
+
+@pytest.mark.parametrize("scenario", ["tag", "carry", "sumo"])
+@pytest.mark.filterwarnings("ignore:We recommend agents to be named")
+def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
+    pytest.importorskip("pettingzoo")
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
+    from pettingzoo.utils import parallel_to_aec
+
+    with closing(deepbots_cli.parallel_env(scenario)) as environment:
+        parallel_api_test(environment, num_cycles=50)
+        api_test(parallel_to_aec(environment), num_cycles=20)
+    parallel_seed_test(lambda: deepbots_cli.parallel_env(scenario), num_cycles=10)
+    with pytest.warns(RuntimeWarning, match="there is no display"):
+        render_test(
+            lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(scenario, render_mode=render_mode))
+        )

@@ -84,7 +84,7 @@ def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbot
     best = RunRecord.read(mine).result.best_model  # type: ignore[union-attr]
     assert best is not None
     assert best.chosen_by == "new starts"
-    assert f"held-out starts from seed {best.evaluation_seed}" in ran.out
+    assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
 
 
 def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, mine: Path) -> None:

@@ -97,7 +97,7 @@ def test_the_ending_of_the_file_may_be_written_or_left_out(deepbots):
 def test_without_a_template_one_is_told_which_there_are(deepbots):
     ran = deepbots("new", "mine")
     assert ran.code == 2
-    assert "cartpole|wheeled|arm|pit" in ran.err
+    assert "cartpole|wheeled|arm|pit|duel" in ran.err
 
 
 ROBOTS = {

@@ -505,7 +505,7 @@ def test_a_requirement_met_by_a_changed_criterion_names_the_change_in_every_form
 def test_an_evaluation_of_too_few_episodes_names_the_number_that_solved_needs(deepbots, trained):
     ran = deepbots("eval", "mine", "--episodes", "1")
     assert "only 1 was evaluated; evaluate with `--episodes 4`" in ran.out
-    assert re.search(r"episodes +1 held-out start from seed", ran.out)
+    assert re.search(r"episodes +1 held-out start from evaluation seed", ran.out)
     assert "a single episode shows no effect" in deepbots("eval", "mine", "--episodes", "1", "--details").out
 
 

@@ -310,7 +310,7 @@ def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_pat
     (copy / "evaluations" / "0001.json").unlink()
     (copy / "evaluations" / "0002.json").write_text(json.dumps(quick | {"planned": 12}))
     assert (
-        "over 3 held-out episodes of the model after 256 steps, from seed 3 (stopped by a requirement after"
+        "over 3 held-out episodes of the model after 256 steps, from evaluation seed 3 (stopped by a requirement after"
         " 3 of 12 episodes)" in Report.read(copy).result
     )
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import signal
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deepbots_cli.learning import checkpoints
+from deepbots_cli.learning.joint import has_agents, own_model
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.run import Run
 
@@ -64,13 +69,21 @@ def outcome(folder: Path) -> dict[str, Any]:
         else "",
         "models": {path.name: models_in(path) for path in run.model("last").parent.glob("*.zip")},
         "checkpoint": None if last is None else last.name,
+        "arrays": {} if last is None else plain(dict(np.load(last / "arrays.npz"))),
     }
 
 
 def models_in(path: Path) -> dict[str, Any]:
-    """The tensors of a model, to the bit."""
+    """The tensors of a model, to the bit; of a model of several agents, those of each agent by its name."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
+    if has_agents(path):
+        agents = json.loads(zipfile.ZipFile(path).read("data"))["agents"]
+        models = {}
+        for agent in agents:
+            with own_model(path, agent) as file:
+                models[agent] = models_in(file)
+        return models
     _, tensors, variables = load_from_zip_file(path, load_data=False, device="cpu")
     return {"tensors": plain(tensors), "variables": plain(variables)}
 

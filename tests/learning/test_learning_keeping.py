@@ -20,7 +20,7 @@ from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import run_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
+from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 
 SHORT = Training(
     "PPO",

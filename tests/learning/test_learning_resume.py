@@ -202,8 +202,23 @@ SHIPPED = {
 """Shipped scenarios in the simulator: the scenario, and its section `train`. FindBall goes through its
 curriculum by steps."""
 
+_SMALL_PPO = (
+    "algorithm: PPO, environments: 8, n_steps: 16, batch_size: 64, n_epochs: 2, network: {hidden: [16]}"
+)
+AGENTS = {
+    "Carry": ("carry", f"{_SMALL_PPO}, total_timesteps: 3200"),
+    "Sumo, self-play": (
+        "sumo",
+        f"{_SMALL_PPO}, total_timesteps: 6400, self_play: {{every: 512, pool: 3, newest: 50 %}}",
+    ),
+}
+"""Shipped scenarios with several agents: the scenario, and its section `train`."""
+
 
 def compiled_of(name: str) -> api.Compiled:
+    if name in AGENTS:
+        scenario, section = AGENTS[name]
+        return api.compile(scenario, overrides=[f"train={{{section}}}", "evaluation.episodes=5"])
     if name in SHIPPED:
         return _shipped(*SHIPPED[name])
     return stand_in.compiled(**{"solved": Solved(30, mean_return=190.0)} | CASES[name])
@@ -225,7 +240,7 @@ def _shipped(scenario: str, section: str) -> api.Compiled:
 
 
 def build_of(name: str) -> Any:
-    if name in SHIPPED:
+    if name in SHIPPED or name in AGENTS:
         return None
     return Reach if name == "HER" else stand_in.build
 
@@ -251,6 +266,11 @@ class Reach(stand_in.CartPole):
 @pytest.mark.parametrize("name", few(list(CASES), ["TD3"]))
 def test_a_training_that_is_killed_becomes_the_same_as_one_that_is_not(tmp_path: Path, name: str) -> None:
     survives(name, tmp_path, 1)
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_so_does_every_agent_of_several(tmp_path: Path, name: str) -> None:
+    survives(name, tmp_path, 5)
 
 
 @pytest.mark.slow

@@ -8,18 +8,12 @@ from pydantic import ValidationError
 
 import deepbots_cli
 from deepbots_cli import Scenario, api
-from deepbots_cli.compiler.agents import has_several_agents
-from deepbots_cli.document import load
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario.actuators import VelocityMotor
 from deepbots_cli.scenario.world import Arena, World
 
 ROOT = Path(__file__).parents[2]
-SAMPLES = [
-    path
-    for path in sorted(ROOT.glob("scenarios/*.yaml"))
-    if not has_several_agents(load(path))  # not yet read as a model
-]
+SAMPLES = sorted(ROOT.glob("scenarios/*.yaml"))
 
 
 def cartpole(**changes: Any) -> Scenario:
@@ -106,10 +100,28 @@ def test_a_file_goes_to_python_and_back(path: Path) -> None:
     assert Scenario.model_validate_json(scenario.model_dump_json(exclude_unset=True)) == scenario
 
 
-@pytest.mark.parametrize("name", ["cartpole", "find_ball", "quadrotor"])
+@pytest.mark.parametrize("name", ["cartpole", "find_ball", "quadrotor", "tag", "carry"])
 def test_a_file_that_went_through_python_compiles_to_the_same(name: str) -> None:
     path = ROOT / "scenarios" / f"{name}.yaml"
     assert deepbots_cli.compile(Scenario.from_yaml(path)).digest == deepbots_cli.compile(path).digest
+
+
+def test_a_scenario_of_several_agents_is_changed_in_python() -> None:
+    scenario = Scenario.from_yaml(ROOT / "scenarios" / "sumo.yaml")
+    assert scenario.agents is not None
+    red = scenario.agents["red"].model_copy(update={"reward": {"win": "20 when blue_out"}})
+    changed = Scenario(
+        **scenario.model_dump(exclude_unset=True) | {"agents": {**scenario.agents, "red": red}}
+    )
+    assert [term.text for term in deepbots_cli.compile(changed).program.agent.reward] == [
+        "20 when blue_out",
+        "20 when red_out",
+    ]
+
+
+def test_without_agents_the_sections_of_one_agent_are_required() -> None:
+    with pytest.raises(ValidationError, match="reward"):
+        Scenario(**cartpole().model_dump(exclude_unset=True, exclude={"reward"}))
 
 
 def test_a_file_with_mistakes_is_not_read(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from shlex import quote
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, ClusterAddress, Json, Workers, integer, option
 from deepbots_cli.cli.matches import match_lines
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.document import Permissions
+from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.run import ModelName, ModelRef
@@ -29,9 +30,9 @@ def command(
     runs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RUN|MODEL",
+            metavar="RUN|MODEL|SCENARIO",
             help="Groups, run directories, models in them, or folders of run directories; at least two, but one"
-            " is enough if its agents compete.",
+            " is enough if its agents compete. Or a scenario with two agents, whose scripts play.",
         ),
     ],
     episodes: Annotated[
@@ -63,16 +64,25 @@ def command(
 ) -> None:
     """Compare trained policies on the same starts."""
     rivals = _rivals(runs, "last" if last else "best")
-    if rivals:
+    judged = None
+    if not rivals and len(runs) == 1 and _is_scenario(runs[0]):
+        judged = api.compile(str(runs[0]), permissions=permissions)
+        terminal.note_warnings(judged.findings, str(runs[0]))
+        if not judged.program.members:
+            raise UsageError(
+                f"{runs[0]} is a scenario with one agent; compare runs of it, or see what its scripts do with:"
+                f" deepbots try {quote(str(runs[0]))} --driver NAME"
+            )
+    if rivals or judged is not None:
         if scenario is not None or case is not None or own or workers is not None:
             raise UsageError(
-                "the agents of these runs compete, so they play against each other in the scenario of the first"
-                " run; leave out --scenario, --case, --own and --workers"
+                "agents that compete play against each other in the scenario of the first run; leave out"
+                " --scenario, --case, --own and --workers"
             )
         with terminal.transient_line("loading the policies ..."):
             play_matches = learning.play_matches
         with terminal.progress(always=False) as show:
-            matches = play_matches(rivals, episodes=episodes, seed=seed, on_episode=show)
+            matches = play_matches(rivals, scenario=judged, episodes=episodes, seed=seed, on_episode=show)
         terminal.show(matches, *match_lines(matches), as_json=as_json)
         return
     if scenario is not None:
@@ -94,6 +104,13 @@ def command(
             executor=executor,
         )
     terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+
+
+def _is_scenario(path: Path) -> bool:
+    """Return whether an argument is the file of a scenario, or the name of a shipped one."""
+    return path.suffix in (".yaml", ".yml") or (
+        not path.exists() and shipped.scenario_path(str(path)) is not None
+    )
 
 
 def _rivals(runs: Sequence[Path], model: ModelName) -> list[ModelRef]:
@@ -126,7 +143,7 @@ def _lines(comparison: Comparison) -> Iterator[str]:
         where = ""
     yield (
         f"{where}{comparison.episodes:,} held-out episode{'' if comparison.episodes == 1 else 's'} of each"
-        f" run, from seed {comparison.seed}"
+        f" run, from evaluation seed {comparison.seed}"
     )
     has_success = all(group.success_defined for group in comparison.groups)
     yield table([_row(group, success_defined=has_success) for group in comparison.groups])
@@ -153,7 +170,9 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
     count = f" ({len(solved)} of {len(group.solved_after)})" if len(group.solved_after) > 1 else ""
     return {
         "group": group.name,
-        "model": ", ".join(dict.fromkeys(result.model for result in group.evaluations)),
+        "model": ", ".join(
+            dict.fromkeys(records.shown_model(result.run, result.model) for result in group.evaluations)
+        ),
         "after_steps": _range(
             [result.model_steps for result in group.evaluations if result.model_steps is not None]
         ),

@@ -17,6 +17,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError, counted
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 
 if TYPE_CHECKING:
@@ -70,6 +71,10 @@ def command(
     last: Annotated[
         bool, option("--last", "With --episode, let the last model act instead of the best one.", ADVANCED)
     ] = False,
+    agent: Annotated[
+        str | None,
+        option("--agent NAME", "Of several agents that learned, explain only this one; by default each."),
+    ] = None,
     allow_code: AllowCode = False,
 ) -> None:
     """Explain why a training does not learn, or why an episode ended."""
@@ -79,11 +84,13 @@ def command(
     if episode is not None or source.endswith((".json", RECORDING_SUFFIX)):
         if only_logs:
             raise UsageError("--only-logs is for a training; leave it out, or leave out --episode")
-        _explain_episode(source, episode, seed, last=last, as_json=as_json, permissions=permissions)
+        _explain_episode(
+            source, episode, seed, last=last, as_json=as_json, permissions=permissions, agent=agent
+        )
         return
     if seed is not None or last:
         raise UsageError("--seed and --last choose an episode; add --episode K")
-    _diagnose(Path(source), only_logs=only_logs, as_json=as_json, permissions=permissions)
+    _diagnose(Path(source), only_logs=only_logs, as_json=as_json, permissions=permissions, agent=agent)
 
 
 def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool:
@@ -116,11 +123,12 @@ def _explain_episode(
     last: bool,
     as_json: bool,
     permissions: Permissions,
+    agent: str | None,
 ) -> None:
     with terminal.transient_line("running the episode again ..."):
         from deepbots_cli.insight.episode import explain, explanation_json
 
-        trace = _trace(source, episode, seed, last=last, permissions=permissions)
+        trace = _trace(source, episode, seed, last=last, permissions=permissions, agent=agent)
         statements = explain(trace)
     for note in () if as_json else trace.notes:
         terminal.note(f"note: {note}")
@@ -130,7 +138,13 @@ def _explain_episode(
 
 
 def _trace(
-    shown: str, episode: int | str | None, seed: int | None, *, last: bool, permissions: Permissions
+    shown: str,
+    episode: int | str | None,
+    seed: int | None,
+    *,
+    last: bool,
+    permissions: Permissions,
+    agent: str | None,
 ) -> Trace:
     from deepbots_cli.insight import trace
     from deepbots_cli.view.episodes import Showing
@@ -147,6 +161,8 @@ def _trace(
             "a recording or a failure has its own start and actions; leave out --seed, --last and --episode"
             " failed"
         )
+    if agent is not None and (is_failure or is_recording):
+        raise UsageError("a recording or a failure is about all of its agents; leave out --agent")
     if is_recording:
         opened = Showing(shown, permissions=permissions).open()
         recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
@@ -156,11 +172,17 @@ def _trace(
             raise UsageError(f"{shown} contains a single episode; leave out --episode")
         return trace.trace_failure(Path(shown), permissions=permissions)
     ref = ModelRef.open(source, model="last" if last else "best")
-    run = ref.run
+    run, member = ref.run, None
+    if agent is not None:
+        member = run.member(agent)
+        run = run.of_agent(agent, beside_policies=True)
     if episode == FAILED_EPISODES:
         if seed is not None or last:
             raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
         _, kept = last_evaluation(ref)
+        if member is not None:
+            own = [own_episode(member, each) for each in kept.outcomes]
+            kept = kept.model_copy(update={"outcomes": own})
         failed = kept.failed(run.program)
         if not failed:
             raise UsageError(
@@ -257,12 +279,12 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    count = len(causes)
+    count, shown = len(causes), f"{folder}, {training.agent}" if training.agent else f"{folder}"
     runs = "; it still runs" if training.is_running else ""
     if causes:
-        head = f"{folder}: {counted(count, 'cause')}, the most likely first{runs}"
+        head = f"{shown}: {counted(count, 'cause')}, the most likely first{runs}"
     else:
-        head = f"{folder}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
+        head = f"{shown}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
     terminal.print_result(head)
     if stage is not None:
         terminal.print_result(stage.text)
@@ -270,7 +292,24 @@ def _print_causes(
         terminal.print_result(f"\n{number}. {cause.text}\n   Try: {cause.advice}")
 
 
-def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permissions) -> None:
+def _report(
+    folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
+) -> dict[str, Any]:
+    """Return the causes in a training as JSON."""
+    return {
+        "run": folder,
+        **({"agent": training.agent} if training.agent else {}),
+        "steps": training.steps,
+        "running": training.is_running,
+        "solved": training.verdict.solved,
+        "stage": stage.evidence if stage is not None else None,
+        "causes": [cause.as_json() for cause in causes],
+    }
+
+
+def _diagnose(
+    run: Path, *, only_logs: bool, as_json: bool, permissions: Permissions, agent: str | None
+) -> None:
     from deepbots_cli.learning.group import Group
 
     source = Source.open(run, permissions, SourceKind.RUN, SourceKind.GROUP)
@@ -284,39 +323,34 @@ def _diagnose(run: Path, *, only_logs: bool, as_json: bool, permissions: Permiss
         from deepbots_cli.insight.diagnosis import has_learned
         from deepbots_cli.insight.stages import present_stage
         from deepbots_cli.insight.statements import statements_about
-        from deepbots_cli.insight.training import read_training, run_probes
+        from deepbots_cli.insight.training import read_trainings, run_probes
     reports: list[dict[str, Any]] = []
     for folder in folders:
         try:
-            training = read_training(Run.open(folder))
-            if not only_logs and not has_learned(training):
-                with terminal.progress("short episodes", always=False) as show:
-                    run_probes(training, permissions=source.permissions, on_episode=show)
-            causes = find_causes(training)
+            opened = Run.open(folder)
+            if agent is not None:
+                opened.member(agent)
+            trainings = [each for each in read_trainings(opened) if agent in (None, each.agent)]
+            for training in trainings:
+                if not only_logs and not has_learned(training):
+                    with terminal.progress("short episodes", always=False) as show:
+                        run_probes(training, permissions=source.permissions, on_episode=show)
+                causes = find_causes(training)
+                stage = next(iter(statements_about((present_stage,), training)), None)
+                reports.append(_report(folder, training, stage, causes))
+                if not as_json:
+                    _print_causes(folder, training, stage, causes)
         except RunError as error:
             if folder == run:
                 raise
             terminal.note(f"note: {error}")
             reports.append({"run": folder, "error": str(error)})
-            continue
-        stage = next(iter(statements_about((present_stage,), training)), None)
-        reports.append(
-            {
-                "run": folder,
-                "steps": training.steps,
-                "running": training.is_running,
-                "solved": training.verdict.solved,
-                "stage": stage.evidence if stage is not None else None,
-                "causes": [cause.as_json() for cause in causes],
-            }
-        )
-        if not as_json:
-            _print_causes(folder, training, stage, causes)
     if all("error" in each for each in reports):
         raise RunError(f"{run} contains no run that can be diagnosed")
     commands = [each["causes"][0].get("command") for each in reports if each.get("causes")]
     commands += [
         f"deepbots eval {quote(str(each['run']))} --details"
+        + (f" --agent {each['agent']}" if "agent" in each else "")
         for each in reports
         if each.get("causes") == [] and not (each["solved"] or each["running"])
     ]

@@ -298,7 +298,7 @@ def _evaluate_run(
         program.variant(case, stage)
     planned = [request.options["episodes"] or each.evaluation_episodes(case) for each in programs]
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.rollout.policies import FORWARD_BATCH_SIZE
+        from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     processes.check_dividable(request.workers, request.address, parts, reason)
@@ -445,7 +445,7 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
         {"evaluations": [each.as_json() for each in evaluations], "differences": pairs},
         f"evaluation of {first.scenario} in {len(evaluations)} engines, trained in"
         f" {run.record.engine}{scenario}",
-        f"  {records.held_out(first.episodes)} from seed {first.seed}, the same in every engine",
+        f"  {records.held_out(first.episodes)} from evaluation seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
         *(f"{each.result.engine}: {each.result.verdict}" for each in evaluations),

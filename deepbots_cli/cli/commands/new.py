@@ -65,6 +65,7 @@ class Template(StrEnum):
     wheeled = "wheeled"
     arm = "arm"
     pit = "pit"
+    duel = "duel"
 
 
 def new(
@@ -132,7 +133,10 @@ def new(
     if program is not None:
         if not as_json:
             _name_faster_engine(program)
-        commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
+        if program.members:
+            commands.append("compare")
+        else:
+            commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
     if not (schema or project):
         commands.append("schema --for")
     _show(written, kept, commands, as_json=as_json)

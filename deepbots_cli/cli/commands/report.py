@@ -67,6 +67,8 @@ def command(
     with terminal.transient_line("reading the run ..."):
         report = of_studies.StudyReport.read(run) if is_study else of_runs.Report.read(run)
     if isinstance(report, of_runs.Report):
+        if figures is not None and figures.is_dir():
+            check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
         shown, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
             report.repeat_episodes(shown, show, clips=clips, permissions=permissions)
@@ -79,11 +81,19 @@ def command(
     for note in report.notes:
         terminal.note(f"note: {note}")
     drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
-    causes = [cause.as_json() for cause in report.causes] if isinstance(report, of_runs.Report) else []
+    of_agents: dict[str, object] = {}
+    causes = []
+    if isinstance(report, of_runs.Report):
+        causes = [cause.as_json() for cause in report.causes]
+        of_agents = {
+            agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}
+            for agent in report.agents
+        }
     data = {
         "report": target,
         "result": report.result,
         "causes": causes,
+        **({"agents": of_agents} if of_agents else {}),
         "figures": written,
         "notes": report.notes,
     }

@@ -177,7 +177,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
         {"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())}
         for number, one in kept
     ]
-    rows = [_evaluation(number, one) for number, one in kept if not isinstance(one, str)]
+    rows = [_evaluation(folder, number, one) for number, one in kept if not isinstance(one, str)]
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = list(_own_notes(run))
@@ -187,11 +187,11 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
         terminal.note(note)
 
 
-def _evaluation(number: int, kept: EvaluationRecord) -> Row:
+def _evaluation(folder: Path, number: int, kept: EvaluationRecord) -> Row:
     return {
         "number": number,
         "evaluated": kept.evaluated[:16].replace("T", " "),
-        "model": kept.model,
+        "model": records.shown_model(folder, kept.model),
         "after_steps": kept.model_steps,
         "remarks": "; ".join(kept.remarks) or kept.elsewhere or records.case_label(kept),
         "episodes": kept.episodes,

@@ -226,7 +226,7 @@ def _lines(transfer: Transfer) -> list[str]:
     here, there = transfer.names
     assignments = " ".join(f"--set {quote(text)}" for text in transfer.there.set)
     changed = f" ({there} with {assignments})" if assignments else ""
-    starts = f"{transfer.here.episodes} held-out starts from seed {transfer.here.seed}"
+    starts = f"{transfer.here.episodes} held-out starts from evaluation seed {transfer.here.seed}"
     lines = [
         *_verdict(transfer),
         f"\ntransfer of {transfer.run}: {transfer.between}{changed}, {starts}",

@@ -1,0 +1,97 @@
+"""Causes in the other agents: a rival that is too strong to learn against, and strategies that beat one another
+in turn."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from deepbots_cli.insight.statements import Numbers, Percentage, statement
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence
+from deepbots_cli.learning.records import PoolGames
+from deepbots_cli.learning.statistics import wilson
+
+_HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
+"""The success rates at and below which an agent hardly succeeds, and from which a rival nearly always does."""
+_EARLY = 0.4
+"""The share of the steps after which a rival that is too strong has been so in the rest of the training. A
+rival that wins only in the end may lose again."""
+_PARTS = 3
+"""The number of parts of the rest, in each of which the rival is too strong."""
+
+
+@statement(
+    "rival_too_strong",
+    "The rival is too strong: since {since} steps, `{agent}` succeeds in {own} of the episodes, and `{rival}` in"
+    " {other}. Where nothing that it does succeeds, `{agent}` does not learn what is better.",
+    advice="Let one learn while the other keeps its policy, with `turns` under `train`; train `{agent}` against a"
+    " weaker `{rival}` first, with --agent {agent} --against {rival}=random, and begin with this policy"
+    " (--initialize-from); or pay for what leads to a success.",
+)
+def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
+    episodes = evidence.all_episodes
+    late = episodes.steps > _EARLY * evidence.steps
+    parts = np.array_split(np.flatnonzero(late), _PARTS)
+    if min(map(len, parts)) < MIN_EPISODES:
+        return None
+    for name, successes in evidence.rivals.items():
+        if all(
+            episodes.successes[part].mean() <= _HARDLY and successes[part].mean() >= _NEARLY_ALWAYS
+            for part in parts
+        ):
+            return {
+                "likelihood": 0.94,
+                "agent": evidence.agent,
+                "rival": name,
+                "since": int(episodes.steps[parts[0][0]]),
+                "own": Percentage(episodes.successes[late].mean()),
+                "other": Percentage(successes[late].mean()),
+            }
+    return None
+
+
+class _Record(NamedTuple):
+    """The games of the newest policy against a past version: the share of the wins, and its interval."""
+
+    steps: int
+    share: Percentage
+    low: float
+    high: float
+    games: int
+
+    @classmethod
+    def of(cls, games: PoolGames) -> _Record | None:
+        """Return the record of enough games, else None."""
+        count = games.wins + games.losses
+        if count < 2 * MIN_EPISODES:
+            return None
+        wins, decided = round(games.wins), round(count)
+        low, high = wilson(min(wins, decided), decided)
+        return cls(games.steps, Percentage(games.wins / count), low, high, decided)
+
+
+@statement(
+    "strategies_cycle",
+    "The strategies go round in a circle: the newest policy wins {lost} of its decided games against the version"
+    " of {old} steps, but {won} against the later version of {late} steps.",
+    advice="Keep more past versions with a larger `pool` of `self_play`, and let fewer environments play the newest"
+    " version against itself (`newest`), so that the policy meets the old strategies again.",
+)
+def strategies_cycle(evidence: TrainingEvidence) -> Numbers | None:
+    result = evidence.run.record.result
+    records = [] if result is None else [_Record.of(games) for games in result.pool_games]
+    pairs = combinations([each for each in records if each is not None], 2)
+    lost = [(old, late) for old, late in pairs if old.high < 0.5 < late.low]
+    if not lost:
+        return None
+    old, late = min(lost, key=lambda pair: pair[0].share)
+    return {
+        "likelihood": 0.9,
+        "old": old.steps,
+        "late": late.steps,
+        "lost": old.share,
+        "won": late.share,
+        "games": [old.games, late.games],
+    }
