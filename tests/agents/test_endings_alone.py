@@ -13,6 +13,8 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.codegen import batch_obstacles
+from deepbots_cli.errors import BatchError
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.runtime.agents import joint_action, seats_of
@@ -203,3 +205,10 @@ def test_try_shows_the_result_of_each_agent(carts: Path, capsys: pytest.CaptureF
     assert main(["try", str(carts), "--driver", "ahead", "--episodes", "1", "--json"]) == 0
     (episode,) = json.loads(capsys.readouterr().out)["episodes"]
     assert episode["ended_by"] == "right_fell"
+
+
+def test_an_agent_that_ends_before_others_trains_in_single_worlds(carts: Path) -> None:
+    program = api.compile(carts, overrides=["role={agent: left}", "world.engine=mujoco"]).program
+    assert batch_obstacles(program) == ["the episode of left may end before those of others"]
+    with pytest.raises(BatchError, match="may end before those of others"):
+        api.build_batch(program, 8, engine="mujoco")
