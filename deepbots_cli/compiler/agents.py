@@ -30,10 +30,16 @@ from deepbots_cli.scenario.validate import validate
 AGENTS, ENDINGS, ROLE, TRAIN, TRUNCATION = "agents", "endings", "role", "train", "truncation"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
-_SIGNALS, _LIKE = "signals", "like"
-_OWN_OF_MIRROR = frozenset({_LIKE, "robots", "scripts", "solved", TRAIN})
+_SIGNALS, _LIKE, _POLICY = "signals", "like", "policy"
+_OWN_OF_MIRROR = frozenset({_LIKE, _POLICY, "robots", "scripts", "solved", TRAIN})
 """The keys that an agent which mirrors another one exactly may have."""
-_KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {_LIKE, "robots", "frame_stack", _SIGNALS}
+_KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {
+    _LIKE,
+    _POLICY,
+    "robots",
+    "frame_stack",
+    _SIGNALS,
+}
 _NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
 _REQUIRED = ("action", "observation", "reward")
 _MODEL_SUFFIX = ".zip"
@@ -72,6 +78,7 @@ def divide(document: Document) -> AgentDocuments | None:
         return None
     drivers = _drivers(document, agents, sections)
     _report_shared_names(document)
+    _check_policies(document, sections)
     _check_limits(document, [*sections])
     tests = DividedTests(
         root, {name: [*section.scripts] for name, section in sections.items()}, document.findings
@@ -101,6 +108,25 @@ def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
         like = section.get(_LIKE) if isinstance(section, MappingNode) else None
         if isinstance(like, ScalarNode) and section.entries.keys() <= _OWN_OF_MIRROR:  # type: ignore[union-attr]
             yield name, like.text
+
+
+def _check_policies(document: Document, sections: Mapping[str, AgentOfSeveral]) -> None:
+    """Report agents that share a policy with one that they do not mirror exactly."""
+    mirrors = dict(_mirrors(document))
+    for name in sections:
+        node = node_at(document.root, AGENTS, name, _POLICY)
+        if not isinstance(node, ScalarNode):
+            continue
+        others = [other for other in sections if other != name]
+        if node.text not in others:
+            _report_unknown(document.findings, node, node.text, "other agent", others)
+        elif mirrors.get(name) != node.text or _POLICY in entries_at(document.root, AGENTS, node.text):
+            document.findings.add(
+                "DB407",
+                node.span,
+                f"`{name}` cannot share the policy of `{node.text}`, because it does not mirror it exactly",
+                f"write `like: {node.text}`, without an action, observation or reward of its own",
+            )
 
 
 def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str, AgentOfSeveral] | None:

@@ -107,7 +107,9 @@ def joint_program(
         cases=tuple(replace(case, program=of_all(case.name, None)) for case in first.cases),
         curriculum=tuple(replace(stage, program=of_all(None, stage.name)) for stage in first.curriculum),
     )
-    return replace(program, members=members_of(programs, names, joint))
+    members = members_of(programs, names, joint)
+    shared = {name: replace(member, policy=specs[name].policy) for name, member in members.items()}
+    return replace(program, members=shared)
 
 
 def _joint_agent(agents: Mapping[str, Agent]) -> Agent:

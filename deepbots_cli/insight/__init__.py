@@ -12,6 +12,7 @@ rewards.py     causes in the reward
 observations.py  causes in the observation
 stages.py      causes in stages, starts and rare success
 teachers.py    causes in scripts
+rivals.py      causes in the other agents
 missed.py      a condition of the success that is missed
 ends.py        causes in the end of episodes
 collapse.py    the cause of a training that falls apart

@@ -11,6 +11,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,6 +33,7 @@ from deepbots_cli.rollout.seats import (
     JointActor,
     OfferedCollector,
     SeatCollector,
+    SharedCollector,
     joined_actions,
     own_entries,
     own_name,
@@ -76,6 +78,7 @@ class JointLearner(Learner):
                 " of them: --agent NAME"
             )
         self._check_ends(setup)
+        self._check_shared(setup)
         program, seen = setup.program, setup.program.with_critic
         self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
         self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
@@ -88,15 +91,43 @@ class JointLearner(Learner):
             self.fragment_steps = self._common_steps()
 
     def _create_learners(self) -> dict[str, Learner]:
-        collector = self.setup.collector
-        if collector is not None:
-            self._collectors.update(
-                {name: SeatCollector(place, collector) for name, place in self._critical.items()}
+        collector, trainings = self.setup.collector, dict(self.setup.training.agents)
+        if collector is None:
+            return {name: self._create(name, training, None) for name, training in trainings.items()}
+        created: dict[str, Learner] = {}
+        for first, names in self._shared.items():
+            places = [self._critical[name] for name in names]
+            is_shared = len(places) > 1
+            self._collectors[first] = (
+                SharedCollector(places, collector) if is_shared else SeatCollector(places[0], collector)
             )
-        return {
-            name: self._create(name, training, self._collectors.get(name))
-            for name, training in self.setup.training.agents
-        }
+            learner = self._create(first, trainings[first], self._collectors[first])
+            created |= dict.fromkeys(names, learner)
+        return {name: created[name] for name in trainings}
+
+    @property
+    def _shared(self) -> dict[str, list[str]]:
+        """The agents with one policy, by the first of them."""
+        assert self.setup.program is not None
+        shared: dict[str, list[str]] = {}
+        for name, member in self.setup.program.members.items():
+            shared.setdefault(member.policy or name, []).append(name)
+        return shared
+
+    def _check_shared(self, setup: Setup) -> None:
+        """Check that agents with one policy learn it in the same way, by an algorithm that supports it."""
+        trainings = dict(setup.training.agents)
+        for first, names in self._shared.items():
+            model = ALGORITHMS[trainings[first].algorithm]
+            if len(names) > 1 and (not model.on_policy or model.base() == "RecurrentPPO"):
+                raise UsageError(
+                    f"{trainings[first].algorithm} does not support a policy that several agents share; use PPO"
+                )
+            if any(replace(trainings[name], agents=()) != trainings[first] for name in names):
+                raise UsageError(
+                    "agents that share a policy have the same `train`; write it at the top level, or for"
+                    f" `{first}`"
+                )
 
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
         """Return a learner for an agent."""
@@ -117,8 +148,10 @@ class JointLearner(Learner):
 
     @property
     def _own(self) -> Mapping[str, Learner]:
-        """The learners that learn."""
-        return self.learners
+        """The learners that learn, by their agent; of agents with one policy, by the first."""
+        if self.setup.collector is None:
+            return self.learners
+        return {first: self.learners[first] for first in self._shared}
 
     def _common_steps(self) -> int:
         steps = {name: own.fragment_steps for name, own in self._own.items()}

@@ -157,7 +157,9 @@ class Program:
         programs = {name: member.program.with_critic for name, member in self.members.items()}
         names = {name: member.names for name, member in self.members.items()}
         (agent,) = agents.values()
-        return replace(self, agents=agents, members=members_of(programs, names, agent))
+        members = members_of(programs, names, agent)
+        shared = {name: replace(each, policy=self.members[name].policy) for name, each in members.items()}
+        return replace(self, agents=agents, members=shared)
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
         """Return whether each message arrives in the timestep in which it is sent: `delayed` timing makes

@@ -119,6 +119,7 @@ class Member:
         ranges: The first number of its ranges among those of all agents, and the one after its last.
         terms: The names of its reward terms in the program of all agents, by their own names.
         alone: The names of the endings that end its episode, while those of other agents go on.
+        policy: The agent whose policy it has; None if it has one of its own.
     """
 
     name: str
@@ -129,6 +130,7 @@ class Member:
     ranges: tuple[int, int]
     terms: Mapping[str, str]
     alone: frozenset[str] = frozenset()
+    policy: str | None = None
 
     def reward(self, terms: Mapping[str, float]) -> float:
         """Return its reward, given the last value of each term of all agents."""
@@ -148,7 +150,8 @@ class Member:
         return any(name in success for name in endings) and self.program.failures.isdisjoint(endings)
 
     def digest_fields(self) -> dict[str, object]:
-        return {"name": self.name, "program": self.program}
+        shared = {} if self.policy is None else {"policy": self.policy}
+        return {"name": self.name, "program": self.program, **shared}
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from deepbots_cli.rollout.collector import (
     Fragment,
     Lesson,
     PolicyActor,
+    join,
 )
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
@@ -144,6 +145,34 @@ class SeatCollector(OfferedCollector):
             agent_rewards={},
             agent_phases={},
         )
+
+
+class SharedCollector(OfferedCollector):
+    """The parts of several agents with one policy in the fragments of all agents. A row is an agent in a
+    world: first all worlds of the first agent.
+
+    Args:
+        places: The places of these agents.
+        of_all: The collector of the worlds.
+    """
+
+    def __init__(self, places: Sequence[Place], of_all: Any) -> None:
+        super().__init__(of_all, places[0])
+        self._seats = [SeatCollector(place, of_all) for place in places]
+        self.rows = len(places) * of_all.rows
+
+    @property
+    def starts(self) -> Array:
+        return np.concatenate([seat.starts for seat in self._seats])
+
+    def begin(self) -> Any:
+        return by_part(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
+
+    def part_of(self, of_all: Fragment) -> Fragment:
+        parts = [seat.part_of(of_all) for seat in self._seats]
+        has_rests = parts[0].taking_part is not None
+        together = [part.taking_part for part in parts if part.taking_part is not None]
+        return replace(join(parts), taking_part=np.concatenate(together, axis=1) if has_rests else None)
 
 
 def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:

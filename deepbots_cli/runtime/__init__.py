@@ -5,7 +5,9 @@ controllers.py  base of the generated robot controllers; the robots of a supervi
 failures.py     messages about an episode that cannot go on
 copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
 agents.py       several agents in one world: the seat of each, and the environment of one beside the others
-parallel.py     several agents as an environment of PettingZoo
+agent_batch.py  the same in a batch of worlds
+forward_pass.py the actions of a policy for several rows, whatever the number of worlds
+parallel.py     several agents as an environment of PettingZoo; window.py its window
 spaces.py       action and observation spaces, forms of actions, observed frames, rewards for other goals
 observing.py    observations from named values, without a world
 formulas.py     functions that generated code calls: pure ones, ones with memory, terms in Python

@@ -159,6 +159,9 @@ class AgentOfSeveral(Section):
     robots: Annotated[Many[Annotated[str, Reference("robot")]], Size(1, "robot")] = ()
     """The robots that the agent drives. With `like`, by default those whose names contain the name of the
     agent where the others contain that of the mirrored agent."""
+    policy: AgentName | None = None
+    """An agent that this one mirrors exactly, and with which it has one policy: both act by it, and it learns
+    from both. By default, an agent has a policy of its own."""
     frame_stack: SmallInt = 1
     """Number of consecutive observations that the policy gets at once."""
     action: dict[SharedName, Action] = {}

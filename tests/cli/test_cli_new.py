@@ -319,8 +319,8 @@ def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, t
     assert text.startswith("# yaml-language-server: $schema=mine.schema.json\n\ndeepbots: 1")
     assert api.lint(tmp_path / "sub" / "mine.yaml", preview=True) == []
     schema = json.loads((tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8"))
-    (robot,) = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
-    assert f"Robot.{robot.name}" in schema["$defs"]
+    robots = api.load(tmp_path / "sub" / "mine.yaml").robots.values()
+    assert {f"Robot.{robot.name}" for robot in robots} <= {*schema["$defs"]}
     assert json.loads(made.out)["files"] == [
         f"sub/{file}"
         for file in ("mine.yaml", *(["mine.urdf"] if template == "arm" else []), "mine.schema.json")
