@@ -51,6 +51,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "transfer": ("transfer.command", "Check that a policy works in another engine or world."),
         "export": ("export.command", "Export the policy of a run for a robot."),
         "serve": ("serve.command", "Let a policy act for a robot, or simulate the robot."),
+        "webots": ("webots.command", "Run a project of Webots: a world and its controllers."),
     },
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),

@@ -1,0 +1,77 @@
+"""The error of a function of Webots that is not implemented, and the names of these functions.
+
+The names are facts of the reference manual of Webots. A name that is not here and not implemented does not
+exist in Webots either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from deepbots_cli.diagnostics.nearest import nearest_word
+
+
+class NotImplementedCallError(NotImplementedError, AttributeError):
+    """A controller uses a part of Webots' interface that deepbots does not have."""
+
+
+MISSING: Mapping[str, str] = {
+    "Robot": "batterySensorDisable batterySensorEnable batterySensorGetSamplingPeriod batterySensorGetValue"
+    " getJoystick getMouse getUrdf stepBegin stepEnd waitForUserInputEvent wwiReceiveText wwiSendText"
+    " setMode",
+    "Supervisor": "animationStartRecording animationStopRecording exportImage getSelected movieFailed"
+    " movieIsReady movieStartRecording movieStopRecording simulationRevert"
+    " virtualRealityHeadsetGetOrientation virtualRealityHeadsetGetPosition virtualRealityHeadsetIsUsed"
+    " worldLoad worldReload worldSave",
+    "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
+    " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
+    " moveViewpoint remove setVisibility enableContactPointsTracking disableContactPointsTracking"
+    " enablePoseTracking disablePoseTracking getFromProtoDef",
+    "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
+    " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
+    " insertMFRotation insertMFString insertMFVec2f insertMFVec3f setMFBool setMFColor setMFFloat setMFInt32"
+    " setMFRotation setMFString setMFVec2f setMFVec3f",
+    "Motor": "enableForceFeedback disableForceFeedback getForceFeedback getForceFeedbackSamplingPeriod"
+    " setControlPID",
+    "GPS": "convertToDegreesMinutesSeconds",
+    "DistanceSensor": "",
+    "TouchSensor": "getLookupTable",
+    "Camera": "getExposure getFocalDistance getFocalLength getImage getImageArray getMaxFocalDistance"
+    " getMinFocalDistance hasRecognition imageGetBlue imageGetGray imageGetGreen imageGetRed"
+    " isRecognitionSegmentationEnabled recognitionDisable recognitionDisableSegmentation recognitionEnable"
+    " recognitionEnableSegmentation getRecognitionNumberOfObjects getRecognitionObjects"
+    " getRecognitionSamplingPeriod getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
+    " recognitionHasSegmentation saveImage saveRecognitionSegmentationImage setExposure setFocalDistance"
+    " setFov getFov getNear getWidth getHeight enable",
+    "RangeFinder": "enable getFov getHeight getMaxRange getMinRange getRangeImage getRangeImageArray getWidth"
+    " rangeImageGetDepth saveImage",
+    "Lidar": "enable disablePointCloud enablePointCloud getFov getFrequency getHorizontalResolution"
+    " getLayerPointCloud getLayerRangeImage getMaxFrequency getMaxRange getMinFrequency getMinRange"
+    " getNumberOfLayers getNumberOfPoints getPointCloud getRangeImage getRangeImageArray getVerticalFov"
+    " isPointCloudEnabled setFrequency",
+    "Radar": "enable getMaxRange getMinRange getNumberOfTargets getTargets getHorizontalFov getVerticalFov",
+    "LightSensor": "enable getValue getLookupTable",
+    "Display": "attachCamera detachCamera drawLine drawOval drawPixel drawPolygon drawRectangle drawText"
+    " fillOval fillPolygon fillRectangle getHeight getWidth imageCopy imageDelete imageLoad imageNew"
+    " imagePaste imageSave setAlpha setColor setFont setOpacity",
+    "Speaker": "getEngine getLanguage isSoundPlaying isSpeaking playSound setEngine setLanguage speak stop",
+    "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
+    "Pen": "setInkColor write",
+    "Microphone": "enable getSampleData getSampleSize",
+    "Altimeter": "",
+    "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
+    "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",
+    "Radio": "enable send setAddress setChannel setFrequency setTxPower",
+}
+"""The functions of each class that deepbots does not have."""
+
+
+def missing_attribute(owner: type, name: str) -> AttributeError:
+    """Return the error for an attribute that an object of the module `controller` does not have."""
+    for base in owner.__mro__:
+        if name in MISSING.get(base.__name__, "").split():
+            return NotImplementedCallError(f"{base.__name__}.{name} is not implemented")
+    public = [word for base in owner.__mro__ for word in vars(base) if not word.startswith("_")]
+    near = nearest_word(name, public)
+    hint = f"; did you mean '{near}'?" if near else ""
+    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{hint}")

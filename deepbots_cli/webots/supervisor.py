@@ -1,0 +1,658 @@
+"""The classes Robot, Supervisor, Node, Field and Keyboard of the module `controller`."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli import frames
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.webots.api import NotImplementedCallError, missing_attribute
+from deepbots_cli.webots.devices import device_object
+from deepbots_cli.webots.nodes import parameters, real, text, texts, value_of, walk
+from deepbots_cli.webots.scene import AXES
+from deepbots_cli.webots.shapes import compose
+from deepbots_cli.webots.syntax import Node as Written
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame, Quaternion, Triple
+    from deepbots_cli.webots.scene import Body, Joint
+    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.syntax import Item, Value
+
+_ACTIVE: list[Simulation] = []
+"""The simulation that runs in this process; the module `controller` belongs to it."""
+
+
+def activate(simulation: Simulation) -> None:
+    """Let the module `controller` act on a simulation."""
+    _ACTIVE[:] = [simulation]
+
+
+def deactivate() -> None:
+    _ACTIVE.clear()
+
+
+def _active() -> Simulation:
+    if not _ACTIVE:
+        raise RuntimeError("no simulation runs; start the world with: deepbots webots WORLD.wbt --allow-code")
+    return _ACTIVE[0]
+
+
+class Robot:
+    """The robot whose controller this is."""
+
+    MODE_SIMULATION, MODE_CROSS_COMPILATION, MODE_REMOTE_CONTROL = 0, 1, 2
+
+    def __init__(self) -> None:
+        simulation = _active()
+        if simulation.current is None:
+            raise RuntimeError("a Robot is made by a controller")
+        self._webots_simulation, self._webots_robot = simulation, simulation.current
+        self.keyboard = Keyboard()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("get") and name[3:] in _DEVICE_CLASSES:
+            return self.getDevice  # the names of releases before R2022
+        raise missing_attribute(type(self), name)
+
+    def step(self, timeStep: int | float | None = None) -> int:
+        """Advance the simulation by `timeStep` ms, or by one basic time step; returns -1 at its end."""
+        period = self._webots_simulation.basic_step if timeStep is None else int(timeStep)
+        return self._webots_simulation.wait(self._webots_robot, period)
+
+    def getBasicTimeStep(self) -> float:
+        return float(self._webots_simulation.basic_step)
+
+    def getTime(self) -> float:
+        """Return the simulated time, s."""
+        return self._webots_simulation.time / 1000
+
+    def getName(self) -> str:
+        return self._webots_robot.name
+
+    def getModel(self) -> str:
+        return text(self._webots_robot.node, "model")
+
+    def getMode(self) -> int:
+        return self.MODE_SIMULATION
+
+    def getSupervisor(self) -> bool:
+        return self._webots_robot.is_supervisor
+
+    def getSynchronization(self) -> bool:
+        return True
+
+    def getControllerName(self) -> str:
+        return self._webots_robot.controller
+
+    def getControllerArguments(self) -> str:
+        return " ".join(texts(self._webots_robot.node, "controllerArgs"))
+
+    def getCustomData(self) -> str:
+        return self._webots_simulation.custom_data[self._webots_robot]
+
+    def setCustomData(self, customData: str) -> None:
+        self._webots_simulation.custom_data[self._webots_robot] = str(customData)
+
+    getData, setData = getCustomData, setCustomData
+
+    def getProjectPath(self) -> str:
+        return sys.path[0]
+
+    def getDevice(self, name: str) -> Any:
+        """Return a device, or None with a warning if there is none of this name."""
+        spec = self._webots_robot.devices.get(name)
+        if spec is not None:
+            return device_object(self._webots_simulation, spec)
+        near = nearest_word(name, self._webots_robot.devices)
+        hint = f"; did you mean '{near}'?" if near else ""
+        print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
+        return None
+
+    def getNumberOfDevices(self) -> int:
+        return len(self._webots_robot.devices)
+
+    def getDeviceByIndex(self, index: int) -> Any:
+        return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
+
+    def getKeyboard(self) -> Keyboard:
+        return self.keyboard
+
+
+_DEVICE_CLASSES = frozenset(
+    [
+        "Accelerometer",
+        "Altimeter",
+        "Brake",
+        "Camera",
+        "Compass",
+        "Connector",
+        "Display",
+        "DistanceSensor",
+        "Emitter",
+        "GPS",
+        "Gyro",
+        "InertialUnit",
+        "LED",
+        "Lidar",
+        "LightSensor",
+        "Motor",
+        "Pen",
+        "PositionSensor",
+        "Radar",
+        "RangeFinder",
+        "Receiver",
+        "Speaker",
+        "TouchSensor",
+    ]
+)
+
+
+class Supervisor(Robot):
+    """A robot that sees and changes the whole world."""
+
+    SIMULATION_MODE_PAUSE, SIMULATION_MODE_REAL_TIME, SIMULATION_MODE_FAST = 0, 1, 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        robot = self._webots_robot
+        if not robot.is_supervisor:
+            print(f"Error: '{robot.name}' is no supervisor; set its field supervisor TRUE", file=sys.stderr)
+
+    def getRoot(self) -> Node:
+        root = Written("Group", self._webots_robot.node.span)
+        return Node(self._webots_simulation, root, root_of=self._webots_simulation.scene.nodes)
+
+    def getSelf(self) -> Node:
+        return Node(self._webots_simulation, self._webots_robot.written)
+
+    def getFromDef(self, name: str) -> Node | None:
+        """Return the node of a DEF name, or of several with dots between, each in the one before."""
+        nodes = self._webots_simulation.scene.nodes
+        match: Written | None = None
+        for part in name.split("."):
+            match = next((node for node in _public(nodes) if node.name == part and node is not match), None)
+            if match is None:
+                return None
+            nodes = [match]
+        return None if match is None else Node(self._webots_simulation, match)
+
+    def getFromId(self, id: int) -> Node | None:
+        for node in walk(self._webots_simulation.scene.nodes):
+            if _number_of(self._webots_simulation, node) == id:
+                return Node(self._webots_simulation, node)
+        return None
+
+    def getFromDevice(self, device: Any) -> Node:
+        return Node(self._webots_simulation, device._spec.node)
+
+    def simulationReset(self) -> None:
+        """Bring the world back to its begin, at the end of the next step."""
+        self._webots_simulation.ask_for_reset()
+
+    def simulationResetPhysics(self) -> None:
+        """Take away all velocities."""
+        self._webots_simulation.physics.stop()
+
+    def simulationQuit(self, status: int = 0) -> None:
+        """End the simulation in the next step, with an exit code."""
+        self._webots_simulation.quit_status = int(status)
+
+    def simulationGetMode(self) -> int:
+        return self.SIMULATION_MODE_FAST
+
+    def simulationSetMode(self, mode: int) -> None:
+        """Do nothing: the world runs as fast as it can."""
+
+    def setLabel(self, *_: Any) -> None:
+        """Do nothing: there is no window."""
+
+
+def _public(nodes: list[Written]) -> list[Written]:
+    """Return the nodes that a DEF name may mean: none of the body of a PROTO."""
+    return [node for node in walk(nodes) if not node.is_internal]
+
+
+def _number_of(simulation: Simulation, node: Written) -> int:
+    for number, one in enumerate(walk(simulation.scene.nodes), 1):
+        if real(one) is real(node):
+            return number
+    return 0
+
+
+class Node:
+    """A node of the world."""
+
+    def __init__(self, simulation: Simulation, node: Written, root_of: list[Written] | None = None) -> None:
+        self._simulation, self._node, self._real = simulation, node, real(node)
+        self._root_of = root_of
+
+    def __getattr__(self, name: str) -> Any:
+        if name.isupper():
+            return name  # the constants of node types
+        raise missing_attribute(type(self), name)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Node) and other._real is self._real
+
+    def __hash__(self) -> int:
+        return hash(self._real)
+
+    def getId(self) -> int:
+        return _number_of(self._simulation, self._node)
+
+    def getDef(self) -> str:
+        return self._node.name
+
+    def getTypeName(self) -> str:
+        return self._node.type
+
+    def getBaseTypeName(self) -> str:
+        return self._real.type
+
+    def getType(self) -> str:
+        return "".join(f"_{one}" if one.isupper() else one.upper() for one in self._real.type).lstrip("_")
+
+    def isProto(self) -> bool:
+        return self._node.body is not None
+
+    def getParentNode(self) -> Node | None:
+        above = self._simulation.scene.parents.get(self._node)
+        return None if above is None else Node(self._simulation, above)
+
+    def getField(self, fieldName: str) -> Field | None:
+        """Return a field, or None if the node has no field of this name."""
+        if self._root_of is not None and fieldName == "children":
+            return Field(self._simulation, self._node, fieldName, self._root_of)
+        if fieldName in parameters(self._node) or fieldName in parameters(self._real):
+            return Field(self._simulation, self._node, fieldName)
+        return None
+
+    getBaseNodeField = getField
+    getProtoField = getField
+
+    # Poses
+
+    def _place(self, function: str) -> tuple[Body, Frame]:
+        place = self._simulation.scene.places.get(self._real)
+        if place is None:
+            raise NotImplementedCallError(f"Node.{function} of a {self._node.type} is not implemented")
+        return place
+
+    def _frame(self, function: str) -> Frame:
+        body, inside = self._place(function)
+        return self._simulation.physics.frame(body, inside)
+
+    def getPosition(self) -> list[float]:
+        return list(self._frame("getPosition")[0])
+
+    def getOrientation(self) -> list[float]:
+        """Return the rotation matrix, row by row."""
+        return _matrix(self._frame("getOrientation"))
+
+    def getPose(self, fromNode: Node | None = None) -> list[float]:
+        """Return the 4 by 4 matrix of the pose in the world, or in the frame of another node."""
+        frame = self._frame("getPose")
+        if fromNode is not None:
+            frame = compose(_inverse(fromNode._frame("getPose")), frame)
+        (x, y, z), rows = frame[0], _matrix(frame)
+        return [*rows[:3], x, *rows[3:6], y, *rows[6:], z, 0.0, 0.0, 0.0, 1.0]
+
+    def getCenterOfMass(self) -> list[float]:
+        return list(self._simulation.physics.center_of_mass(self._place("getCenterOfMass")[0]))
+
+    def getVelocity(self) -> list[float]:
+        """Return the linear (m/s) and angular velocity (rad/s) in the world."""
+        body, inside = self._place("getVelocity")
+        linear, angular = self._simulation.physics.velocity(body, inside)
+        return [*linear, *angular]
+
+    def setVelocity(self, velocity: list[float]) -> None:
+        x, y, z, u, v, w = map(float, velocity)
+        self._free_body("setVelocity")
+        self._simulation.physics.set_velocity(self._place("setVelocity")[0], (x, y, z), (u, v, w))
+
+    def _free_body(self, function: str) -> Body:
+        body, _ = self._place(function)
+        if body.node is not self._real or not self._simulation.physics.is_free(body):
+            raise NotImplementedCallError(f"Node.{function} of a part of a body is not implemented")
+        return body
+
+    def resetPhysics(self) -> None:
+        self._simulation.physics.stop_body(self._place("resetPhysics")[0])
+
+    def restartController(self) -> None:
+        raise NotImplementedCallError("Node.restartController is not implemented")
+
+    def addForce(self, force: list[float], relative: bool) -> None:
+        self._push("addForce", force, (0.0, 0.0, 0.0), relative)
+
+    def addTorque(self, torque: list[float], relative: bool) -> None:
+        self._push("addTorque", (0.0, 0.0, 0.0), torque, relative)
+
+    def addForceWithOffset(self, force: list[float], offset: list[float], relative: bool) -> None:
+        """Push at a place that is given in the frame of the node."""
+        x, y, z = map(float, offset)
+        frame = self._frame("addForceWithOffset")
+        place = compose(frame, ((x, y, z), frames.IDENTITY_ROTATION))[0]
+        self._push("addForceWithOffset", force, (0.0, 0.0, 0.0), relative, place)
+
+    def _push(
+        self, function: str, force: Any, torque: Any, relative: bool, place: Triple | None = None
+    ) -> None:
+        body, _ = self._place(function)
+        turned = self._frame(function)[1]
+        fx, fy, fz = map(float, force)
+        tx, ty, tz = map(float, torque)
+        pushed, twisted = (fx, fy, fz), (tx, ty, tz)
+        if relative:
+            pushed, twisted = frames.rotate(turned, pushed), frames.rotate(turned, twisted)
+        self._simulation.physics.push(body, pushed, twisted, place)
+
+    def setJointPosition(self, position: float, index: int = 1) -> None:
+        """Set the position of the joint that this node is, rad or m."""
+        joint = self._joint("setJointPosition", index)
+        self._simulation.physics.set_joint_position(joint, float(position))
+
+    def _joint(self, function: str, index: int) -> Joint:
+        for body in self._simulation.scene.bodies:
+            for joint in body.joints:
+                if joint.node is self._real and joint.index == index - 1:
+                    return joint
+        raise NotImplementedCallError(f"Node.{function} of a {self._node.type} is not implemented")
+
+    # Contacts
+
+    def getContactPoints(self, includeDescendants: bool = False) -> list[ContactPoint]:
+        """Return the contacts of the last substep."""
+        physics = self._simulation.physics
+        mine = self._owners(include=includeDescendants)
+        points = []
+        for one, other, place, _ in physics.contacts():
+            for geom in (one, other):
+                if physics.geoms[geom][1].owner in mine:
+                    points.append(ContactPoint(place, _number_of(self._simulation, self._node)))
+        return points
+
+    def _owners(self, *, include: bool) -> set[Written]:
+        if not include:
+            return {self._real}
+        return {real(node) for node in walk([self._node])}
+
+    def getNumberOfContactPoints(self, includeDescendants: bool = False) -> int:
+        return len(self.getContactPoints(includeDescendants))
+
+    def getContactPoint(self, index: int) -> list[float]:
+        return self.getContactPoints()[index].point
+
+    # States
+
+    def saveState(self, stateName: str) -> None:
+        """Keep the state of the world under a name, that of Webots' node together with all others."""
+        self._simulation.states[stateName] = self._simulation.physics.snapshot()
+
+    def loadState(self, stateName: str) -> None:
+        if stateName == "__init__":
+            self._simulation.physics.reset()
+        elif stateName in self._simulation.states:
+            self._simulation.physics.restore(self._simulation.states[stateName])
+        else:
+            print(f"Warning: there is no state '{stateName}'", file=sys.stderr)
+
+
+class ContactPoint:
+    """A contact: its place in the world (m) and the id of its node."""
+
+    def __init__(self, point: Triple, node_id: int) -> None:
+        self.point, self.node_id = list(point), node_id
+
+    def getPoint(self) -> list[float]:
+        return self.point
+
+    def getNodeId(self) -> int:
+        return self.node_id
+
+
+class Field:
+    """A field of a node. Poses and joint positions are those of now; other fields are as the world says."""
+
+    def __init__(
+        self, simulation: Simulation, node: Written, name: str, items: list[Written] | None = None
+    ) -> None:
+        self._simulation, self._name = simulation, name
+        self._node, self._real, self._root = node, real(node), items
+
+    def __getattr__(self, name: str) -> Any:
+        raise missing_attribute(type(self), name)
+
+    def getName(self) -> str:
+        return self._name
+
+    def getTypeName(self) -> str:
+        owner = self._node if self._name in parameters(self._node) else self._real
+        return parameters(owner)[self._name].type
+
+    def getType(self) -> str:
+        return self.getTypeName()
+
+    def getActualField(self) -> Field:
+        return self
+
+    def _value(self) -> Value:
+        """Return the value as written, of the node that a PROTO node stands for where both have the field."""
+        owner = self._real if self._name in parameters(self._real) else self._node
+        return value_of(owner, self._name)
+
+    def _items(self) -> list[Item]:
+        return list(self._root) if self._root is not None else self._value().items
+
+    def _unset(self, function: str) -> NotImplementedCallError:
+        return NotImplementedCallError(
+            f"Field.{function} of {self._node.type}.{self._name} is not implemented"
+        )
+
+    # Read
+
+    def getSFBool(self) -> bool:
+        return self._items()[:1] == [True]
+
+    def getSFInt32(self) -> int:
+        return int(self.getSFFloat())
+
+    def getSFFloat(self) -> float:
+        joint = self._joint()
+        if joint is not None:
+            return self._simulation.physics.joint_position(joint)
+        item = next(iter(self._items()), 0.0)
+        return item if isinstance(item, float) else 0.0
+
+    def getSFString(self) -> str:
+        for robot, data in self._simulation.custom_data.items():
+            if self._name == "customData" and robot.node is self._real:
+                return data
+        item = next(iter(self._items()), "")
+        return item if isinstance(item, str) else ""
+
+    def getSFVec2f(self) -> list[float]:
+        return self._numbers()[:2]
+
+    def getSFVec3f(self) -> list[float]:
+        frame = self._local_frame() if self._name == "translation" else None
+        return self._numbers()[:3] if frame is None else list(frame[0])
+
+    def getSFRotation(self) -> list[float]:
+        frame = self._local_frame() if self._name == "rotation" else None
+        return self._numbers()[:4] if frame is None else _axis_angle(frame)
+
+    def getSFColor(self) -> list[float]:
+        return self._numbers()[:3]
+
+    def getSFNode(self) -> Node | None:
+        item = next(iter(self._items()), None)
+        return Node(self._simulation, item) if isinstance(item, Written) else None
+
+    def getCount(self) -> int:
+        sizes = {"Vec2f": 2, "Vec3f": 3, "Color": 3, "Rotation": 4}
+        return len(self._items()) // sizes.get(self.getTypeName()[2:], 1)
+
+    def getMFNode(self, index: int) -> Node | None:
+        items = self._items()
+        item = items[index] if -len(items) <= index < len(items) else None
+        return Node(self._simulation, item) if isinstance(item, Written) else None
+
+    def getMFFloat(self, index: int) -> float:
+        return self._numbers()[index]
+
+    def getMFInt32(self, index: int) -> int:
+        return int(self._numbers()[index])
+
+    def getMFString(self, index: int) -> str:
+        return str(self._items()[index])
+
+    def getMFBool(self, index: int) -> bool:
+        return bool(self._items()[index])
+
+    def getMFVec2f(self, index: int) -> list[float]:
+        return self._numbers()[2 * index : 2 * index + 2]
+
+    def getMFVec3f(self, index: int) -> list[float]:
+        return self._numbers()[3 * index : 3 * index + 3]
+
+    def getMFColor(self, index: int) -> list[float]:
+        return self._numbers()[3 * index : 3 * index + 3]
+
+    def getMFRotation(self, index: int) -> list[float]:
+        return self._numbers()[4 * index : 4 * index + 4]
+
+    def _numbers(self) -> list[float]:
+        return [item for item in self._items() if isinstance(item, float)]
+
+    def _joint(self) -> Joint | None:
+        if self._name not in ("position", "position2"):
+            return None
+        for body in self._simulation.scene.bodies:
+            for joint in body.joints:
+                own = joint.parameters is self._real and self._name == "position"
+                of_joint = joint.node is self._real and self._name == ("position", "position2")[joint.index]
+                if joint.kind != "ball" and (own or of_joint):
+                    return joint
+        return None
+
+    def _local_frame(self) -> Frame | None:
+        """Return the frame of the node in that of the node above it, as its fields say it."""
+        scene, physics = self._simulation.scene, self._simulation.physics
+        place = scene.places.get(self._real)
+        if place is None:
+            return None
+        frame = physics.frame(*place)
+        above = scene.parents.get(self._real)
+        while above is not None:
+            outer = scene.places.get(real(above))
+            if outer is not None:
+                return compose(_inverse(physics.frame(*outer)), frame)
+            above = scene.parents.get(above)
+        return frame
+
+    # Set
+
+    def setSFVec3f(self, values: list[float]) -> None:
+        x, y, z = map(float, values)
+        if self._name != "translation":
+            raise self._unset("setSFVec3f")
+        self._move("setSFVec3f", (x, y, z), None)
+
+    def setSFRotation(self, values: list[float]) -> None:
+        x, y, z, angle = map(float, values)
+        length = math.hypot(x, y, z)
+        if self._name != "rotation":
+            raise self._unset("setSFRotation")
+        if length == 0:
+            raise ValueError("setSFRotation(): the axis is zero")
+        turned = frames.from_axis_angle((x / length, y / length, z / length), angle)
+        self._move("setSFRotation", None, turned)
+
+    def _move(self, function: str, place: Triple | None, turned: Quaternion | None) -> None:
+        """Move a solid that stands alone at the top of the world."""
+        scene, physics = self._simulation.scene, self._simulation.physics
+        stands = scene.places.get(self._real)
+        if stands is None or stands[0].node is not self._real or stands[0].parent is not None:
+            raise self._unset(function)
+        if any(real(one) is self._real for one in scene.nodes):
+            local = physics.frame(stands[0])
+            physics.place(stands[0], (place or local[0], turned or local[1]))
+            return
+        raise self._unset(function)
+
+    def setSFFloat(self, value: float) -> None:
+        joint = self._joint()
+        if joint is None:
+            raise self._unset("setSFFloat")
+        self._simulation.physics.set_joint_position(joint, float(value))
+
+    def setSFString(self, value: str) -> None:
+        for robot in self._simulation.scene.robots:
+            if self._name == "customData" and robot.node is self._real:
+                self._simulation.custom_data[robot] = str(value)
+                return
+        raise self._unset("setSFString")
+
+    def setSFBool(self, value: bool) -> None:
+        raise self._unset("setSFBool")
+
+    def setSFInt32(self, value: int) -> None:
+        raise self._unset("setSFInt32")
+
+    def setSFVec2f(self, values: list[float]) -> None:
+        raise self._unset("setSFVec2f")
+
+    def setSFColor(self, values: list[float]) -> None:
+        """Keep a color; nothing of it is seen."""
+        self._value().items[:] = [float(value) for value in values]
+
+
+class Keyboard:
+    """The keyboard: no key is pressed, because there is no window."""
+
+    END, HOME, LEFT, UP, RIGHT, DOWN = 312, 313, 314, 315, 316, 317
+    PAGEUP, PAGEDOWN, NUMPAD_HOME = 366, 367, 375
+    NUMPAD_LEFT, NUMPAD_UP, NUMPAD_RIGHT, NUMPAD_DOWN, NUMPAD_END = 376, 377, 378, 379, 382
+    KEY, SHIFT, CONTROL, ALT = 0x0000FFFF, 0x00010000, 0x00020000, 0x00040000
+
+    def __init__(self) -> None:
+        self._period = 0
+
+    def enable(self, samplingPeriod: int) -> None:
+        self._period = int(samplingPeriod)
+
+    def disable(self) -> None:
+        self._period = 0
+
+    def getSamplingPeriod(self) -> int:
+        return self._period
+
+    def getKey(self) -> int:
+        """Return -1: no key."""
+        return -1
+
+
+def _matrix(frame: Frame) -> list[float]:
+    columns = [frames.rotate(frame[1], axis) for axis in AXES]
+    return [column[row] for row in range(3) for column in columns]
+
+
+def _inverse(frame: Frame) -> Frame:
+    turned = frames.inverse(frame[1])
+    return frames.scaled(frames.rotate(turned, frame[0]), -1.0), turned
+
+
+def _axis_angle(frame: Frame) -> list[float]:
+    """Return a rotation as an axis and an angle from 0 to pi."""
+    x, y, z, w = frame[1]
+    if w < 0:
+        x, y, z, w = -x, -y, -z, -w
+    length = math.hypot(x, y, z)
+    if length < 1e-12:
+        return [0.0, 0.0, 1.0, 0.0]
+    return [x / length, y / length, z / length, 2 * math.atan2(length, w)]
