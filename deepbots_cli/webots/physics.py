@@ -271,13 +271,15 @@ class Physics:
         return frames.add((vx, vy, vz), frames.cross((wx, wy, wz), arm)), (wx, wy, wz)
 
     def center_of_mass(self, body: Body) -> Triple:
-        """Return the center of mass of a body."""
+        """Return the center of mass of a body; its origin if it has no mass."""
         self.update_positions()
-        index = self.bodies[body.index]
-        if self.model.body_mass[index] == 0:
+        weld = self.model.body_weldid
+        parts = np.flatnonzero(weld == weld[self.bodies[body.index]])
+        masses = self.model.body_mass[parts]
+        if not masses.sum() > 0:
             return self.frame(body)[0]
-        x, y, z = self.model.body_ipos[index].tolist()
-        return self.frame(body, ((x, y, z), frames.IDENTITY_ROTATION))[0]
+        x, y, z = (masses @ self.data.xipos[parts] / masses.sum()).tolist()
+        return x, y, z
 
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])

@@ -96,11 +96,8 @@ class World:
     files: Files
     nodes: list[Node]
     findings: WorldFindings
-
-    @property
-    def span(self) -> Span:
-        """The beginning of the file."""
-        return Span(self.files.read(self.path), 0, 0)
+    span: Span
+    """The beginning of the file."""
 
 
 def read_world(path: Path, library: Sequence[Path] = ()) -> World:
@@ -127,7 +124,7 @@ def world_of_source(source: Source, path: Path, files: Files) -> World:
     except WorldSyntaxError as error:
         raise WorldError([error.finding]) from error
     check(document.nodes, findings)
-    return World(path, files, document.nodes, findings)
+    return World(path, files, document.nodes, findings, Span(source, 0, 0))
 
 
 @dataclass(frozen=True)
