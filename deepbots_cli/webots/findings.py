@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import DeepbotsError
 
 MAX_FINDINGS = 100
 """The maximum number of findings about one project."""
@@ -27,7 +27,7 @@ class WorldFinding:
         return f"{text}\n  help: {self.help}" if self.help else text
 
 
-class WorldError(UsageError):
+class WorldError(DeepbotsError):
     """A world cannot be run; has the findings."""
 
     def __init__(self, findings: list[WorldFinding]) -> None:

@@ -15,7 +15,15 @@ from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.webots import library
 from deepbots_cli.webots.nodes import node_types, type_problem
-from deepbots_cli.webots.syntax import Node, Parameter, Proto, Value, WorldSyntaxError, parse
+from deepbots_cli.webots.syntax import (
+    Node,
+    Parameter,
+    Proto,
+    Value,
+    WorldSyntaxError,
+    parse,
+    template_message,
+)
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings
@@ -44,7 +52,9 @@ class Scope:
 
     @classmethod
     def of_proto(cls, proto: Proto) -> Scope:
-        return cls({}, {one.name: one for one in proto.externs}, proto.source or proto.span.source)
+        return cls(
+            proto.neighbors, {one.name: one for one in proto.externs}, proto.source or proto.span.source
+        )
 
 
 class Expander:
@@ -83,6 +93,7 @@ class Expander:
             return
         if nested >= MAX_NESTED_PROTOS:
             self.findings.error(node.span, f"PROTO {node.type} contains itself")
+            _empty(node)
             return
         self._check_fields(node, proto)
         node.interface = proto.interface
@@ -110,8 +121,7 @@ class Expander:
                 "name a checkout of Webots by --protos DIR or WEBOTS_HOME; deepbots reads nothing from the"
                 " network",
             )
-            node.type = "Group"
-            node.fields.clear()
+            _empty(node)
         return None
 
     def _find(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
@@ -157,11 +167,10 @@ class Expander:
         elif proto.template:
             self.findings.error(
                 node.span,
-                f"PROTO {proto.name} is a template of JavaScript, and deepbots runs none",
+                template_message(proto.name),
                 f"write it without a template; of Webots' library, deepbots has: {', '.join(library.LIBRARY)}",
             )
-            node.type, node.interface = "Group", {}
-            node.fields.clear()
+            _empty(node)
             return None
         else:
             root = proto.body[0]
@@ -197,3 +206,9 @@ class Expander:
             for item in value.items
         ]
         return Value(value.span, items, value.in_brackets)
+
+
+def _empty(node: Node) -> None:
+    """Let an empty group take the place of a node that has a finding."""
+    node.type, node.interface = "Group", {}
+    node.fields.clear()

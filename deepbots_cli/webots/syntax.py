@@ -108,6 +108,8 @@ class Proto:
     template: str = ""
     source: Source | None = None
     externs: list[Extern] = field(default_factory=list)
+    neighbors: Mapping[str, Proto] = field(default_factory=dict)
+    """The definitions in the same file."""
 
 
 class Extern(NamedTuple):
@@ -221,7 +223,7 @@ class _Parser:
             elif text == "EXTERNPROTO":
                 document.externs.append(self.extern())
             elif text == "PROTO":
-                proto = self.proto()
+                proto = self.proto(may_be_template=is_proto)
                 document.protos[proto.name] = proto
                 if is_proto:
                     break  # Webots reads the first PROTO of a file
@@ -230,7 +232,7 @@ class _Parser:
         if is_proto and not document.protos:
             raise self._error(0, "a file without a PROTO")
         for proto in document.protos.values():
-            proto.externs = document.externs
+            proto.externs, proto.neighbors = document.externs, document.protos
         return document
 
     def release(self, *, is_proto: bool) -> str:
@@ -259,7 +261,7 @@ class _Parser:
         token = self.advance()
         return Extern(_unquoted(token.text), self._span(token))
 
-    def proto(self) -> Proto:
+    def proto(self, *, may_be_template: bool) -> Proto:
         self.advance()
         name = self.word("the name of the PROTO")
         self.expect("[")
@@ -268,6 +270,8 @@ class _Parser:
             raise self._unexpected("'{'")
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
         if _is_template(self.text, self.token.start):
+            if not may_be_template:
+                raise self._error(name, template_message(name.text), "write it without a template")
             proto.template = self.text[self.token.start :]
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
@@ -315,9 +319,10 @@ class _Parser:
     # Nodes and values
 
     def node_or_use(self) -> Node:
-        node = self.item()
-        if not isinstance(node, Node):
+        if self.token.kind != 4 or self.token.text in _CONSTANTS:
             raise self._unexpected("a node")
+        node = self.item()
+        assert isinstance(node, Node)
         return node
 
     def node(self, name: str = "") -> Node:
@@ -387,6 +392,10 @@ class _Parser:
             self.advance()
             return self.node(self.advance().text)
         return self.node()
+
+
+def template_message(name: str) -> str:
+    return f"PROTO {name} is a template of JavaScript, and deepbots runs none"
 
 
 def _unquoted(text: str) -> str:

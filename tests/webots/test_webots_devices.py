@@ -93,8 +93,11 @@ def test_an_accelerometer_that_falls_feels_nothing():
 
 
 def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
-    text = hinge(devices="RotationalMotor { maxTorque 1e6 }", end="""children [ Accelerometer { translation 0.5 0 0 } ]
-      boundingObject Box { size 1 0.02 0.02 }""")
+    text = hinge(
+        devices="RotationalMotor { maxTorque 1e6 }",
+        end="""children [ Accelerometer { translation 0.5 0 0 } ]
+      boundingObject Box { size 1 0.02 0.02 }""",
+    )
     simulation = simulate(text, gravity="0 0 0")
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
@@ -130,7 +133,9 @@ def test_a_compass_points_north_in_its_own_frame():
 
 
 def test_a_gps_measures_position_and_speed_at_its_place():
-    simulation = simulate(robot("GPS { translation 0 0.1 0 }", "translation 1 2 3 angularVelocity 0 0 2"), gravity="0 0 0")
+    simulation = simulate(
+        robot("GPS { translation 0 0.1 0 }", "translation 1 2 3 angularVelocity 0 0 2"), gravity="0 0 0"
+    )
     gps = reading(simulation, "gps")
     angle = 2 * 0.008
     assert gps.getValues() == pytest.approx([1 - 0.1 * math.sin(angle), 2 + 0.1 * math.cos(angle), 3])
@@ -150,7 +155,9 @@ def test_noise_has_its_deviation():
 
 
 def test_a_position_sensor_reads_its_joint():
-    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1e6 } PositionSensor { }"), gravity="0 0 0")
+    simulation = simulate(
+        hinge(devices="RotationalMotor { maxTorque 1e6 } PositionSensor { }"), gravity="0 0 0"
+    )
     motor, sensor = device(simulation, "rotational motor"), device(simulation, "position sensor")
     motor.setPosition(math.inf)
     motor.setVelocity(2)
@@ -223,7 +230,7 @@ def test_a_command_that_is_no_number_is_an_error(value: float):
 
 # Surroundings
 
-WALL = 'Solid { translation 0.6 0 0 children [ Shape { appearance PBRAppearance { baseColor %s 0 0 } } ] boundingObject Box { size 0.2 4 4 } }'
+WALL = "Solid { translation 0.6 0 0 children [ Shape { appearance PBRAppearance { baseColor %s 0 0 } } ] boundingObject Box { size 0.2 4 4 } }"
 TABLE = "lookupTable [ 0 0 0, 1 1000 0 ]"
 
 
@@ -249,7 +256,7 @@ def test_a_sonar_hears_no_slanted_wall():
 
 
 def test_rays_are_averaged_and_a_sonar_takes_the_nearest():
-    edge = 'Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }'
+    edge = "Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }"
     two = "numberOfRays 2 aperture 0.2"
     assert sensed(two, edge) == pytest.approx((1000 + 400 / math.cos(0.1)) / 2, rel=1e-3)
     assert sensed(f'{two} type "sonar"', edge) == pytest.approx(400 / math.cos(0.1), rel=1e-3)
@@ -380,7 +387,12 @@ def test_messages_keep_their_order():
     for number in range(4):
         device(simulation, "emitter", 0).send(f"{number}")
         simulation.advance()
-    assert [inbox.getString(), inbox.nextPacket(), inbox.getString(), inbox.getQueueLength()] == ["0", None, "1", 3]
+    assert [inbox.getString(), inbox.nextPacket(), inbox.getString(), inbox.getQueueLength()] == [
+        "0",
+        None,
+        "1",
+        3,
+    ]
 
 
 # What is missing
@@ -405,7 +417,9 @@ def test_a_function_that_is_missing_says_so_by_name(node_name: str, name: str, c
 
 def test_a_function_that_webots_does_not_have_gets_a_suggestion():
     motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
-    with pytest.raises(AttributeError, match=r"'Motor' has no attribute 'setPositon'; did you mean 'setPosition'"):
+    with pytest.raises(
+        AttributeError, match=r"'Motor' has no attribute 'setPositon'; did you mean 'setPosition'"
+    ):
         motor.setPositon(1)
 
 

@@ -26,7 +26,9 @@ def test_gravity_is_a_vector_of_the_world():
 
 
 def test_a_pendulum_swings_with_its_period():
-    text = hinge(end="rotation 0 1 0 1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }")
+    text = hinge(
+        end="rotation 0 1 0 1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"
+    )
     simulation = simulate(text)
     times, before = [], None
     for step in range(1000):
@@ -43,7 +45,9 @@ def test_a_pendulum_swings_with_its_period():
 @pytest.mark.parametrize("friction", [0.2, 0.6])
 def test_a_block_slides_to_a_stop(friction: float):
     text = FLOOR + solid("Box { size 0.2 0.2 0.1 }", "translation 0 0 0.05 linearVelocity 6 0 0")
-    simulation = simulate(text, contactProperties=f"[ ContactProperties {{ coulombFriction {friction} bounce 0 }} ]")
+    simulation = simulate(
+        text, contactProperties=f"[ ContactProperties {{ coulombFriction {friction} bounce 0 }} ]"
+    )
     run(simulation, 6 / (friction * 9.81) + 0.5)
     assert node(simulation, "BODY").getPosition()[0] == pytest.approx(6**2 / (2 * friction * 9.81), rel=0.01)
 
@@ -51,7 +55,9 @@ def test_a_block_slides_to_a_stop(friction: float):
 def test_two_materials_have_the_friction_of_their_pair():
     text = (
         'Solid { contactMaterial "ice" boundingObject Plane { } }'
-        + solid("Box { size 0.2 0.2 0.1 }", 'contactMaterial "wood" translation 0 0 0.05 linearVelocity 1 0 0')
+        + solid(
+            "Box { size 0.2 0.2 0.1 }", 'contactMaterial "wood" translation 0 0 0.05 linearVelocity 1 0 0'
+        )
         + solid("Box { size 0.2 0.2 0.1 }", "translation 0 1 0.05 linearVelocity 1 0 0", name="OTHER")
     )
     pair = '[ ContactProperties { material1 "wood" material2 "ice" coulombFriction 0.1 bounce 0 } ]'
@@ -247,7 +253,9 @@ def test_a_hinge2_joint_has_two_axes():
     ],
 )
 def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
-    simulation = simulate(f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity="0 0 0")
+    simulation = simulate(
+        f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity="0 0 0"
+    )
     node(simulation, "BODY").addForce([0.0, 0.0, 1.0], False)
     simulation.advance()
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)

@@ -50,7 +50,9 @@ def device(simulation: Simulation, name: str, robot: int = 0):
 
 def solid(shape: str, fields: str = "", mass: float = 1.0, name: str = "BODY") -> str:
     """Return a solid with a bounding object and a mass (kg)."""
-    return f"DEF {name} Solid {{ {fields} boundingObject {shape} physics Physics {{ density -1 mass {mass} }} }}"
+    return (
+        f"DEF {name} Solid {{ {fields} boundingObject {shape} physics Physics {{ density -1 mass {mass} }} }}"
+    )
 
 
 def hinge(parameters: str = "", devices: str = "", end: str = "", kind: str = "HingeJoint") -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,35 +75,48 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    from deepbots_cli.webots.project import read_world
-    from deepbots_cli.webots.scene import build_scene
+    from deepbots_cli.webots.findings import WorldError
 
     if world.suffix != ".wbt" or not world.is_file():
         raise UsageError(f"{world} is no world; name a file that ends in .wbt")
     for folder in protos or ():
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
-    checked = read_world(world, protos or ())
-    scene = build_scene(checked)
-    for warning in checked.findings.warnings:
-        terminal.note(str(warning))
-    checked.findings.require_none()
-    programs = _programs(checked, scene)
-    for robot, program in programs:
-        if program.problem:
-            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.problem}")
-    if not allow_code:
-        _show_robots(programs, scene, as_json=as_json)
-        return
     known_engine(_ENGINE)
-    _run(checked, scene, programs, steps, timeout, fast=fast, python=python, as_json=as_json)
+    try:
+        checked, scene = _read(world, protos or ())
+        programs = _programs(checked, scene)
+        if not allow_code:
+            _show_robots(programs, scene, as_json=as_json)
+            return
+        _run(checked, scene, programs, steps, timeout, fast=fast, python=python, as_json=as_json)
+    except WorldError as error:
+        for finding in error.findings:
+            terminal.note(str(finding))
+        raise typer.Exit(1) from error
+
+
+def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
+    from deepbots_cli.webots.project import read_world
+    from deepbots_cli.webots.scene import build_scene
+
+    world = read_world(path, protos)
+    scene = build_scene(world)
+    for warning in world.findings.warnings:
+        terminal.note(str(warning))
+    world.findings.require_none()
+    return world, scene
 
 
 def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
     from deepbots_cli.webots.project import controller
 
     pairs = [(robot, controller(world.files, robot.controller)) for robot in scene.robots]
-    return [(robot, program) for robot, program in pairs if program is not None]
+    programs = [(robot, program) for robot, program in pairs if program is not None]
+    for robot, program in programs:
+        if program.problem:
+            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.problem}")
+    return programs
 
 
 def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json: bool) -> None:
