@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+
 from tests.webots.worlds_of_webots import FLOOR, device, hinge, node, run, simulate, solid
 
 ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
