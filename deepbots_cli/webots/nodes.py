@@ -159,6 +159,28 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
 
 # Findings
 
+_GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet", "Mesh",
+               "IndexedLineSet", "PointSet")  # fmt: skip
+_SLOTS: Mapping[str, tuple[str, ...]] = {
+    "jointParameters": ("JointParameters",),
+    "jointParameters2": ("JointParameters",),
+    "jointParameters3": ("JointParameters",),
+    "physics": ("Physics",),
+    "damping": ("Damping",),
+    "defaultDamping": ("Damping",),
+    "device": ("Motor", "PositionSensor", "Brake"),
+    "device2": ("Motor", "PositionSensor", "Brake"),
+    "device3": ("Motor", "PositionSensor", "Brake"),
+    "endPoint": ("Solid", "SolidReference", "Slot", "Group"),
+    "geometry": _GEOMETRIES,
+    "boundingObject": (*_GEOMETRIES, "Shape", "Group"),
+    "contactProperties": ("ContactProperties",),
+    "coord": ("Coordinate",),
+    "appearance": ("Appearance", "PBRAppearance"),
+    "material": ("Material",),
+}
+"""The types of nodes that a field takes; those that derive from them, too."""
+
 
 def check(nodes: list[Node], findings: WorldFindings) -> None:
     """Find nodes and fields that do not exist, and values of a wrong type."""
@@ -180,8 +202,18 @@ def _check_node(node: Node, findings: WorldFindings) -> None:
             near = nearest_word(name, kind.fields)
             hint = f"did you mean '{near}'?" if near else "it is ignored"
             findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
-        elif problem := type_problem(entry.type, value):
+        elif problem := type_problem(entry.type, value) or _slot_problem(name, value):
             findings.error(value.span, f"{node.type}.{name} is {problem}")
+
+
+def _slot_problem(name: str, value: Value) -> str:
+    """Return why a node cannot be in a field; "" if it can."""
+    wanted = _SLOTS.get(name, ())
+    for item in value.items if wanted else ():
+        is_known = isinstance(item, Node) and real(item).type in node_types()
+        if isinstance(item, Node) and is_known and not any(is_a(item, kind) for kind in wanted):
+            return f"a {item.type[:60]}, and not a {' or '.join(wanted[:3])}"
+    return ""
 
 
 def type_problem(kind: str, value: Value) -> str:

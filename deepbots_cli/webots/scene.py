@@ -211,7 +211,12 @@ class Scene:
 
 
 def build_scene(world: World) -> Scene:
-    """Return the scene of a world, with its findings added to those of the world."""
+    """Return the scene of a world, with its findings added to those of the world.
+
+    Raises:
+        WorldError: The world has errors already.
+    """
+    world.findings.require_none()
     scene = Scene(world.nodes)
     scene.contacts["", ""] = Contact()
     builder = _Builder(scene, world.files, world.findings)
