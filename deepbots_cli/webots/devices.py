@@ -197,12 +197,13 @@ class Motor(JointDevice):
         super().__init__(simulation, spec)
         self._state = simulation.physics.motors[spec.node]
         self._feedback = _Feedback(simulation, spec)
+        self._range = number(spec.node, "minPosition"), number(spec.node, "maxPosition")
 
     def setPosition(self, position: float) -> None:
         position = float(position)
         if math.isnan(position):
             raise ValueError(f"setPosition() of '{self._spec.name}': NaN is no position")
-        low, high = self.getMinPosition(), self.getMaxPosition()
+        low, high = self._range
         if low != high and not math.isinf(position) and not low <= position <= high:
             self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
             position = min(max(position, low), high)
@@ -263,10 +264,10 @@ class Motor(JointDevice):
         return self._state.acceleration
 
     def getMinPosition(self) -> float:
-        return number(self._spec.node, "minPosition")
+        return self._range[0]
 
     def getMaxPosition(self) -> float:
-        return number(self._spec.node, "maxPosition")
+        return self._range[1]
 
     def getAvailableTorque(self) -> float:
         return self._state.available_torque
@@ -520,6 +521,7 @@ class Emitter(Device):
         super().__init__(simulation, spec)
         self._channel = integer(spec.node, "channel")
         self._range = number(spec.node, "range")
+        self._size = integer(spec.node, "bufferSize")
 
     def send(self, message: str | bytes | Sequence[float]) -> int:
         """Send a text, bytes or numbers; returns 1, or 0 if the message is larger than the buffer."""
@@ -529,8 +531,7 @@ class Emitter(Device):
             data = bytes(message)
         else:
             data = struct.pack(f"{len(message)}d", *message)
-        size = integer(self._spec.node, "bufferSize")
-        if 0 <= size < len(data):
+        if 0 <= self._size < len(data):
             return 0
         self._simulation.send(self._spec, data, self._channel, self._range)
         return 1
@@ -556,7 +557,7 @@ class Emitter(Device):
         self._range = float(range)
 
     def getBufferSize(self) -> int:
-        return integer(self._spec.node, "bufferSize")
+        return self._size
 
 
 class Receiver(Sensor):
@@ -567,6 +568,7 @@ class Receiver(Sensor):
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
         self._inbox = simulation.inboxes[spec]
+        self._size = integer(spec.node, "bufferSize")
 
     def _begin(self) -> None:
         self._inbox.is_enabled = True
@@ -579,7 +581,7 @@ class Receiver(Sensor):
         inbox = self._inbox
         if not inbox.arrived:
             return
-        size = integer(self._spec.node, "bufferSize")
+        size = self._size
         for packet in inbox.arrived:
             if size < 0 or sum(len(one.data) for one in inbox.queue) + len(packet.data) <= size:
                 inbox.queue.append(packet)
@@ -614,10 +616,10 @@ class Receiver(Sensor):
         return len(self._head("getDataSize").data)
 
     def getSignalStrength(self) -> float:
-        return self._head("getSignalStrength").strength
+        return self._head("getSignalStrength").strength()
 
     def getEmitterDirection(self) -> list[float]:
-        return list(self._head("getEmitterDirection").direction)
+        return list(self._head("getEmitterDirection").direction())
 
     def getChannel(self) -> int:
         return self._inbox.channel

@@ -15,8 +15,8 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from math import cos, pi
+from dataclasses import dataclass, replace
+from math import cos, hypot, inf, pi
 from typing import TYPE_CHECKING, Any, Protocol
 
 from deepbots_cli import frames
@@ -25,7 +25,7 @@ from deepbots_cli.webots.physics import Physics
 
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
-    from deepbots_cli.frames import Triple
+    from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.webots.scene import Device, Robot, Scene
 
 
@@ -40,28 +40,47 @@ class Sampled(Protocol):
     def forget(self) -> None: ...
 
 
-@dataclass
+@dataclass(eq=False)
 class Packet:
-    """A message on its way or in a queue; the direction is that of the emitter, in the frame of the
-    receiver."""
+    """A message on its way or in a queue.
+
+    `way` is that from the receiver to the emitter in the world (m), and `turned` the rotation of the
+    receiver, once it arrived; `noise` is the factor of its signal strength.
+    """
 
     data: bytes
     emitter: Device
     channel: int
     range: float
-    strength: float = 0.0
-    direction: Triple = (0.0, 0.0, 0.0)
+    way: Triple = (0.0, 0.0, 0.0)
+    turned: Quaternion = frames.IDENTITY_ROTATION
+    noise: float = 1.0
+
+    @property
+    def distance(self) -> float:
+        return hypot(*self.way)
+
+    def strength(self) -> float:
+        """Return the signal strength, 1 at 1 m."""
+        return self.noise / self.distance**2 if self.distance else inf
+
+    def direction(self) -> Triple:
+        """Return the direction of the emitter in the frame of the receiver."""
+        length = self.distance or 1.0
+        return frames.rotate_back(self.turned, frames.scaled(self.way, 1 / length))
 
 
-@dataclass(eq=False)
 class Inbox:
     """The messages of a receiver: those that arrived, and those that its controller sees."""
 
-    device: Device
-    channel: int
-    is_enabled: bool = False
-    arrived: list[Packet] = field(default_factory=list)
-    queue: deque[Packet] = field(default_factory=deque)
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.channel = integer(device.node, "channel")
+        self.is_enabled = False
+        self.arrived: list[Packet] = []
+        self.queue: deque[Packet] = deque()
+        self.is_infra_red = text(device.node, "type") == "infra-red"
+        self.noise = number(device.node, "signalStrengthNoise")
 
 
 class Simulation:
@@ -99,7 +118,7 @@ class Simulation:
             self.custom_data[robot] = text(robot.node, "customData")
             for device in robot.devices.values():
                 if device.type == "Receiver":
-                    self.inboxes[device] = Inbox(device, integer(device.node, "channel"))
+                    self.inboxes[device] = Inbox(device)
 
     # Steps
 
@@ -166,30 +185,22 @@ class Simulation:
         self._outbox.append(Packet(data, emitter, channel, reach))
 
     def _deliver(self, packet: Packet) -> None:
-        sender = packet.emitter
-        kind = text(sender.node, "type")
-        start = self.physics.frame(sender.body, sender.frame)[0]
+        sender, physics = packet.emitter, self.physics
+        robot, infra_red = sender.body.robot, text(sender.node, "type") == "infra-red"
+        start = physics.position(sender.body, sender.frame)
         for device, inbox in self.inboxes.items():
-            is_own = device.body.robot is sender.body.robot
             fits = packet.channel in (-1, inbox.channel) or inbox.channel == -1
-            if is_own or not fits or not inbox.is_enabled:
+            if not (fits and inbox.is_enabled) or device.body.robot is robot:
                 continue
-            kinds = {kind, text(device.node, "type")}
-            if "infra-red" in kinds and (len(kinds) > 1 or not self._sees(sender, device)):
+            if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
                 continue
-            place, turned = self.physics.frame(device.body, device.frame)
-            way = frames.subtract(start, place)
-            distance = frames.dot(way, way) ** 0.5
-            if 0 <= packet.range < distance:
+            place, turned = physics.frame(device.body, device.frame)
+            arrived = replace(packet, way=frames.subtract(start, place), turned=turned)
+            if 0 <= packet.range < arrived.distance:
                 continue
-            direction = frames.rotate_back(turned, frames.scaled(way, 1 / distance)) if distance else way
-            strength = 1 / distance**2 if distance else float("inf")
-            noise = number(device.node, "signalStrengthNoise")
-            if noise:
-                strength *= 1 + self.random.gauss(0.0, noise)
-            inbox.arrived.append(
-                Packet(packet.data, sender, packet.channel, packet.range, strength, direction)
-            )
+            if inbox.noise:
+                arrived.noise = 1 + self.random.gauss(0.0, inbox.noise)
+            inbox.arrived.append(arrived)
 
     def _sees(self, sender: Device, receiver: Device) -> bool:
         """Return whether infra-red light of an emitter reaches a receiver: within both cones, and past

@@ -286,7 +286,7 @@ class Node:
         return self._simulation.physics.frame(body, inside)
 
     def getPosition(self) -> list[float]:
-        return list(self._frame("getPosition")[0])
+        return list(self._simulation.physics.position(*self._place("getPosition")))
 
     def getOrientation(self) -> list[float]:
         """Return the rotation matrix, row by row."""
