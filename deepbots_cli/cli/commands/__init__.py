@@ -56,8 +56,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),
         "bench": ("bench.command", "Measure how long a step takes, and the physics in it."),
-        "schema": ("code.schema", "Print the JSON Schema of scenario files, for editors."),
-        "lsp": ("lint.lsp", "Run the language server: findings, completion, hover."),
+        "lsp": ("lint.lsp", "For editors: run the language server, or print the JSON Schema."),
         "doctor": ("installation.doctor", "Check the installation."),
     },
 }

@@ -179,7 +179,7 @@ def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) 
         "steps": outcome.steps,
         "simulated_s": outcome.seconds,
         "wall_s": round(seconds, 3),
-        "physics_s": round(physics, 3),
+        "physics_cpu_s": round(physics, 3),
         "controllers": [
             {"robot": name, "exit_code": code, "steps": count} for name, code, count in outcome.controllers
         ],
@@ -189,5 +189,5 @@ def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) 
         return
     terminal.note(
         f"{outcome.steps:,} steps, {outcome.seconds:g} s of simulated time in {seconds:.1f} s"
-        f" ({rate:.0f} times real time; physics {physics:.1f} s)"
+        f" ({rate:.0f} times real time; {physics:.1f} s of CPU for the physics)"
     )
