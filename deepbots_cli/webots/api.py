@@ -31,8 +31,6 @@ MISSING: Mapping[str, str] = {
     " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
     " insertMFRotation insertMFString insertMFVec2f insertMFVec3f setMFBool setMFColor setMFFloat setMFInt32"
     " setMFRotation setMFString setMFVec2f setMFVec3f",
-    "Motor": "enableForceFeedback disableForceFeedback getForceFeedback getForceFeedbackSamplingPeriod"
-    " setControlPID",
     "GPS": "convertToDegreesMinutesSeconds",
     "DistanceSensor": "",
     "TouchSensor": "getLookupTable",
