@@ -29,8 +29,7 @@ MISSING: Mapping[str, str] = {
     " enablePoseTracking disablePoseTracking getFromProtoDef",
     "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
     " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
-    " insertMFRotation insertMFString insertMFVec2f insertMFVec3f setMFBool setMFColor setMFFloat setMFInt32"
-    " setMFRotation setMFString setMFVec2f setMFVec3f",
+    " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
     "DistanceSensor": "",
     "TouchSensor": "getLookupTable",

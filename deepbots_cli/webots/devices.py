@@ -36,6 +36,9 @@ class Device:
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
 
+    def renew(self) -> None:
+        """Read the fields of the node again, after a supervisor set one."""
+
     def getName(self) -> str:
         return self._spec.name
 
@@ -421,7 +424,11 @@ class DistanceSensor(ScalarSensor):
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
-        node = spec.node
+        self.renew()
+
+    def renew(self) -> None:
+        """Read the fields of the node, which a supervisor may have set."""
+        node = self._spec.node
         self._type = text(node, "type")
         self._table = vectors(node, "lookupTable")
         self._reach = max((row[0] for row in self._table), default=0.0)

@@ -191,7 +191,8 @@ class Scene:
     """The bodies and robots of a world, and what it says about itself.
 
     `basic_step` is in ms, `gravity` in m/s^2. `places` maps each node with a pose to its body and its frame
-    there; `parents` to the node above it.
+    there, `outer_frames` those outside of bodies to their frame in the world, and `parents` to the node above
+    it.
     """
 
     nodes: list[Node]
@@ -203,6 +204,7 @@ class Scene:
     robots: list[Robot] = field(default_factory=list)
     contacts: dict[tuple[str, str], Contact] = field(default_factory=dict)
     places: dict[Node, tuple[Body, Frame]] = field(default_factory=dict)
+    outer_frames: dict[Node, Frame] = field(default_factory=dict)
     parents: dict[Node, Node] = field(default_factory=dict)
 
     def contact(self, one: str, other: str) -> Contact:
@@ -290,6 +292,8 @@ class _Builder:
             inner = _Site(site.body, frame, scale, site.robot, site.solid)
             if site.body is not None:
                 self.scene.places[node] = site.body, frame
+            else:
+                self.scene.outer_frames[node] = frame
             self._add_children(node, inner)
         elif node.type == "Group":
             self._add_children(node, site)

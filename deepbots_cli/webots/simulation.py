@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Device, Robot, Scene
 
 
+class DeviceObject(Protocol):
+    """What a controller got for a device."""
+
+    def renew(self) -> None: ...
+
+
 class Sampled(Protocol):
     """A device that measures once in each sampling period."""
 
@@ -107,7 +113,7 @@ class Simulation:
         """The CPU time that the physics took."""
         self.wait: Callable[[Robot, int], int] = self._advance_alone
         """What a controller's step of some ms does; it returns -1 at the end of the simulation."""
-        self.objects: dict[Device, object] = {}
+        self.objects: dict[Device, DeviceObject] = {}
         """The objects of devices that controllers asked for."""
         self.states: dict[str, Any] = {}
         """The states that supervisors saved, by name."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
@@ -14,12 +15,13 @@ from deepbots_cli.webots.nodes import parameters, real, text, texts, value_of, w
 from deepbots_cli.webots.scene import AXES
 from deepbots_cli.webots.shapes import compose
 from deepbots_cli.webots.syntax import Node as Written
+from deepbots_cli.webots.syntax import Value
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.webots.scene import Body, Joint
     from deepbots_cli.webots.simulation import Simulation
-    from deepbots_cli.webots.syntax import Item, Value
+    from deepbots_cli.webots.syntax import Item
 
 _ACTIVE: list[Simulation] = []
 """The simulation that runs in this process; the module `controller` belongs to it."""
@@ -546,70 +548,143 @@ class Field:
         place = scene.places.get(self._real)
         if place is None:
             return None
-        frame = physics.frame(*place)
-        above = scene.parents.get(self._real)
-        while above is not None:
-            outer = scene.places.get(real(above))
-            if outer is not None:
-                return compose(_inverse(physics.frame(*outer)), frame)
-            above = scene.parents.get(above)
-        return frame
+        frame, outer = physics.frame(*place), self._outer_frame()
+        return frame if outer is None else compose(_inverse(outer), frame)
 
     # Set
 
-    def setSFVec3f(self, values: list[float]) -> None:
+    def setSFVec3f(self, values: Sequence[float]) -> None:
         x, y, z = map(float, values)
-        if self._name != "translation":
-            raise self._unset("setSFVec3f")
-        self._move("setSFVec3f", (x, y, z), None)
+        place = self._simulation.scene.places.get(self._real)
+        if self._name == "translation" and place is not None:
+            self._move("setSFVec3f", (x, y, z), None)
+        else:
+            self._set("setSFVec3f", [x, y, z])
 
-    def setSFRotation(self, values: list[float]) -> None:
+    def setSFRotation(self, values: Sequence[float]) -> None:
         x, y, z, angle = map(float, values)
         length = math.hypot(x, y, z)
-        if self._name != "rotation":
-            raise self._unset("setSFRotation")
+        if self._name != "rotation" or self._real not in self._simulation.scene.places:
+            self._set("setSFRotation", [x, y, z, angle])
+            return
         if length == 0:
             raise ValueError("setSFRotation(): the axis is zero")
         turned = frames.from_axis_angle((x / length, y / length, z / length), angle)
         self._move("setSFRotation", None, turned)
 
     def _move(self, function: str, place: Triple | None, turned: Quaternion | None) -> None:
-        """Move a solid that stands alone at the top of the world."""
+        """Move a solid that stands alone in the world."""
         scene, physics = self._simulation.scene, self._simulation.physics
-        stands = scene.places.get(self._real)
-        if stands is None or stands[0].node is not self._real or stands[0].parent is not None:
+        body, _ = scene.places[self._real]
+        local = self._local_frame()
+        if body.node is not self._real or body.parent is not None or local is None:
             raise self._unset(function)
-        if any(real(one) is self._real for one in scene.nodes):
-            local = physics.frame(stands[0])
-            physics.place(stands[0], (place or local[0], turned or local[1]))
-            return
-        raise self._unset(function)
+        wanted = place or local[0], turned or local[1]
+        outer = self._outer_frame()
+        physics.place(body, wanted if outer is None else compose(outer, wanted))
+
+    def _outer_frame(self) -> Frame | None:
+        """Return the frame in which the fields of the node are: None for that of the world."""
+        scene, physics = self._simulation.scene, self._simulation.physics
+        above = scene.parents.get(self._real)
+        while above is not None:
+            if real(above) in scene.places:
+                return physics.frame(*scene.places[real(above)])
+            if real(above) in scene.outer_frames:
+                return scene.outer_frames[real(above)]
+            above = scene.parents.get(above)
+        return None
 
     def setSFFloat(self, value: float) -> None:
         joint = self._joint()
-        if joint is None:
-            raise self._unset("setSFFloat")
-        self._simulation.physics.set_joint_position(joint, float(value))
+        if joint is not None:
+            self._simulation.physics.set_joint_position(joint, float(value))
+        else:
+            self._set("setSFFloat", [float(value)])
 
     def setSFString(self, value: str) -> None:
         for robot in self._simulation.scene.robots:
             if self._name == "customData" and robot.node is self._real:
                 self._simulation.custom_data[robot] = str(value)
                 return
-        raise self._unset("setSFString")
+        self._set("setSFString", [str(value)])
 
     def setSFBool(self, value: bool) -> None:
-        raise self._unset("setSFBool")
+        self._set("setSFBool", [bool(value)])
 
     def setSFInt32(self, value: int) -> None:
-        raise self._unset("setSFInt32")
+        self._set("setSFInt32", [float(int(value))])
 
-    def setSFVec2f(self, values: list[float]) -> None:
-        raise self._unset("setSFVec2f")
+    def setSFVec2f(self, values: Sequence[float]) -> None:
+        self._set("setSFVec2f", list(map(float, values)))
 
-    def setSFColor(self, values: list[float]) -> None:
-        """Keep a color; nothing of it is seen."""
-        self._value().items[:] = [float(value) for value in values]
+    def setSFColor(self, values: Sequence[float]) -> None:
+        self._set("setSFColor", list(map(float, values)))
+
+    def setMFBool(self, index: int, value: bool) -> None:
+        self._set_item("setMFBool", index, [bool(value)])
+
+    def setMFInt32(self, index: int, value: int) -> None:
+        self._set_item("setMFInt32", index, [float(int(value))])
+
+    def setMFFloat(self, index: int, value: float) -> None:
+        self._set_item("setMFFloat", index, [float(value)])
+
+    def setMFString(self, index: int, value: str) -> None:
+        self._set_item("setMFString", index, [str(value)])
+
+    def setMFVec2f(self, index: int, values: Sequence[float]) -> None:
+        self._set_item("setMFVec2f", index, _padded(values, 2))
+
+    def setMFVec3f(self, index: int, values: Sequence[float]) -> None:
+        self._set_item("setMFVec3f", index, _padded(values, 3))
+
+    def setMFColor(self, index: int, values: Sequence[float]) -> None:
+        self._set_item("setMFColor", index, _padded(values, 3))
+
+    def setMFRotation(self, index: int, values: Sequence[float]) -> None:
+        self._set_item("setMFRotation", index, _padded(values, 4))
+
+    def _set_item(self, function: str, index: int, items: Sequence[Item]) -> None:
+        """Set one item of a list, which takes several numbers."""
+        size, now = len(items), list(self._items())
+        count = len(now) // size
+        if not -count <= index < count:
+            raise IndexError(f"Field.{function}: {self._name} has {count} items, and no item {index}")
+        start = (index % count) * size
+        now[start : start + size] = items
+        self._set(function, now)
+
+    def _set(self, function: str, items: Sequence[Item]) -> None:
+        """Set the value of a field that a device reads again, or that only looks depend on."""
+        is_sensor = self._real.type in _RENEWED
+        is_seen = self._real.type in _LOOKS or self._name in _LABELS
+        if self._root is not None or not (is_sensor or is_seen):
+            raise self._unset(function)
+        owner = self._real if self._name in parameters(self._real) else self._node
+        before = self._value()
+        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
+        for spec, device in self._simulation.objects.items():
+            if spec.node is self._real:
+                device.renew()
+
+
+_RENEWED = frozenset({"DistanceSensor"})
+"""Devices that read the fields of their node again."""
+_LOOKS = frozenset(
+    {
+        *("Viewpoint", "Background", "Fog", "DirectionalLight", "PointLight", "SpotLight"),
+        *("Shape", "Appearance", "PBRAppearance", "Material", "ImageTexture", "TextureTransform"),
+    }
+)
+"""Nodes that nothing but pictures depends on."""
+_LABELS = frozenset({"model", "description", "recognitionColors", "info", "title", "locked"})
+"""Fields that only supervisors read."""
+
+
+def _padded(values: Sequence[float], size: int) -> list[float]:
+    """Return numbers with zeros at the end, as Webots takes too few of them."""
+    return [*map(float, values), *([0.0] * size)][:size]
 
 
 class Keyboard:

@@ -238,3 +238,55 @@ def test_a_proto_hides_its_own_definitions():
     it = supervisor("Robot { supervisor TRUE } DEF PIT Pit { }")
     assert it.getFromDef("GRID") is None
     assert it.getFromDef("PIT") is not None
+
+
+# Fields that are set
+
+SENSOR = """DEF WALL Solid { translation 1.05 0 0 boundingObject Box { size 0.1 2 2 } }
+Robot { supervisor TRUE children [ DEF EYE DistanceSensor { lookupTable [ 0 0 0, 2 2000 0 ] } ] }"""
+
+
+def test_a_sensor_answers_by_the_fields_that_a_supervisor_sets():
+    it = supervisor(SENSOR)
+    sensor, eye = it.getDevice("distance sensor"), it.getFromDef("EYE")
+    sensor.enable(8)
+    it.step()
+    assert sensor.getValue() == pytest.approx(1000, rel=1e-3)
+    eye.getField("lookupTable").setMFVec3f(1, [4, 400])  # the noise that is missing is 0
+    it.step()
+    assert sensor.getValue() == pytest.approx(100, rel=1e-3)
+    eye.getField("resolution").setSFFloat(30)
+    eye.getField("type").setSFString("sonar")
+    eye.getField("numberOfRays").setSFInt32(2)
+    it.step()
+    assert (sensor.getValue(), sensor.getType(), sensor.getMaxValue()) == (
+        390,
+        2,
+        400,
+    )  # both rays are slanted
+    assert eye.getField("lookupTable").getMFVec3f(1) == [4, 400, 0]
+    assert eye.getField("lookupTable").getCount() == 2
+    with pytest.raises(IndexError, match="lookupTable has 2 items, and no item 2"):
+        eye.getField("lookupTable").setMFVec3f(2, [1, 1, 1])
+
+
+def test_looks_are_kept_and_change_nothing():
+    it = supervisor("DEF VIEW Viewpoint { } Robot { supervisor TRUE }")
+    position = it.getFromDef("VIEW").getField("position")
+    position.setSFVec3f([1, 2, 3])
+    assert position.getSFVec3f() == [1, 2, 3]
+
+
+def test_solids_in_groups_and_poses_at_the_top_are_moved_in_their_frame():
+    it = supervisor(
+        "Group { children [ DEF ONE Solid { translation 1 0 0 } Pose { translation 0 0 5 rotation 0 0 1 1.5707963"
+        " children [ DEF TWO Solid { translation 1 0 0 } ] } ] } Robot { supervisor TRUE }"
+    )
+    one, two = it.getFromDef("ONE"), it.getFromDef("TWO")
+    assert (two.getPosition(), two.getField("translation").getSFVec3f()) == (
+        pytest.approx([0, 1, 5], abs=1e-6),
+        pytest.approx([1, 0, 0], abs=1e-6),
+    )
+    one.getField("translation").setSFVec3f([2, 0, 0])
+    two.getField("translation").setSFVec3f([2, 0, 0])
+    assert (one.getPosition(), two.getPosition()) == ([2, 0, 0], pytest.approx([0, 2, 5], abs=1e-6))
