@@ -42,16 +42,11 @@ MISSING: Mapping[str, str] = {
     " setFov getFov getNear getWidth getHeight enable",
     "RangeFinder": "enable getFov getHeight getMaxRange getMinRange getRangeImage getRangeImageArray getWidth"
     " rangeImageGetDepth saveImage",
-    "Lidar": "enable disablePointCloud enablePointCloud getFov getFrequency getHorizontalResolution"
-    " getLayerPointCloud getLayerRangeImage getMaxFrequency getMaxRange getMinFrequency getMinRange"
-    " getNumberOfLayers getNumberOfPoints getPointCloud getRangeImage getRangeImageArray getVerticalFov"
-    " isPointCloudEnabled setFrequency",
+    "Lidar": "getFrequency getLayerPointCloud getMaxFrequency getMinFrequency getRangeImageArray setFrequency",
     "Radar": "enable getMaxRange getMinRange getNumberOfTargets getTargets getHorizontalFov getVerticalFov",
     "LightSensor": "enable getValue getLookupTable",
-    "Display": "attachCamera detachCamera drawLine drawOval drawPixel drawPolygon drawRectangle drawText"
-    " fillOval fillPolygon fillRectangle getHeight getWidth imageCopy imageDelete imageLoad imageNew"
-    " imagePaste imageSave setAlpha setColor setFont setOpacity",
-    "Speaker": "getEngine getLanguage isSoundPlaying isSpeaking playSound setEngine setLanguage speak stop",
+    "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
+    "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
     "Pen": "setInkColor write",
     "Microphone": "enable getSampleData getSampleSize",
@@ -61,6 +56,10 @@ MISSING: Mapping[str, str] = {
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",
 }
 """The functions of each class that deepbots does not have."""
+
+
+MISSING_CLASSES = ("AnsiCodes", "Joystick", "Motion", "Mouse", "ImageRef", "RadarTarget")
+"""The names of the module `controller` of Webots that deepbots does not have."""
 
 
 def missing_attribute(owner: type, name: str) -> AttributeError:

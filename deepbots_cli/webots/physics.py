@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, isinf
+from math import ceil, inf, isinf
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -327,6 +327,24 @@ class Physics:
                 results.append((length, int(geom[0]), abs(float(normal @ way))))
         groups[own] = kept
         return results
+
+    def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
+        """Return the distance along each of many rays from one place, m; infinite beyond `reach`. The
+        directions have the shape (rays, 3). The robot `skipped` stops no ray."""
+        self.update_positions()
+        groups = self.model.geom_group
+        own = self._robot_geoms.get(-1 if skipped is None else skipped, [])
+        kept = groups[own].copy()
+        groups[own] = OWN_GROUP
+        count = len(directions)
+        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
+        ways = np.ascontiguousarray(directions).ravel()
+        origin = np.array(start)
+        mj.mj_multiRay(
+            self.model, self.data, origin, ways, SEEN_GROUPS, True, -1, geoms, lengths, None, count, reach
+        )
+        groups[own] = kept
+        return np.where((lengths < 0) | (lengths > reach), inf, lengths).tolist()  # type: ignore[no-any-return]
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
         """Return the contacts of the last substep: two geometries, the place, and the force on the second

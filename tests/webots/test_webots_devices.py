@@ -275,6 +275,37 @@ def test_the_own_robot_stops_no_ray():
     assert reading(simulate(text), "distance sensor").getValue() == pytest.approx(500, rel=1e-3)
 
 
+def test_a_lidar_measures_row_by_row_from_the_left():
+    text = """Solid { translation 0 2.05 0 boundingObject Box { size 9 0.1 9 } }
+      Solid { translation 0.6 0 0 boundingObject Box { size 0.2 1 4 } }
+      Robot { children [ Lidar { horizontalResolution 4 numberOfLayers 3 fieldOfView 3.1415926
+        verticalFieldOfView 0.6 maxRange 2.5 } ] }"""
+    simulation = simulate(text)
+    lidar = device(simulation, "lidar")
+    lidar.enable(8)
+    lidar.enablePointCloud()
+    simulation.advance()
+    image = lidar.getRangeImage()
+    eighth = math.pi / 8
+    middle = [2 / math.sin(3 * eighth), 0.5 / math.cos(eighth), 0.5 / math.cos(eighth), math.inf]
+    assert lidar.getLayerRangeImage(1) == image[4:8] == pytest.approx(middle, rel=1e-3)
+    assert image[1] == pytest.approx(middle[1] / math.cos(0.3), rel=1e-3)
+    assert image[9] == pytest.approx(image[1])
+    point = lidar.getPointCloud()[1]
+    assert (point.x, point.layer_id) == (pytest.approx(0.5, rel=1e-3), 0)
+    assert point.z == pytest.approx(image[1] * math.sin(0.3), rel=1e-3)
+    assert lidar.getNumberOfPoints() == 12
+
+
+def test_a_display_and_a_speaker_have_no_effect():
+    simulation = simulate(robot("Display { width 3 height 2 } Speaker { }"))
+    display, speaker = device(simulation, "display"), device(simulation, "speaker")
+    display.setColor(0xFF0000)
+    display.drawPixel(0, 0)
+    speaker.speak("hello", 1.0)
+    assert (display.getWidth(), display.getHeight(), speaker.isSpeaking()) == (3, 2, False)
+
+
 def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
     text = f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ lookupTable [ 0 0 0.1, 1 1000 0.1 ] }} ] }}"""
     simulation = simulate(text)
@@ -403,10 +434,11 @@ def test_messages_keep_their_order():
     [
         ("Camera", "camera", "recognitionEnable"),
         ("Camera", "camera", "getImage"),
-        ("Lidar", "lidar", "getRangeImage"),
+        ("Lidar", "lidar", "getRangeImageArray"),
+        ("Radar", "radar", "getTargets"),
         ("LightSensor", "light sensor", "getValue"),
-        ("Speaker", "speaker", "speak"),
-        ("Display", "display", "drawPixel"),
+        ("Speaker", "speaker", "getEngine"),
+        ("Display", "display", "imageNew"),
     ],
 )
 def test_a_function_that_is_missing_says_so_by_name(node_name: str, name: str, call: str):

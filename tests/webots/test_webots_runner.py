@@ -292,3 +292,11 @@ def test_the_packages_of_another_environment_are_found(project: Project):
     project.controller("boss", "from controller import Supervisor\nSupervisor()\nimport json\nprint('ok')")
     ran = project.run("--python", sys.executable)
     assert (ran.returncode, ran.stdout.splitlines()[0]) == (0, "[boss] ok")
+
+
+def test_a_class_that_is_missing_says_so_by_name(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", "from controller import Mouse")
+    ran = project.run()
+    assert ran.returncode == 1
+    assert "ImportError: controller.Mouse is not implemented" in ran.stderr

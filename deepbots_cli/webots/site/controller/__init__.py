@@ -1,5 +1,6 @@
 """Webots' module `controller`, for worlds that deepbots runs."""
 
+from deepbots_cli.webots.api import MISSING_CLASSES
 from deepbots_cli.webots.devices import (
     GPS,
     LED,
@@ -16,6 +17,7 @@ from deepbots_cli.webots.devices import (
     Gyro,
     InertialUnit,
     Lidar,
+    LidarPoint,
     LightSensor,
     Microphone,
     Motor,
@@ -50,6 +52,7 @@ __all__ = [
     "InertialUnit",
     "Keyboard",
     "Lidar",
+    "LidarPoint",
     "LightSensor",
     "Microphone",
     "Motor",
@@ -66,3 +69,9 @@ __all__ = [
     "TouchSensor",
     "VacuumGripper",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name in MISSING_CLASSES:
+        raise ImportError(f"controller.{name} is not implemented")
+    raise AttributeError(f"module 'controller' has no attribute '{name}'")
