@@ -738,9 +738,10 @@ class Lidar(Sensor):
         """Return the points in the frame of the sensor, in the order of the range image."""
         if not self._has_points:
             return []
+        points = zip(self._image, self._directions.tolist(), strict=True)
         return [
-            LidarPoint(*(distance * part for part in way), number // self._columns, 0.0)
-            for number, (distance, way) in enumerate(zip(self._image, self._directions.tolist(), strict=True))
+            LidarPoint(distance * x, distance * y, distance * z, number // self._columns, 0.0)
+            for number, (distance, (x, y, z)) in enumerate(points)
         ]
 
     def getNumberOfPoints(self) -> int:

@@ -224,7 +224,26 @@ def _number_of(simulation: Simulation, node: Written) -> int:
     return 0
 
 
-class Node:
+class _NodeTypes:
+    """The numbers of node types, in the order of Webots' reference."""
+
+    # fmt: off
+    (
+        NO_NODE, APPEARANCE, BACKGROUND, BOX, CAPSULE, COLOR, CONE, COORDINATE, CYLINDER,
+        DIRECTIONAL_LIGHT, ELEVATION_GRID, FOG, GROUP, IMAGE_TEXTURE, INDEXED_FACE_SET, INDEXED_LINE_SET,
+        MATERIAL, MESH, MUSCLE, NORMAL, PBR_APPEARANCE, PLANE, POINT_LIGHT, POINT_SET, SHAPE, SPHERE,
+        SPOT_LIGHT, TEXTURE_COORDINATE, TEXTURE_TRANSFORM, TRANSFORM, VIEWPOINT, ROBOT, ACCELEROMETER,
+        BRAKE, CAMERA, COMPASS, CONNECTOR, DISPLAY, DISTANCE_SENSOR, EMITTER, GPS, GYRO, INERTIAL_UNIT,
+        LED, LIDAR, LIGHT_SENSOR, LINEAR_MOTOR, PEN, POSITION_SENSOR, PROPELLER, RADAR, RANGE_FINDER,
+        RECEIVER, ROTATIONAL_MOTOR, SPEAKER, TOUCH_SENSOR, BALL_JOINT, BALL_JOINT_PARAMETERS, CHARGER,
+        CONTACT_PROPERTIES, DAMPING, FLUID, FOCUS, HINGE_JOINT, HINGE_JOINT_PARAMETERS, HINGE_2_JOINT,
+        IMMERSION_PROPERTIES, JOINT_PARAMETERS, LENS, LENS_FLARE, PHYSICS, RECOGNITION, SLIDER_JOINT, SLOT,
+        SOLID, SOLID_REFERENCE, TRACK, TRACK_WHEEL, WORLD_INFO, ZOOM,
+    ) = range(80)
+    # fmt: on
+
+
+class Node(_NodeTypes):
     """A node of the world."""
 
     def __init__(self, simulation: Simulation, node: Written, root_of: list[Written] | None = None) -> None:
@@ -232,8 +251,6 @@ class Node:
         self._root_of = root_of
 
     def __getattr__(self, name: str) -> Any:
-        if name.isupper():
-            return name  # the constants of node types
         raise missing_attribute(type(self), name)
 
     def __eq__(self, other: object) -> bool:
@@ -254,8 +271,9 @@ class Node:
     def getBaseTypeName(self) -> str:
         return self._real.type
 
-    def getType(self) -> str:
-        return "".join(f"_{one}" if one.isupper() else one.upper() for one in self._real.type).lstrip("_")
+    def getType(self) -> int:
+        """Return the number of the type, such as `Node.ROBOT`; `Node.NO_NODE` for a type without a number."""
+        return _TYPE_NUMBERS.get(self._real.type.upper(), self.NO_NODE)
 
     def isProto(self) -> bool:
         return self._node.body is not None
@@ -404,6 +422,11 @@ class Node:
             print(f"Warning: there is no state '{stateName}'", file=sys.stderr)
 
 
+_TYPE_NUMBERS = {
+    name.replace("_", ""): number for name, number in vars(_NodeTypes).items() if isinstance(number, int)
+}
+
+
 class ContactPoint:
     """A contact: its place in the world (m) and the id of its node."""
 
@@ -419,6 +442,14 @@ class ContactPoint:
 
 class Field:
     """A field of a node. Poses and joint positions are those of now; other fields are as the world says."""
+
+    NO_FIELD, MF = 0x00, 0x10
+    SF_BOOL, SF_INT32, SF_FLOAT, SF_VEC2F, SF_VEC3F, SF_ROTATION, SF_COLOR, SF_STRING, SF_NODE = range(
+        0x01, 0x0A
+    )
+    MF_BOOL, MF_INT32, MF_FLOAT, MF_VEC2F, MF_VEC3F, MF_ROTATION, MF_COLOR, MF_STRING, MF_NODE = range(
+        0x11, 0x1A
+    )
 
     def __init__(
         self, simulation: Simulation, node: Written, name: str, items: list[Written] | None = None
@@ -436,8 +467,10 @@ class Field:
         owner = self._node if self._name in parameters(self._node) else self._real
         return parameters(owner)[self._name].type
 
-    def getType(self) -> str:
-        return self.getTypeName()
+    def getType(self) -> int:
+        """Return the number of the type, such as `Field.SF_FLOAT`."""
+        name = self.getTypeName()
+        return _FIELD_TYPES.index(name[2:]) + (0x11 if name[0] == "M" else 0x01)
 
     def getActualField(self) -> Field:
         return self
@@ -669,6 +702,7 @@ class Field:
                 device.renew()
 
 
+_FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
 _RENEWED = frozenset({"DistanceSensor"})
 """Devices that read the fields of their node again."""
 _LOOKS = frozenset(

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from deepbots_cli.webots.api import NotImplementedCallError
-from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
+from deepbots_cli.webots.supervisor import Field, Node, Supervisor, activate, deactivate
 from tests.webots.worlds_of_webots import FLOOR, HEADER, hinge, node, read, run, simulate, solid
 
 WORLD = """DEF ROBOT Robot { translation 1 2 3 rotation 0 0 1 1.5707963 supervisor TRUE name "one" customData "x"
@@ -290,3 +290,11 @@ def test_solids_in_groups_and_poses_at_the_top_are_moved_in_their_frame():
     one.getField("translation").setSFVec3f([2, 0, 0])
     two.getField("translation").setSFVec3f([2, 0, 0])
     assert (one.getPosition(), two.getPosition()) == ([2, 0, 0], pytest.approx([0, 2, 5], abs=1e-6))
+
+
+def test_types_of_nodes_and_fields_are_numbers():
+    it = supervisor()
+    ball = it.getFromDef("BALL")
+    assert (ball.getType(), it.getSelf().getType()) == (Node.SOLID, Node.ROBOT)
+    types = [ball.getField(name).getType() for name in ("translation", "name", "physics", "children")]
+    assert types == [Field.SF_VEC3F, Field.SF_STRING, Field.SF_NODE, Field.MF_NODE]
