@@ -6,10 +6,16 @@ protos.py       PROTO nodes: their definitions, and the nodes that they stand fo
 library.py      PROTOs of Webots' own library that deepbots has an equivalent of
 scene.py        the tree as bodies, joints, geometries and devices
 shapes.py       geometries: sizes, volumes, meshes
-physics.py      a scene as a model of MuJoCo, and its state
+model.py        a scene as a model of MuJoCo
+physics.py      its state: steps, motors, bounces, readings
 simulation.py   time, messages and sampling: what a controller's step does
-devices.py      the classes of devices in the module `controller`
-supervisor.py   the classes Node, Field and Supervisor
+device.py       what devices share: sampling, lookup tables
+joints.py       motors, brakes, position sensors
+sensors.py      sensors of motion and of the surroundings
+radio.py        emitters and receivers
+devices.py      the class of each device
+tree.py         the classes Node and Field
+supervisor.py   the classes Robot, Supervisor and Keyboard
 api.py          names of Webots' functions that are not implemented, and their error
 runner.py       controllers as threads of one process, one at a time
 project.py      the files of a project: worlds, controllers, PROTOs

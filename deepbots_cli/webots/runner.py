@@ -330,10 +330,10 @@ class Runner:
         one = self._current
         if one is None or threading.current_thread() is not one.thread:
             return None
-        found = importlib.machinery.PathFinder.find_spec(name, [str(one.program.parent)])
-        if found is not None:
+        spec = importlib.machinery.PathFinder.find_spec(name, [str(one.program.parent)])
+        if spec is not None:
             one.private.add(name)
-        return found
+        return spec
 
 
 class _ProjectFinder:

@@ -28,9 +28,10 @@ def test_each_equivalent_of_a_proto_is_named(name: str):
 
 def test_a_function_that_is_missing_is_not_there():
     import deepbots_cli.webots.devices as devices
-    import deepbots_cli.webots.supervisor as supervisor
+    from deepbots_cli.webots import joints, radio, sensors, supervisor, tree
 
-    classes = {**vars(devices), **vars(supervisor)}
+    modules = (devices, joints, radio, sensors, supervisor, tree)
+    classes = {name: value for module in modules for name, value in vars(module).items()}
     for owner, names in MISSING.items():
         for name in names.split():
             assert name not in vars(classes[owner]), f"{owner}.{name}"

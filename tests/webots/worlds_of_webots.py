@@ -9,7 +9,7 @@ from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.project import Files, World, world_of_source
 from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
-from deepbots_cli.webots.supervisor import Node
+from deepbots_cli.webots.tree import Node
 
 HEADER = "#VRML_SIM R2023b utf8\n"
 FLOOR = "Solid { boundingObject Plane { } }"

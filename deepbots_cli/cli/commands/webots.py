@@ -120,13 +120,13 @@ def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
 
 
 def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json: bool) -> None:
-    found = dict(programs)
+    by_robot = dict(programs)
     rows = [
         {
             "robot": robot.name,
             "supervisor": "yes" if robot.is_supervisor else "no",
             "controller": robot.controller,
-            "runs": "yes" if robot in found and found[robot].path is not None else "no",
+            "runs": "yes" if robot in by_robot and by_robot[robot].path is not None else "no",
             "devices": ", ".join(robot.devices),
         }
         for robot in scene.robots

@@ -1,37 +1,37 @@
 """Webots' module `controller`, for worlds that deepbots runs."""
 
 from deepbots_cli.webots.api import MISSING_CLASSES
+from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.devices import (
-    GPS,
     LED,
+    Camera,
+    Connector,
+    Display,
+    LightSensor,
+    Microphone,
+    Pen,
+    Radar,
+    RangeFinder,
+    Skin,
+    Speaker,
+    VacuumGripper,
+)
+from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
+from deepbots_cli.webots.radio import Emitter, Receiver
+from deepbots_cli.webots.sensors import (
+    GPS,
     Accelerometer,
     Altimeter,
-    Brake,
-    Camera,
     Compass,
-    Connector,
-    Device,
-    Display,
     DistanceSensor,
-    Emitter,
     Gyro,
     InertialUnit,
     Lidar,
     LidarPoint,
-    LightSensor,
-    Microphone,
-    Motor,
-    Pen,
-    PositionSensor,
-    Radar,
-    RangeFinder,
-    Receiver,
-    Skin,
-    Speaker,
     TouchSensor,
-    VacuumGripper,
 )
-from deepbots_cli.webots.supervisor import ContactPoint, Field, Keyboard, Node, Robot, Supervisor
+from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
+from deepbots_cli.webots.tree import ContactPoint, Field, Node
 
 __all__ = [
     "GPS",
