@@ -42,6 +42,7 @@ nightly: dev ## every case of every test, and a long run over damaged files; tak
 .PHONY: fuzz
 fuzz: dev ## damaged files: lint, then fmt, diff and editors for a tenth; COUNT=500000 takes hours of CPU, START= goes on from a number
 	$(BIN)/python -m tests.fuzz --count $(or $(COUNT),20000) --start $(or $(START),0)
+	$(BIN)/python -m tests.fuzz.worlds --count $$(( $(or $(COUNT),20000) / 10 )) --start $(or $(START),0)
 	$(BIN)/python -m tests.fuzz.beside --count $$(( $(or $(COUNT),20000) / 10 )) --start $(or $(START),0)
 
 .PHONY: check

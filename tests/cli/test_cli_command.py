@@ -400,7 +400,7 @@ def test_streams_that_were_closed_from_the_start_are_no_failure(verb, closed):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("verb", ["schema", "--help"])
+@pytest.mark.parametrize("verb", ["lsp --schema", "--help"])
 def test_a_full_disk_is_one_clear_line(verb):
     message, code = _in_shell(f"(deepbots {verb} >/dev/full) 2>&1; echo $?").splitlines()
     assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (

@@ -64,7 +64,7 @@ def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
 
 
 WRITING = {
-    "schema": ("schema", "-o", "mine.json"),
+    "lsp": ("lsp", "--schema", "-o", "mine.json"),
     "compile": ("compile", "cartpole", "-o", "mine.py"),
     "report": ("report", "run", "-o", "mine.html"),
     "report by its own name": ("report", "mine"),
@@ -118,7 +118,7 @@ def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
 
 def test_with_force_commands_overwrite(deepbots, tmp_path):
     for words in (
-        ("schema", "-o", "mine.json"),
+        ("lsp", "--schema", "-o", "mine.json"),
         ("compile", "cartpole", "-o", "mine.py"),
         ("new", "mine", "--template", "pit", "--schema"),
     ):
@@ -126,7 +126,7 @@ def test_with_force_commands_overwrite(deepbots, tmp_path):
             (tmp_path / name).write_text("of the user")
         (tmp_path / "mine.schema.json").write_text("of the user")
         assert deepbots(*words, "--force").code == 0
-        written = {"schema": "mine.json", "compile": "mine.py", "new": "mine.yaml"}[words[0]]
+        written = {"lsp": "mine.json", "compile": "mine.py", "new": "mine.yaml"}[words[0]]
         assert (tmp_path / written).read_text() != "of the user"
     assert "of the user" not in (tmp_path / "mine.schema.json").read_text()
     assert deepbots("compile", "cartpole", "--project", ".", "--force").code == 0

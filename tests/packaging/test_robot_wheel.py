@@ -187,7 +187,7 @@ def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]
 
 @pytest.mark.parametrize(
     "words",
-    [("lint", "cartpole"), ("inspect", "cartpole"), ("try", "cartpole", "--steps", "5"), ("schema",)],
+    [("lint", "cartpole"), ("inspect", "cartpole"), ("try", "cartpole", "--steps", "5"), ("lsp", "--schema")],
     ids=lambda words: words[0],
 )
 def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:

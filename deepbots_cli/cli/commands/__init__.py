@@ -51,12 +51,12 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "transfer": ("transfer.command", "Check that a policy works in another engine or world."),
         "export": ("export.command", "Export the policy of a run for a robot."),
         "serve": ("serve.command", "Let a policy act for a robot, or simulate the robot."),
+        "webots": ("webots.command", "Run a project of Webots: a world and its controllers."),
     },
     "Develop": {
         "compile": ("code.compile_", "Print the Python module that a scenario compiles to."),
         "bench": ("bench.command", "Measure how long a step takes, and the physics in it."),
-        "schema": ("code.schema", "Print the JSON Schema of scenario files, for editors."),
-        "lsp": ("lint.lsp", "Run the language server: findings, completion, hover."),
+        "lsp": ("lint.lsp", "For editors: run the language server, or print the JSON Schema."),
         "doctor": ("installation.doctor", "Check the installation."),
     },
 }

@@ -1,8 +1,9 @@
-"""The generated files of a scenario: `compile` prints a Python module or writes a project around it, `schema`
-prints a JSON Schema."""
+"""The generated files of a scenario: `compile` prints a Python module or writes a project around it, and `lsp
+--schema` prints a JSON Schema."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
@@ -10,7 +11,7 @@ from typing import Annotated
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, AllowPaths, Force, Json, Overrides, Scenario, option
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.commands.new import Files, modeline, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
@@ -142,29 +143,14 @@ def _requirements() -> str:
     )
 
 
-def schema(
-    scenario: Annotated[
-        str | None,
-        option("--for SCENARIO", "Also list the joints, links, sensors and other names of this scenario."),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        option(
-            "--output -o FILE",
-            "Write to this file. By default, or with - as FILE, print to standard output.",
-            OUTPUT,
-        ),
-    ] = None,
-    force: Force = False,
-    allow_paths: AllowPaths = None,
-) -> None:
-    """Print the JSON Schema of scenario files."""
+def schema(scenario: str | None, output: Path | None, *, force: bool, folders: Sequence[str | Path]) -> None:
+    """Print or write the JSON Schema of scenario files; with the names of a scenario, if there is one."""
     if output == Path("-"):
         output = None
     if scenario is None:
         _write(schema_text(), output, force=force)
         return
-    checked = api.load(scenario, permissions=Permissions(allow_paths or ()))
+    checked = api.load(scenario, permissions=Permissions(folders))
     if output is not None and _is_read(checked, output):
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     _write(schema_text(scenario_names(checked)), output, force=force)

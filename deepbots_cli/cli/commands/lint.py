@@ -18,7 +18,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Overrides, integer, option
 from deepbots_cli.cli.commands import rewriting
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
@@ -586,9 +586,35 @@ def lsp(
             max=65535,
         ),
     ] = None,
+    schema: Annotated[
+        bool, option("--schema", "Print the JSON Schema of scenario files, and run no server.")
+    ] = False,
+    scenario: Annotated[
+        str | None,
+        option(
+            "--for SCENARIO",
+            "Also list the joints, links, sensors and other names of this scenario in the schema.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        option(
+            "--output -o FILE",
+            "Write the schema to this file. By default, or with - as FILE, print to standard output.",
+            OUTPUT,
+        ),
+    ] = None,
+    force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Run the language server."""
+    """Run the language server, or print the JSON Schema of scenario files."""
+    if schema:
+        from deepbots_cli.cli.commands import code
+
+        code.schema(scenario, output, force=force, folders=permissions.folders)
+        return
+    if scenario is not None or output is not None:
+        raise UsageError("--for and --output belong to --schema; add --schema")
     if find_spec("pygls") is None:
         raise MissingExtraError("editor", "the language server")
     from deepbots_cli.lsp.server import serve

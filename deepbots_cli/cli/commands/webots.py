@@ -1,0 +1,193 @@
+"""`deepbots webots`: a world of Webots, with its controllers, on MuJoCo."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import ADVANCED, Json, integer, known_engine, option
+from deepbots_cli.cli.tables import table
+from deepbots_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.project import Program, World
+    from deepbots_cli.webots.runner import Outcome
+    from deepbots_cli.webots.scene import Robot, Scene
+
+_ENGINE = "mujoco"
+
+
+def _known_engine(name: str) -> str:
+    if name != _ENGINE:
+        raise typer.BadParameter(f"worlds of Webots run on '{_ENGINE}', and not on '{name}'")
+    return name
+
+
+def command(
+    world: Annotated[Path, typer.Argument(metavar="WORLD.wbt", help="The world of a project of Webots.")],
+    allow_code: Annotated[
+        bool,
+        option(
+            "--allow-code",
+            "Run the controllers of the project: programs with all rights of yours. Without this option, the"
+            " world is only checked.",
+        ),
+    ] = False,
+    steps: Annotated[
+        int | None, integer("--steps N", "End after this number of basic time steps; by default, never.")
+    ] = None,
+    timeout: Annotated[
+        float, option("--timeout SECONDS", "End if a controller makes no step for this time.", min=0.1)
+    ] = 600.0,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            "--fast/--real-time",
+            help="Run as fast as the machine can, which is the default, or at the pace of a clock.",
+        ),
+    ] = True,
+    protos: Annotated[
+        list[Path] | None,
+        option(
+            "--protos DIR",
+            "A copy of Webots, or a folder with PROTO files, from which the world may read; may be repeated."
+            " WEBOTS_HOME is another one.",
+        ),
+    ] = None,
+    python: Annotated[
+        Path | None,
+        option(
+            "--python FILE",
+            "The interpreter of the environment whose packages the controllers import; it has the same"
+            " version as this one.",
+        ),
+    ] = None,
+    engine: Annotated[
+        str, option("--engine NAME", "Physics engine: mujoco.", ADVANCED, callback=_known_engine)
+    ] = _ENGINE,
+    as_json: Json = False,
+) -> None:
+    """Run the controllers of a world of Webots."""
+    from deepbots_cli.webots.findings import WorldError
+
+    if world.suffix != ".wbt" or not world.is_file():
+        raise UsageError(f"{world} is no world; name a file that ends in .wbt")
+    for folder in protos or ():
+        if not folder.is_dir():
+            raise UsageError(f"--protos {folder}: there is no such folder")
+    known_engine(_ENGINE)
+    try:
+        checked, scene = _read(world, protos or ())
+        programs = _programs(checked, scene)
+        if not allow_code:
+            _show_robots(programs, scene, as_json=as_json)
+            return
+        _run(checked, scene, programs, steps, timeout, fast=fast, python=python, as_json=as_json)
+    except WorldError as error:
+        for finding in error.findings:
+            terminal.note(str(finding))
+        raise typer.Exit(1) from error
+
+
+def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
+    from deepbots_cli.webots.project import read_world
+    from deepbots_cli.webots.scene import build_scene
+
+    world = read_world(path, protos)
+    scene = build_scene(world)
+    for warning in world.findings.warnings:
+        terminal.note(str(warning))
+    world.findings.require_none()
+    return world, scene
+
+
+def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
+    from deepbots_cli.webots.project import controller
+
+    pairs = [(robot, controller(world.files, robot.controller)) for robot in scene.robots]
+    programs = [(robot, program) for robot, program in pairs if program is not None]
+    for robot, program in programs:
+        if program.problem:
+            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.problem}")
+    return programs
+
+
+def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json: bool) -> None:
+    by_robot = dict(programs)
+    rows = [
+        {
+            "robot": robot.name,
+            "supervisor": "yes" if robot.is_supervisor else "no",
+            "controller": robot.controller,
+            "runs": "yes" if robot in by_robot and by_robot[robot].path is not None else "no",
+            "devices": ", ".join(robot.devices),
+        }
+        for robot in scene.robots
+    ]
+    note = "add --allow-code to run these controllers, if you trust the project"
+    terminal.show(rows, table(rows), *([note] if not as_json else []), as_json=as_json)
+
+
+def _run(
+    world: World,
+    scene: Scene,
+    programs: list[tuple[Robot, Program]],
+    steps: int | None,
+    timeout: float,
+    *,
+    fast: bool,
+    python: Path | None,
+    as_json: bool,
+) -> None:
+    from deepbots_cli.webots.runner import Runner, packages_of
+    from deepbots_cli.webots.simulation import Simulation
+
+    simulation = Simulation(scene, world.span)
+    runner = Runner(
+        simulation,
+        programs,
+        steps=steps,
+        timeout=timeout,
+        packages=packages_of(python) if python is not None else (),
+        output=sys.stderr if as_json else None,
+        is_fast=fast,
+    )
+    started = time.perf_counter()
+    outcome = runner.run()
+    _report(outcome, time.perf_counter() - started, simulation.physics_seconds, as_json=as_json)
+    if outcome.is_stuck:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(outcome.exit_code)  # a thread that heeds nothing ends with the process only
+    if outcome.exit_code:
+        raise typer.Exit(outcome.exit_code)
+
+
+def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) -> None:
+    for problem in outcome.problems:
+        terminal.print_error(problem)
+    rate = outcome.seconds / seconds if seconds else 0.0
+    facts = {
+        "exit_code": outcome.exit_code,
+        "steps": outcome.steps,
+        "simulated_s": outcome.seconds,
+        "wall_s": round(seconds, 3),
+        "physics_cpu_s": round(physics, 3),
+        "controllers": [
+            {"robot": name, "exit_code": code, "steps": count} for name, code, count in outcome.controllers
+        ],
+    }
+    if as_json:
+        terminal.show_json(facts)
+        return
+    terminal.note(
+        f"{outcome.steps:,} steps, {outcome.seconds:g} s of simulated time in {seconds:.1f} s"
+        f" ({rate:.0f} times real time; {physics:.1f} s of CPU for the physics)"
+    )

@@ -1,0 +1,26 @@
+"""Projects of Webots: worlds, robots and controllers, run on MuJoCo.
+
+syntax.py       a `.wbt` or `.proto` file as a tree of nodes with their places
+nodes.py        the node types of Webots (`nodes.txt`), and the values of fields
+protos.py       PROTO nodes: their definitions, and the nodes that they stand for
+library.py      PROTOs of Webots' own library that deepbots has an equivalent of
+scene.py        the tree as bodies, joints, geometries and devices
+shapes.py       geometries: sizes, volumes, meshes
+model.py        a scene as a model of MuJoCo
+physics.py      its state: steps, motors, bounces, readings
+simulation.py   time, messages and sampling: what a controller's step does
+device.py       what devices share: sampling, lookup tables
+joints.py       motors, brakes, position sensors
+sensors.py      sensors of motion and of the surroundings
+radio.py        emitters and receivers
+devices.py      the class of each device
+tree.py         the classes Node and Field
+supervisor.py   the classes Robot, Supervisor and Keyboard
+api.py          names of Webots' functions that are not implemented, and their error
+runner.py       controllers as threads of one process, one at a time
+project.py      the files of a project: worlds, controllers, PROTOs
+site/           the folder with the module `controller`, on the path of controllers
+findings.py     findings about the files of a project
+
+A controller imports `controller` as in Webots; `deepbots webots` runs it.
+"""

@@ -1,0 +1,181 @@
+"""Motors, brakes and sensors of joints, as the module `controller` has them."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.webots.device import Device, ScalarSensor
+from deepbots_cli.webots.nodes import number
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.scene import Device as Spec
+    from deepbots_cli.webots.simulation import Simulation
+
+
+class JointDevice(Device):
+    """A device of a joint."""
+
+    def getType(self) -> int:
+        return 1 if self._spec.joint is not None and self._spec.joint.kind == "slide" else 0
+
+    def _sibling(self, *types: str) -> Any:
+        from deepbots_cli.webots.devices import device_object
+
+        robot = self._spec.body.robot
+        if robot is None:
+            return None
+        for spec in robot.devices.values():
+            if spec.joint is self._spec.joint and spec.type in types:
+                return device_object(self._simulation, spec)
+        return None
+
+    def getMotor(self) -> Any:
+        return self._sibling("RotationalMotor", "LinearMotor")
+
+    def getPositionSensor(self) -> Any:
+        return self._sibling("PositionSensor")
+
+    def getBrake(self) -> Any:
+        return self._sibling("Brake")
+
+
+class PositionSensor(JointDevice, ScalarSensor):
+    """The position of a joint, rad or m."""
+
+    ROTATIONAL, LINEAR = 0, 1
+
+    def sample(self) -> None:
+        joint = self._spec.joint
+        if joint is not None:
+            position = self._simulation.physics.joint_position(joint)
+            self._value = self._rounded(position + self._noise(number(self._spec.node, "noise")))
+
+
+class Brake(JointDevice):
+    """Damping that a controller adds to a joint, N m s/rad or N s/m."""
+
+    ROTATIONAL, LINEAR = 0, 1
+
+    def setDampingConstant(self, dampingConstant: float) -> None:
+        if self._spec.joint is not None:
+            self._simulation.physics.set_damping(self._spec.joint, float(dampingConstant))
+
+
+class _Feedback(ScalarSensor):
+    """The torque of a motor."""
+
+    def sample(self) -> None:
+        physics = self._simulation.physics
+        self._value = physics.motor_torque(physics.motors[self._spec.node])
+
+
+class Motor(JointDevice):
+    """A motor of a joint: position (rad or m), velocity (per s), or torque (N m or N)."""
+
+    ROTATIONAL, LINEAR = 0, 1
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._state = simulation.physics.motors[spec.node]
+        self._feedback = _Feedback(simulation, spec)
+        self._range = number(spec.node, "minPosition"), number(spec.node, "maxPosition")
+
+    def setPosition(self, position: float) -> None:
+        position = float(position)
+        if math.isnan(position):
+            raise ValueError(f"setPosition() of '{self._spec.name}': NaN is no position")
+        low, high = self._range
+        if low != high and not math.isinf(position) and not low <= position <= high:
+            self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
+            position = min(max(position, low), high)
+        state = self._state
+        if position != state.target_position or state.torque is not None:
+            state.target_position, state.integral, state.last_error = position, 0.0, 0.0
+            self._leave_torque()
+
+    def setVelocity(self, velocity: float) -> None:
+        velocity, state = float(velocity), self._state
+        if math.isnan(velocity):
+            raise ValueError(f"setVelocity() of '{self._spec.name}': NaN is no velocity")
+        if abs(velocity) > state.max_velocity:
+            if math.isfinite(velocity):
+                self._warn(
+                    f"velocity {velocity:g} exceeds maxVelocity {state.max_velocity:g}, and is limited"
+                )
+            velocity = math.copysign(state.max_velocity, velocity)
+        state.target_velocity = velocity if math.isinf(state.target_position) else abs(velocity)
+        self._leave_torque()
+
+    def _leave_torque(self) -> None:
+        if self._state.torque is not None:
+            self._state.torque = None
+            self._simulation.physics.renew_motors()
+
+    def setAcceleration(self, acceleration: float) -> None:
+        self._state.acceleration = float(acceleration)
+
+    def setTorque(self, torque: float) -> None:
+        limit = self._state.max_torque
+        self._state.torque = min(max(float(torque), -limit), limit)
+        if self._state.torque != torque:
+            self._warn(f"{torque:g} exceeds the limit {limit:g}, and is limited")
+        self._simulation.physics.renew_motors()
+
+    def setAvailableTorque(self, torque: float) -> None:
+        self._state.available_torque = min(max(float(torque), 0.0), self._state.max_torque)
+        self._simulation.physics.renew_motors()
+
+    setForce = setTorque
+    setAvailableForce = setAvailableTorque
+
+    def setControlPID(self, p: float, i: float, d: float) -> None:
+        self._state.gains = float(p), float(i), float(d)
+        self._state.integral = self._state.last_error = 0.0
+
+    def getTargetPosition(self) -> float:
+        return self._state.target_position
+
+    def getVelocity(self) -> float:
+        return self._state.target_velocity
+
+    def getMaxVelocity(self) -> float:
+        return self._state.max_velocity
+
+    def getAcceleration(self) -> float:
+        return self._state.acceleration
+
+    def getMinPosition(self) -> float:
+        return self._range[0]
+
+    def getMaxPosition(self) -> float:
+        return self._range[1]
+
+    def getAvailableTorque(self) -> float:
+        return self._state.available_torque
+
+    def getMaxTorque(self) -> float:
+        return self._state.max_torque
+
+    getAvailableForce = getAvailableTorque
+    getMaxForce = getMaxTorque
+
+    def getMultiplier(self) -> float:
+        return number(self._spec.node, "multiplier")
+
+    def enableTorqueFeedback(self, samplingPeriod: int) -> None:
+        self._feedback.enable(samplingPeriod)
+
+    def disableTorqueFeedback(self) -> None:
+        self._feedback.disable()
+
+    def getTorqueFeedback(self) -> float:
+        return self._feedback.getValue()
+
+    def getTorqueFeedbackSamplingPeriod(self) -> int:
+        return self._feedback.getSamplingPeriod()
+
+    enableForceFeedback = enableTorqueFeedback
+    disableForceFeedback = disableTorqueFeedback
+    getForceFeedback = getTorqueFeedback
+    getForceFeedbackSamplingPeriod = getTorqueFeedbackSamplingPeriod

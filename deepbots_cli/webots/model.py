@@ -1,0 +1,243 @@
+"""A scene as a model of MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.webots.nodes import boolean
+from deepbots_cli.webots.scene import AXES, ORIGIN
+from deepbots_cli.webots.shapes import compose
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.webots.scene import Body, Contact, Geometry, Inertia, Joint, Scene
+
+    Floats = NDArray[np.float64]
+
+CONTACT_STEPS = 3.0
+"""The time constant of contacts and stops, in substeps; stiffer ones let a resting box hop."""
+CONTACT_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""A motor exerts all of its force: MuJoCo's default would leave 10 % of an error."""
+KINEMATIC_MASS, KINEMATIC_INERTIA = 1e-3, 1e-6
+"""The mass (kg) and moments (kg m^2) of a solid without physics at the end of a joint."""
+GRID_DEPTH_M = 1.0
+
+
+class ModelBuilder:
+    """Builds the specification of a model."""
+
+    def __init__(self, scene: Scene, substep: float) -> None:
+        self.scene = scene
+        self.spec = spec = mj.MjSpec()
+        spec.option.timestep = substep
+        spec.option.gravity = scene.gravity
+        spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+        spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
+        spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET | mj.mjtDisableBit.mjDSBL_ISLAND
+        spec.compiler.degree = False
+        spec.compiler.autolimits = False
+        spec.compiler.alignfree = False
+        spec.compiler.balanceinertia = True
+        spec.compiler.boundmass = 1e-9
+        spec.compiler.boundinertia = 1e-14
+        self.contact_time = CONTACT_STEPS * substep
+        self.bodies: list[Any] = []
+        self.joints: dict[Joint, Any] = {}
+        self.free_joints: dict[Body, Any] = {}
+        self.geometries: list[tuple[Body, Geometry]] = []
+        self._geoms: list[Any] = []
+        for body in scene.bodies:
+            self._add_body(body)
+        self._add_exclusions()
+        self._add_pairs()
+
+    def _add_body(self, body: Body) -> None:
+        parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
+        place, turned = body.frame
+        element = parent.add_body(name=f"b{body.index}", pos=place, quat=frames.wxyz(turned))
+        self.bodies.append(element)
+        if body.is_free:
+            self.free_joints[body] = element.add_freejoint()
+        for at, joint in enumerate(body.joints):
+            self.joints[joint] = self._add_joint(element, joint, f"b{body.index}.{at}")
+        for geometry in body.geometries:
+            self._add_geometry(element, body, geometry)
+        for at, inertia in enumerate(body.inertias):
+            self._add_inertia(element, inertia, f"b{body.index}.m{at}")
+        massless = not body.inertias and not any(geometry.mass for geometry in body.geometries)
+        if (body.joints or body.is_free) and massless:
+            matrix = (KINEMATIC_INERTIA,) * 3 + (0.0,) * 3
+            self._add_inertia_to(element, KINEMATIC_MASS, ORIGIN, matrix)
+            element.gravcomp = 1.0
+
+    def _add_joint(self, element: Any, joint: Joint, name: str) -> Any:
+        kinds = {
+            "hinge": mj.mjtJoint.mjJNT_HINGE,
+            "slide": mj.mjtJoint.mjJNT_SLIDE,
+            "ball": mj.mjtJoint.mjJNT_BALL,
+        }
+        added = element.add_joint(name=name, type=kinds[joint.kind], pos=joint.anchor)
+        if joint.kind != "ball":
+            added.axis = joint.axis
+            added.ref = joint.position
+        low, high = joint.limits
+        if low < high:
+            added.limited = 1
+            added.range = [low, high]
+            added.solref_limit = [self.contact_time, 1.0]
+        added.stiffness, added.damping = [joint.stiffness, 0.0, 0.0], [joint.damping, 0.0, 0.0]
+        added.frictionloss = joint.friction
+        if joint.motor is not None:
+            added.solimp_friction = MOTOR_IMPEDANCE
+        return added
+
+    def _add_geometry(self, element: Any, body: Body, geometry: Geometry) -> None:
+        shape = geometry.shape
+        place, turned = geometry.frame
+        types = mj.mjtGeom
+        fields: dict[str, Any] = {}
+        match shape.kind:
+            case "box":
+                fields = {"type": types.mjGEOM_BOX, "size": [part / 2 for part in shape.size]}
+            case "sphere":
+                fields = {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
+            case "cylinder" | "capsule":
+                kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
+                fields = {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
+            case "plane":
+                fields = {"type": types.mjGEOM_PLANE, "size": [0.0, 0.0, 1.0]}
+            case "grid":
+                fields, place = self._grid(geometry)
+            case "mesh":
+                fields = {"type": types.mjGEOM_MESH, "meshname": self._mesh(geometry)}
+        friction = self.scene.contact(geometry.material, geometry.material)
+        added = element.add_geom(
+            pos=place,
+            quat=frames.wxyz(turned),
+            mass=geometry.mass,
+            friction=_friction(friction),
+            condim=_condim(friction),
+            solref=[self.contact_time, 1.0],
+            solimp=CONTACT_IMPEDANCE,
+            **fields,
+        )
+        self._geoms.append(added)
+        self.geometries.append((body, geometry))
+
+    def _grid(self, geometry: Geometry) -> tuple[dict[str, Any], Triple]:
+        shape = geometry.shape
+        heights = np.array(shape.heights, np.float64)
+        low, high = float(heights.min()), float(heights.max())
+        rise = max(high - low, 1e-6)
+        name = f"grid{len(self._geoms)}"
+        rows = len(heights) // shape.columns
+        self.spec.add_hfield(
+            name=name,
+            size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
+            nrow=rows,
+            ncol=shape.columns,
+            userdata=((heights - low) / rise).tolist(),
+        )
+        middle: Frame = ((shape.size[0] / 2, shape.size[1] / 2, low), frames.IDENTITY_ROTATION)
+        place = compose(geometry.frame, middle)[0]
+        return {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": name}, place
+
+    def _mesh(self, geometry: Geometry) -> str:
+        name = f"mesh{len(self._geoms)}"
+        mesh = self.spec.add_mesh(name=name)
+        mesh.uservert = np.array(geometry.shape.vertices, np.float64).ravel()
+        mesh.userface = np.array(geometry.shape.faces, np.int32).ravel()
+        mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+        return name
+
+    def _add_inertia(self, element: Any, inertia: Inertia, name: str) -> None:
+        """Add a stated inertia as a body that is fixed to the one it belongs to."""
+        self._add_inertia_to(element.add_body(name=name), inertia.mass, inertia.frame, inertia.matrix)
+
+    def _add_inertia_to(self, element: Any, mass: float, frame: Frame, matrix: Sequence[float]) -> None:
+        element.explicitinertial = 1
+        element.mass = mass
+        element.ipos = frame[0]
+        tensor = np.array(
+            [
+                [matrix[0], matrix[3], matrix[4]],
+                [matrix[3], matrix[1], matrix[5]],
+                [matrix[4], matrix[5], matrix[2]],
+            ]
+        )
+        axes = np.array([frames.rotate(frame[1], axis) for axis in AXES]).T
+        turned = axes @ tensor @ axes.T
+        element.fullinertia = [
+            turned[0, 0], turned[1, 1], turned[2, 2], turned[0, 1], turned[0, 2], turned[1, 2]
+        ]  # fmt: skip
+
+    def geometries_by_id(self) -> list[tuple[Body, Geometry]]:
+        """Return the geometries in the order of their numbers in the compiled model."""
+        owners = {int(added.id): owner for added, owner in zip(self._geoms, self.geometries, strict=True)}
+        return [owners[number] for number in sorted(owners)]
+
+    def _add_exclusions(self) -> None:
+        """Let the parts of a robot pass through each other, unless it says `selfCollision TRUE`."""
+        for robot in self.scene.robots:
+            if boolean(robot.node, "selfCollision"):
+                continue
+            own = [body for body in self.scene.bodies if body.robot is robot and body.geometries]
+            for at, one in enumerate(own):
+                for other in own[at + 1 :]:
+                    self.spec.add_exclude(bodyname1=f"b{one.index}", bodyname2=f"b{other.index}")
+
+    def _add_pairs(self) -> None:
+        """Give pairs of materials their friction, where it is not the larger one of the two."""
+        usual = self.scene.contacts["", ""]
+        special = {
+            pair for pair, contact in self.scene.contacts.items() if contact != usual and pair[0] != pair[1]
+        }
+        for at, (one, first) in enumerate(self.geometries):
+            for other_at in range(at + 1, len(self.geometries)):
+                other, second = self.geometries[other_at]
+                pair = (first.material, second.material)
+                mixed = first.material != second.material
+                wanted = self.scene.contact(*pair)
+                differs = mixed and (
+                    pair in special
+                    or pair[::-1] in special
+                    or wanted.friction != max(self.scene.contact(name, name).friction for name in pair)
+                )
+                if differs and _may_touch(one, other):
+                    self._add_pair(at, other_at, wanted)
+
+    def _add_pair(self, one: int, other: int, contact: Contact) -> None:
+        for index in (one, other):
+            self._geoms[index].name = f"g{index}"
+        slide, spin, roll = _friction(contact)
+        self.spec.add_pair(
+            geomname1=f"g{one}",
+            geomname2=f"g{other}",
+            condim=_condim(contact),
+            friction=[slide, slide, spin, roll, roll],
+            solref=[self.contact_time, 1.0],
+            solimp=CONTACT_IMPEDANCE,
+        )
+
+
+def _may_touch(one: Body, other: Body) -> bool:
+    same_robot = one.robot is not None and one.robot is other.robot
+    moves = one.is_free or one.joints or other.is_free or other.joints
+    return one is not other and not same_robot and bool(moves)
+
+
+def _friction(contact: Contact) -> list[float]:
+    rolling, _, spinning = contact.rolling
+    return [max(contact.friction, 1e-5), max(spinning, 1e-5), max(rolling, 1e-5)]
+
+
+def _condim(contact: Contact) -> int:
+    return 6 if any(contact.rolling) else 3

@@ -1,0 +1,172 @@
+"""The files of a project of Webots: worlds, controllers and PROTOs.
+
+Nothing is read outside the folder of the project and the folders that the user names, after following links.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import read_at_most
+from deepbots_cli.webots.findings import WorldError, WorldFinding, WorldFindings
+from deepbots_cli.webots.nodes import check
+from deepbots_cli.webots.protos import Expander, Scope
+from deepbots_cli.webots.syntax import MAX_BYTES, Node, WorldSyntaxError, parse
+
+_LIBRARY_FOLDER = "projects/"
+"""The folder of Webots with its PROTOs; addresses of its library contain it."""
+
+
+@dataclass
+class Files:
+    """Reads files of a project, and PROTOs of folders with a copy of Webots."""
+
+    project: Path
+    library: Sequence[Path] = ()
+    _sources: dict[Path, Source] = field(default_factory=dict)
+
+    @classmethod
+    def of_world(cls, world: Path, library: Sequence[Path] = ()) -> Files:
+        """Return the files of the project of a world: of the folder above `worlds/`."""
+        folder = world.resolve().parent
+        home = os.environ.get("WEBOTS_HOME")
+        further = [Path(home)] if home else []
+        return cls(
+            folder.parent if folder.name == "worlds" else folder,
+            [path.resolve() for path in (*library, *further) if path.is_dir()],
+        )
+
+    def allows(self, path: Path) -> bool:
+        """Return whether a file may be read, after following links."""
+        target = path.resolve()
+        return any(target.is_relative_to(folder) for folder in (self.project, *self.library))
+
+    def is_own(self, path: Path) -> bool:
+        """Return whether a file is in the project, and not in a copy of Webots."""
+        return path.resolve().is_relative_to(self.project)
+
+    def read(self, path: Path) -> Source:
+        """Read a text.
+
+        Raises:
+            UsageError: The file may not be read, or is no text.
+        """
+        path = path.resolve()
+        if path not in self._sources:
+            if not self.allows(path):
+                raise UsageError(f"{path} is outside the project; allow its folder by --protos")
+            try:
+                data = read_at_most(path, MAX_BYTES + 1)
+            except OSError as error:
+                raise UsageError(
+                    f"{path} cannot be read: {(error.strerror or str(error)).lower()}"
+                ) from error
+            self._sources[path] = Source(_shown(path), data.decode("utf-8", "replace"))
+        return self._sources[path]
+
+    def proto(self, name: str, address: str, writer: str) -> Path | None:
+        """Return the file of a PROTO: at its address, in `protos/` of the project, or in a copy of Webots."""
+        candidates = []
+        if address and "://" not in address:
+            candidates.append(Path(writer).parent / address)
+        candidates.append(self.project / "protos" / f"{name}.proto")
+        tail = address.rpartition(_LIBRARY_FOLDER)[2] if _LIBRARY_FOLDER in address else ""
+        for folder in self.library:
+            candidates += [folder / _LIBRARY_FOLDER / tail] if tail else []
+            candidates.append(folder / f"{name}.proto")
+        return next((path for path in candidates if path.is_file() and self.allows(path)), None)
+
+
+def _shown(path: Path) -> str:
+    """Return a path as messages show it: relative to the working directory where it is in it."""
+    here = Path.cwd()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+
+
+@dataclass
+class World:
+    """A world that was read: its nodes, with PROTO nodes expanded, and the findings."""
+
+    path: Path
+    files: Files
+    nodes: list[Node]
+    findings: WorldFindings
+    span: Span
+    """The beginning of the file."""
+
+
+def read_world(path: Path, library: Sequence[Path] = ()) -> World:
+    """Read a world; `library` are folders with copies of Webots, or with PROTOs.
+
+    Raises:
+        WorldError: The text is no world; has the finding.
+        UsageError: A file cannot be read.
+    """
+    files = Files.of_world(path, library)
+    return world_of_source(files.read(path), path, files)
+
+
+def world_of_source(source: Source, path: Path, files: Files) -> World:
+    """Read a world from a text that is already in memory.
+
+    Raises:
+        WorldError: The text is no world; has the finding.
+    """
+    findings = WorldFindings()
+    try:
+        document = parse(source)
+        Expander(files, findings).expand(document.nodes, Scope.of_document(document))
+    except WorldSyntaxError as error:
+        raise WorldError([error.finding]) from error
+    check(document.nodes, findings)
+    return World(path, files, document.nodes, findings, Span(source, 0, 0))
+
+
+@dataclass(frozen=True)
+class Program:
+    """The program of a robot: the file to run, or why there is none."""
+
+    name: str
+    path: Path | None
+    problem: str = ""
+
+
+_COMPILED = {
+    ".c": "C",
+    ".cpp": "C++",
+    ".cc": "C++",
+    ".java": "Java",
+    ".m": "MATLAB",
+    ".jar": "Java",
+    ".lua": "Lua",
+}
+
+
+def controller(files: Files, name: str) -> Program | None:
+    """Return the program of a controller; None for a robot without one."""
+    if name in ("", "<none>", "void"):
+        return None
+    if name == "<extern>":
+        return Program(name, None, "is started by hand (<extern>), which deepbots cannot wait for")
+    if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):
+        return Program(name, None, "is none of the project")
+    folder = files.project / "controllers" / name
+    path = folder / f"{name}.py"
+    if path.is_file() and files.allows(path):
+        return Program(name, path)
+    if path.is_file():
+        return Program(name, None, "is a link out of the project")
+    for suffix, language in _COMPILED.items():
+        if (folder / f"{name}{suffix}").is_file():
+            return Program(name, None, f"is written in {language}; deepbots runs Python")
+    return Program(name, None, f"has no file controllers/{name}/{name}.py")
+
+
+def no_world(path: Path, headline: str) -> WorldError:
+    """Return the error about a whole file."""
+    return WorldError([WorldFinding("error", Span(Source(str(path), ""), 0, 0), headline)])

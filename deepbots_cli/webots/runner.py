@@ -1,0 +1,438 @@
+"""Controllers as threads of one process, of which one runs at a time.
+
+A controller that steps passes the turn: to the next controller, in the order of the world, that has nothing
+to wait for, or first lets the physics advance. So a world runs the same every time, and one controller alone
+never changes threads.
+
+Each controller has its own modules of the project, its own `__main__`, working directory, `sys.path` and
+`sys.argv`; installed packages are shared, and so is the state of `random` and `numpy.random`.
+"""
+
+from __future__ import annotations
+
+import importlib.machinery
+import os
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import types
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.webots import supervisor
+from deepbots_cli.webots.nodes import texts
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+
+    from deepbots_cli.webots.project import Program
+    from deepbots_cli.webots.scene import Robot
+    from deepbots_cli.webots.simulation import Simulation
+
+SITE = Path(__file__).parent / "site"
+"""The folder with the module `controller`."""
+MAX_STEPS_AFTER_END = 100
+"""How often a controller may step after the end before its step ends it."""
+_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+"""What controllers find in their environment, if it is not set: pictures need a window, and small networks
+lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy machine)."""
+GRACE_S = 5.0
+"""The time that controllers have to end after the end of the simulation."""
+
+
+@dataclass(eq=False)
+class Controller:
+    """The program of a robot while it runs: when its step ends (ticks), and how it ended."""
+
+    robot: Robot
+    program: Path
+    arguments: list[str]
+    due: int = 0
+    turn: threading.Lock = field(default_factory=threading.Lock)
+    thread: threading.Thread | None = None
+    modules: dict[str, types.ModuleType] = field(default_factory=dict)
+    private: set[str] = field(default_factory=set)
+    path: list[str] = field(default_factory=list)
+    folder: str = ""
+    has_ended: bool = False
+    steps: int = 0
+    steps_after_end: int = 0
+    exit_code: int = 0
+    error: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.robot.name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run of a world ended: the exit code, the simulated time (s), and a sentence for each thing that
+    went wrong."""
+
+    exit_code: int
+    seconds: float
+    steps: int
+    problems: tuple[str, ...]
+    controllers: tuple[tuple[str, int, int], ...] = ()
+    """Robot, exit code and number of steps of each controller."""
+    is_stuck: bool = False
+    """Whether a controller still runs, which nothing but the end of the process ends."""
+
+
+class Runner:
+    """Runs the controllers of a world."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        programs: Sequence[tuple[Robot, Program]],
+        *,
+        steps: int | None = None,
+        timeout: float | None = None,
+        packages: Sequence[str] = (),
+        output: TextIO | None = None,
+        errors: TextIO | None = None,
+        is_fast: bool = True,
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            simulation: The world.
+            programs: The robots with the programs of their controllers.
+            steps: The number of basic time steps after which the run ends.
+            timeout: The time (s) after which a controller that makes no step ends the run.
+            packages: Further folders from which controllers import.
+            output: Where controllers print, by default `sys.stdout`.
+            errors: Where errors of controllers go, by default `sys.stderr`.
+            is_fast: Whether the world waits for no clock.
+        """
+        self.simulation, self.timeout = simulation, timeout
+        self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
+        self.packages = list(packages)
+        self.controllers = [
+            Controller(robot, program.path, texts(robot.node, "controllerArgs"))
+            for robot, program in programs
+            if program.path is not None
+        ]
+        self.is_over = False
+        self._current: Controller | None = None
+        self._everything_ended = threading.Event()
+        self._progress = 0
+        self._problems: list[str] = []
+        self._by_robot = {one.robot: one for one in self.controllers}
+        self._begin = None if is_fast else time.monotonic()
+        self._output, self._errors = output or sys.stdout, errors or sys.stderr
+
+    # The main thread
+
+    def run(self) -> Outcome:
+        """Run until the controllers end, a limit is reached, or a controller fails."""
+        simulation = self.simulation
+        if not self.controllers:
+            raise UsageError("no robot of the world has a controller that can run")
+        if any(one.robot.is_supervisor for one in self.controllers):
+            self._supervisors = [one for one in self.controllers if one.robot.is_supervisor]
+        else:
+            self._supervisors = self.controllers
+        supervisor.activate(simulation)
+        simulation.wait = self._wait
+        with self._surroundings():
+            for one in self.controllers:
+                one.turn.acquire()
+                one.thread = threading.Thread(target=self._work, args=(one,), daemon=True, name=one.name)
+                one.thread.start()
+            self._give_turn(self.controllers[0])
+            self._watch()
+        supervisor.deactivate()
+        return self._outcome()
+
+    def _watch(self) -> None:
+        """Wait for the end; a controller that makes no step for too long ends the run."""
+        before = -1
+        while not self._everything_ended.wait(self.timeout):
+            if self._progress == before:
+                one = self._current
+                name = one.name if one else "?"
+                self._problems.append(f"the controller of '{name}' made no step for {self.timeout:g} s")
+                self.is_over = True
+                self._everything_ended.wait(GRACE_S)
+                return
+            before = self._progress
+
+    def _outcome(self) -> Outcome:
+        simulation = self.simulation
+        code = simulation.quit_status or 0
+        for one in self.controllers:
+            code = code or one.exit_code
+        stuck = [one for one in self.controllers if not one.has_ended]
+        if self._problems:
+            code = code or 1
+        seconds = simulation.ticks / 1000
+        steps = simulation.ticks // simulation.basic_step
+        ends = tuple((one.name, one.exit_code, one.steps) for one in self.controllers)
+        return Outcome(code, seconds, steps, tuple(self._problems), ends, bool(stuck))
+
+    @contextmanager
+    def _surroundings(self) -> Iterator[None]:
+        """Give controllers their own surroundings, and restore those of the process."""
+        kept = (sys.path[:], sys.argv, os.getcwd(), sys.stdout, sys.stderr, sys.modules.get("__main__"))
+        before = set(sys.modules)
+        finder = _ProjectFinder(self)
+        sys.meta_path.insert(0, finder)
+        name = self._speaker
+        streams = _Prefixed(self._output, name), _Prefixed(self._errors, name)
+        sys.stdout, sys.stderr = streams
+        for name_, value in _ENVIRONMENT.items():
+            os.environ.setdefault(name_, value)
+        base = [str(SITE), *self.packages, *sys.path]
+        for one in self.controllers:
+            one.folder = str(one.program.parent)
+            one.path = [one.folder, *base]
+            one.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            for stream in streams:
+                stream.close()
+            sys.meta_path.remove(finder)
+            sys.path[:], sys.argv = kept[0], kept[1]
+            os.chdir(kept[2])
+            sys.stdout, sys.stderr = kept[3], kept[4]
+            for module in {module for one in self.controllers for module in one.private}:
+                sys.modules.pop(module, None)
+            for module in set(sys.modules) - before:
+                if module.partition(".")[0] == "controller":
+                    del sys.modules[module]
+            if kept[5] is not None:
+                sys.modules["__main__"] = kept[5]
+
+    def _speaker(self) -> str:
+        return self._current.name if self._current is not None else ""
+
+    # The threads of controllers
+
+    def _work(self, one: Controller) -> None:
+        one.turn.acquire()
+        try:
+            if not self.is_over:
+                self._execute(one)
+        except SystemExit as error:
+            one.exit_code = _exit_code(error)
+        except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
+            one.exit_code = 1
+            _print_traceback(error)
+            self._problems.append(f"the controller of '{one.name}' failed: {_describe(error)}")
+            self.is_over = True
+        one.has_ended = True
+        self._end(one)
+
+    def _execute(self, one: Controller) -> None:
+        module = sys.modules["__main__"]
+        module.__file__ = str(one.program)
+        module.__builtins__ = __builtins__  # type: ignore[attr-defined]
+        code = compile(one.program.read_bytes(), str(one.program), "exec")
+        exec(code, vars(module))  # after --allow-code
+
+    def _end(self, one: Controller) -> None:
+        if all(other.has_ended for other in self._supervisors):
+            self.is_over = True
+        if all(other.has_ended for other in self.controllers):
+            self._everything_ended.set()
+            return
+        self._pass_on(one)
+
+    def _wait(self, robot: Robot, period: int) -> int:
+        """Do the step of a controller; returns -1 at the end."""
+        one = self._by_robot[robot]
+        if self.is_over:
+            one.steps_after_end += 1
+            if one.steps_after_end > MAX_STEPS_AFTER_END:
+                raise SystemExit(0)  # the program does not heed the end
+            return -1
+        one.steps += 1
+        self._progress += 1
+        basic = self.simulation.basic_step
+        one.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
+        self._pass_on(one)
+        return -1 if self.is_over else 0
+
+    def _pass_on(self, one: Controller) -> None:
+        """Give the turn to the next controller, and wait for the own one unless this is it."""
+        following = self._next()
+        if following is one:
+            return
+        self._leave(one)
+        self._give_turn(following)
+        if not one.has_ended:
+            one.turn.acquire()
+
+    def _next(self) -> Controller:
+        """Return the controller whose step has ended, after advancing the physics as far as that takes."""
+        simulation = self.simulation
+        waiting = [one for one in self.controllers if not one.has_ended]
+        while not self.is_over:
+            for one in waiting:
+                if one.due <= simulation.ticks:
+                    return one
+            at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
+            if at_limit or simulation.quit_status is not None:
+                self.is_over = True
+            else:
+                self._advance()
+        return waiting[0]
+
+    def _advance(self) -> None:
+        if self._begin is not None:
+            time.sleep(max(0.0, self._begin + self.simulation.ticks / 1000 - time.monotonic()))
+        try:
+            self.simulation.advance()
+        except FloatingPointError as error:
+            self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
+            self.is_over = True
+
+    # Surroundings
+
+    def _give_turn(self, one: Controller) -> None:
+        self._current = one
+        self.simulation.current = one.robot
+        sys.path[:] = one.path
+        sys.argv = [str(one.program), *one.arguments]
+        sys.modules.update(one.modules)
+        os.chdir(one.folder)
+        one.turn.release()
+
+    def _leave(self, one: Controller) -> None:
+        """Put away what belongs to a controller."""
+        one.path = sys.path[:]
+        modules = sys.modules
+        own = one.modules
+        own["__main__"] = modules["__main__"]
+        for name in one.private:
+            module = modules.pop(name, None)
+            if module is not None:
+                own[name] = module
+        if not one.has_ended:
+            one.folder = os.getcwd()
+
+    def is_private(self, name: str) -> bool:
+        """Return whether a module belongs to the controller that runs."""
+        return self._current is not None and name in self._current.private
+
+    def find_private(self, name: str) -> ModuleSpec | None:
+        """Return a module of the folder of the controller that runs."""
+        one = self._current
+        if one is None or threading.current_thread() is not one.thread:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(name, [str(one.program.parent)])
+        if spec is not None:
+            one.private.add(name)
+        return spec
+
+
+class _ProjectFinder:
+    """Finds modules of the folders of controllers, and records whose they are."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: types.ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if path is None:
+            return self._runner.find_private(name)
+        if self._runner.is_private(name.partition(".")[0]) and self._runner._current is not None:
+            self._runner._current.private.add(name)
+        return None
+
+
+class _Prefixed:
+    """A stream that begins each line with the name of the robot whose controller prints."""
+
+    encoding, errors = "utf-8", "replace"
+
+    def __init__(self, stream: TextIO, speaker: Callable[[], str]) -> None:
+        self._stream, self._speaker = stream, speaker
+        self._unfinished: dict[str, str] = {}
+
+    def write(self, text: str) -> int:
+        name = self._speaker()
+        *lines, rest = (self._unfinished.pop(name, "") + text).split("\n")
+        if lines:
+            self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+        if rest:
+            self._unfinished[name] = rest
+        return len(text)
+
+    def writelines(self, lines: Sequence[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Write lines that have no end yet."""
+        for name, rest in self._unfinished.items():
+            self._stream.write(f"[{name}] {rest}\n")
+        self._unfinished.clear()
+        self._stream.flush()
+
+    def isatty(self) -> bool:
+        return False
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+
+def _exit_code(error: SystemExit) -> int:
+    """Return the exit code of a program that ends with SystemExit; a text is printed, and its code is 1."""
+    if error.code is None:
+        return 0
+    if isinstance(error.code, int):
+        return error.code
+    print(error.code, file=sys.stderr)
+    return 1
+
+
+def _print_traceback(error: BaseException) -> None:
+    """Print a traceback without the frames of this module."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_frame.f_code.co_filename == __file__:
+        trace = trace.tb_next
+    sys.stderr.write("".join(traceback.format_exception(type(error), error, trace)))
+
+
+def _describe(error: BaseException) -> str:
+    message = " ".join(str(error).split())[:200]
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def packages_of(python: Path) -> list[str]:
+    """Return the folders from which another interpreter imports packages.
+
+    Raises:
+        UsageError: It does not run, or has another version.
+    """
+    program = "import sys; print(*sys.version_info[:2]); print(*filter(None, sys.path), sep='\\n')"
+    try:
+        ran = subprocess.run([python, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError) as error:
+        raise UsageError(f"--python {python} does not run: {error}") from error
+    version, *folders = ran.stdout.splitlines()
+    own = f"{sys.version_info[0]} {sys.version_info[1]}"
+    if version != own:
+        raise UsageError(
+            f"--python {python} is Python {version.replace(' ', '.')}, and deepbots runs on Python"
+            f" {own.replace(' ', '.')}; their packages do not mix"
+        )
+    return [folder for folder in folders if "site-packages" in folder or "dist-packages" in folder]

@@ -1,0 +1,363 @@
+"""Sensors of motion and of the surroundings, as the module `controller` has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.webots.api import NotImplementedCallError
+from deepbots_cli.webots.device import ScalarSensor, Sensor, VectorSensor, look_up
+from deepbots_cli.webots.nodes import boolean, integer, number, text, vectors
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Triple
+    from deepbots_cli.webots.scene import Device as Spec
+    from deepbots_cli.webots.simulation import Simulation
+
+SONAR_CONE = math.cos(math.pi / 8)
+"""The cosine of the largest angle of incidence at which a sonar hears its echo."""
+
+
+# Motion
+
+
+class Gyro(VectorSensor):
+    """Angular velocity, rad/s."""
+
+    def _measure(self) -> Triple:
+        spec = self._spec
+        angular = self._simulation.physics.velocity(spec.body, spec.frame)[1]
+        return frames.rotate_back(self._frame()[1], angular)
+
+
+class Accelerometer(VectorSensor):
+    """Acceleration without that of gravity, m/s^2: upward 9.81 at rest. It is the change of velocity since
+    the last measurement."""
+
+    def _begin(self) -> None:
+        self._before, self._since = self._velocity(), self._simulation.ticks
+
+    def forget(self) -> None:
+        self._before, self._since = self._velocity(), self._simulation.ticks - self.period
+
+    def _velocity(self) -> Triple:
+        return self._simulation.physics.velocity(self._spec.body, self._spec.frame)[0]
+
+    def _measure(self) -> Triple:
+        now, ticks = self._velocity(), self._simulation.ticks
+        seconds = max(1, ticks - self._since) / 1000
+        change = frames.scaled(frames.subtract(now, self._before), 1 / seconds)
+        self._before, self._since = now, ticks
+        felt = frames.subtract(change, self._simulation.scene.gravity)
+        return frames.rotate_back(self._frame()[1], felt)
+
+
+class Compass(VectorSensor):
+    """The direction of north in the frame of the sensor."""
+
+    def _measure(self) -> Triple:
+        north = self._simulation.scene.north
+        length = math.hypot(*north) or 1.0
+        return frames.rotate_back(self._frame()[1], frames.scaled(north, 1 / length))
+
+
+class InertialUnit(Sensor):
+    """Orientation in the world."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._angles: Triple = (nan, nan, nan)
+        self._turned = (nan, nan, nan, nan)
+
+    def getRollPitchYaw(self) -> list[float]:
+        return list(self._angles)
+
+    def getQuaternion(self) -> list[float]:
+        """Return the quaternion x, y, z, w."""
+        return list(self._turned)
+
+    def getNoise(self) -> float:
+        return number(self._spec.node, "noise")
+
+    def sample(self) -> None:
+        turned = self._frame()[1]
+        noise, node = self.getNoise(), self._spec.node
+        x, y, z = (
+            self._rounded(angle + self._noise(noise)) if boolean(node, f"{axis}Axis") else nan
+            for axis, angle in zip("xyz", frames.roll_pitch_yaw(turned), strict=True)
+        )
+        self._angles = x, y, z
+        self._turned = frames.quaternion(x, y, z) if noise else turned
+
+
+class GPS(Sensor):
+    """Position (m) and velocity (m/s) in the world."""
+
+    LOCAL, WGS84 = 0, 1
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._values: Triple = (nan, nan, nan)
+        self._speed: Triple = (nan, nan, nan)
+
+    def getValues(self) -> list[float]:
+        return list(self._values)
+
+    def getSpeed(self) -> float:
+        return math.hypot(*self._speed)
+
+    def getSpeedVector(self) -> list[float]:
+        return list(self._speed)
+
+    def getCoordinateSystem(self) -> int:
+        return self.LOCAL
+
+    def sample(self) -> None:
+        spec, node = self._spec, self._spec.node
+        accuracy, blur = number(node, "accuracy"), number(node, "speedNoise")
+        x, y, z = (self._rounded(part + self._noise(accuracy)) for part in self._frame()[0])
+        self._values = x, y, z
+        moving = self._simulation.physics.velocity(spec.body, spec.frame)[0]
+        u, v, w = (part + self._noise(blur) for part in moving)
+        self._speed = u, v, w
+
+
+class Altimeter(ScalarSensor):
+    """Height in the world, m."""
+
+    def sample(self) -> None:
+        height = self._frame()[0][2] + self._noise(number(self._spec.node, "accuracy"))
+        self._value = self._rounded(height)
+
+
+# Surroundings
+
+
+class DistanceSensor(ScalarSensor):
+    """The response of a lookup table to the distance along rays. The own robot stops no ray."""
+
+    GENERIC, INFRA_RED, SONAR, LASER = 0, 1, 2, 3
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self.renew()
+
+    def renew(self) -> None:
+        """Read the fields of the node, which a supervisor may have set."""
+        node = self._spec.node
+        self._type = text(node, "type")
+        self._table = vectors(node, "lookupTable")
+        self._reach = max((row[0] for row in self._table), default=0.0)
+        count, aperture = integer(node, "numberOfRays"), number(node, "aperture")
+        self._directions = ray_directions(1 if self._type == "laser" else max(1, count), aperture)
+        self._weights = _ray_weights(self._directions, aperture, number(node, "gaussianWidth"))
+
+    def getType(self) -> int:
+        return {"infra-red": 1, "sonar": 2, "laser": 3}.get(self._type, 0)
+
+    def getMaxValue(self) -> float:
+        return max((row[1] for row in self._table), default=nan)
+
+    def getMinValue(self) -> float:
+        return min((row[1] for row in self._table), default=nan)
+
+    def getAperture(self) -> float:
+        return number(self._spec.node, "aperture")
+
+    def getLookupTable(self) -> list[float]:
+        return [part for row in self._table for part in row]
+
+    def sample(self) -> None:
+        if not self._table:
+            self._value = self._distance()
+            return
+        answer, share = look_up(self._table, self._distance())
+        self._value = self._rounded(answer * (1.0 + self._noise(share)))
+
+    def _distance(self) -> float:
+        """Return the distance that the table is asked for, m."""
+        start, turned = self._frame()
+        physics, robot = self._simulation.physics, self._spec.body.robot
+        directions = [frames.rotate(turned, direction) for direction in self._directions]
+        reach = self._reach or 1e3
+        hits = physics.rays(start, directions, reach, robot.index if robot else None)
+        if self._type in ("sonar", "laser"):
+            return min(
+                reach if self._type == "sonar" and cosine < SONAR_CONE else distance
+                for distance, _, cosine in hits
+            )
+        if self._type == "infra-red":
+            distances = [
+                distance / physics.geoms[geom][1].reflection if geom >= 0 else distance
+                for distance, geom, _ in hits
+            ]
+        else:
+            distances = [distance for distance, _, _ in hits]
+        return sum(map(math.prod, zip(self._weights, distances, strict=True)))
+
+
+class TouchSensor(Sensor):
+    """A bumper (0 or 1), or the contact force on its bounding object, N."""
+
+    BUMPER, FORCE, FORCE3D = 0, 1, 2
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._type = text(spec.node, "type")
+        self._value, self._values = nan, (nan, nan, nan)
+
+    def getType(self) -> int:
+        return {"force": 1, "force-3d": 2}.get(self._type, 0)
+
+    def getValue(self) -> float:
+        return self._value
+
+    def getValues(self) -> list[float]:
+        return list(self._values)
+
+    def sample(self) -> None:
+        physics, node = self._simulation.physics, self._spec.node
+        total: Triple = (0.0, 0.0, 0.0)
+        touches = False
+        for one, other, _, force in physics.contacts():
+            for geom, sign in ((other, 1.0), (one, -1.0)):
+                if physics.geoms[geom][1].owner is node:
+                    touches, total = True, frames.add(total, frames.scaled(force, sign))
+        local = frames.rotate_back(self._frame()[1], total)
+        self._values = local
+        if self._type == "bumper":
+            self._value = float(touches)
+        else:
+            answer, share = look_up(vectors(node, "lookupTable"), abs(local[0]))
+            self._value = self._rounded(answer * (1.0 + self._noise(share)))
+
+
+class LidarPoint(NamedTuple):
+    """A point that a lidar met, in its frame (m); the time is 0 in a layer that is measured at once."""
+
+    x: float
+    y: float
+    z: float
+    layer_id: int
+    time: float
+
+
+class Lidar(Sensor):
+    """Distances along rays, row by row from above, each row from the left; infinite beyond the range."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        node = spec.node
+        self._columns, self._layers = (
+            max(1, integer(node, field)) for field in ("horizontalResolution", "numberOfLayers")
+        )
+        self._range = number(node, "minRange"), number(node, "maxRange")
+        self._fov, self._high = number(node, "fieldOfView"), number(node, "verticalFieldOfView")
+        self._image: list[float] = [nan] * (self._columns * self._layers)
+        self._has_points = False
+
+    @cached_property
+    def _directions(self) -> Any:
+        """The rays in the frame of the sensor, shape (rays, 3)."""
+        import numpy as np
+
+        if text(self._spec.node, "type") != "fixed" or text(self._spec.node, "projection") != "cylindrical":
+            raise NotImplementedCallError("a Lidar that rotates, or is planar, is not implemented")
+        yaws = self._fov * (0.5 - (np.arange(self._columns) + 0.5) / self._columns)
+        heights = np.linspace(0.5, -0.5, self._layers) if self._layers > 1 else np.zeros(1)
+        pitch, yaw = np.meshgrid(
+            self._high * heights + number(self._spec.node, "tiltAngle"), yaws, indexing="ij"
+        )
+        parts = (np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch))
+        return np.stack(parts, axis=-1).reshape(-1, 3)
+
+    def _begin(self) -> None:
+        len(self._directions)  # an error where it is enabled
+
+    def sample(self) -> None:
+        import numpy as np
+
+        start, turned = self._frame()
+        axes = np.array([frames.rotate(turned, axis) for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))])
+        robot = self._spec.body.robot
+        least, most = self._range
+        image = self._simulation.physics.distances(
+            start, self._directions @ axes, most, robot.index if robot else None
+        )
+        noise = number(self._spec.node, "noise") * most
+        self._image = [
+            max(self._rounded(distance + self._noise(noise)), least) if distance <= most else distance
+            for distance in image
+        ]
+
+    def getRangeImage(self) -> list[float]:
+        return list(self._image)
+
+    def getLayerRangeImage(self, layer: int) -> list[float]:
+        return self._image[layer * self._columns : (layer + 1) * self._columns]
+
+    def enablePointCloud(self) -> None:
+        self._has_points = True
+
+    def disablePointCloud(self) -> None:
+        self._has_points = False
+
+    def isPointCloudEnabled(self) -> bool:
+        return self._has_points
+
+    def getPointCloud(self) -> list[LidarPoint]:
+        """Return the points in the frame of the sensor, in the order of the range image."""
+        if not self._has_points:
+            return []
+        points = zip(self._image, self._directions.tolist(), strict=True)
+        return [
+            LidarPoint(distance * x, distance * y, distance * z, number // self._columns, 0.0)
+            for number, (distance, (x, y, z)) in enumerate(points)
+        ]
+
+    def getNumberOfPoints(self) -> int:
+        return self._columns * self._layers
+
+    def getHorizontalResolution(self) -> int:
+        return self._columns
+
+    def getNumberOfLayers(self) -> int:
+        return self._layers
+
+    def getMinRange(self) -> float:
+        return self._range[0]
+
+    def getMaxRange(self) -> float:
+        return self._range[1]
+
+    def getFov(self) -> float:
+        return self._fov
+
+    def getVerticalFov(self) -> float:
+        return self._high
+
+
+def ray_directions(count: int, aperture: float) -> list[Triple]:
+    """Return unit vectors around x: one along it, two to the sides, and more on a circle around the first."""
+    half = min(aperture, 2 * math.pi) / 2
+    if count == 1:
+        return [(1.0, 0.0, 0.0)]
+    if count == 2:
+        return [(math.cos(half), side * math.sin(half), 0.0) for side in (1.0, -1.0)]
+    ring = count - 1
+    angles = [2 * math.pi * number / ring for number in range(ring)]
+    around = [(math.cos(half), math.sin(half) * math.cos(a), math.sin(half) * math.sin(a)) for a in angles]
+    return [(1.0, 0.0, 0.0), *around]
+
+
+def _ray_weights(directions: Sequence[Triple], aperture: float, width: float) -> list[float]:
+    """Return the weights of rays, a Gaussian of their angle to the axis."""
+    spread = aperture * width
+    angles = [math.acos(min(1.0, x)) for x, _, _ in directions]
+    weights = [math.exp(-((angle / spread) ** 2)) if spread > 0 else 1.0 for angle in angles]
+    total = sum(weights) or 1.0
+    return [weight / total for weight in weights]

@@ -1,0 +1,234 @@
+"""Time, messages and sampling of a world that runs.
+
+The clock counts basic time steps. In one of them, the messages of before travel, the physics advances, the
+messages arrive, a reset that was asked for happens, and the sensors that are due measure. So a message needs
+one basic time step, a reset happens at the end of the step, and a sensor measures first when its first
+sampling period has passed, all as in Webots.
+
+Unlike in Webots, a reset empties the queues of messages: there, each reset makes the messages of a supervisor
+that reads one in each step one step older.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import cos, hypot, inf, pi
+from typing import TYPE_CHECKING, Any, Protocol
+
+from deepbots_cli import frames
+from deepbots_cli.webots.nodes import integer, number, text
+from deepbots_cli.webots.physics import Physics
+
+if TYPE_CHECKING:
+    from deepbots_cli.diagnostics import Span
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.webots.scene import Device, Robot, Scene
+
+
+class DeviceObject(Protocol):
+    """What a controller got for a device."""
+
+    def renew(self) -> None: ...
+
+
+class Sampled(Protocol):
+    """A device that measures once in each sampling period."""
+
+    period: int
+    due: int
+
+    def sample(self) -> None: ...
+
+    def forget(self) -> None: ...
+
+
+@dataclass(eq=False)
+class Packet:
+    """A message on its way or in a queue.
+
+    `way` is that from the receiver to the emitter in the world (m), and `turned` the rotation of the
+    receiver, once it arrived; `noise` is the factor of its signal strength.
+    """
+
+    data: bytes
+    emitter: Device
+    channel: int
+    range: float
+    way: Triple = (0.0, 0.0, 0.0)
+    turned: Quaternion = frames.IDENTITY_ROTATION
+    noise: float = 1.0
+
+    @property
+    def distance(self) -> float:
+        return hypot(*self.way)
+
+    def strength(self) -> float:
+        """Return the signal strength, 1 at 1 m."""
+        return self.noise / self.distance**2 if self.distance else inf
+
+    def direction(self) -> Triple:
+        """Return the direction of the emitter in the frame of the receiver."""
+        length = self.distance or 1.0
+        return frames.rotate_back(self.turned, frames.scaled(self.way, 1 / length))
+
+
+class Inbox:
+    """The messages of a receiver: those that arrived, and those that its controller sees."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.channel = integer(device.node, "channel")
+        self.is_enabled = False
+        self.arrived: list[Packet] = []
+        self.queue: deque[Packet] = deque()
+        self.is_infra_red = text(device.node, "type") == "infra-red"
+        self.noise = number(device.node, "signalStrengthNoise")
+
+
+class Simulation:
+    """A world that runs. Times are in ms."""
+
+    def __init__(self, scene: Scene, span: Span) -> None:
+        """Build the world.
+
+        Raises:
+            WorldError: MuJoCo refuses the world.
+        """
+        self.scene = scene
+        self.physics = Physics(scene, span)
+        self.basic_step = scene.basic_step
+        self.ticks = self.time = 0
+        """The time since the begin, and since the last reset."""
+        self.random = random.Random(scene.seed)
+        self.current: Robot | None = None
+        """The robot whose controller runs now."""
+        self.quit_status: int | None = None
+        self.inboxes: dict[Device, Inbox] = {}
+        self.custom_data: dict[Robot, str] = {}
+        self.physics_seconds = 0.0
+        """The CPU time that the physics took."""
+        self.wait: Callable[[Robot, int], int] = self._advance_alone
+        """What a controller's step of some ms does; it returns -1 at the end of the simulation."""
+        self.objects: dict[Device, DeviceObject] = {}
+        """The objects of devices that controllers asked for."""
+        self.states: dict[str, Any] = {}
+        """The states that supervisors saved, by name."""
+        self._outbox: list[Packet] = []
+        self._sensors: list[Sampled] = []
+        self._reset_is_due = False
+        for robot in scene.robots:
+            self.custom_data[robot] = text(robot.node, "customData")
+            for device in robot.devices.values():
+                if device.type == "Receiver":
+                    self.inboxes[device] = Inbox(device)
+
+    # Steps
+
+    def advance(self) -> None:
+        """Advance by one basic time step."""
+        outbox, self._outbox = self._outbox, []
+        started = time.thread_time()
+        self.physics.step()
+        self.physics_seconds += time.thread_time() - started
+        self.physics.end_pushes()
+        self.ticks += self.basic_step
+        self.time += self.basic_step
+        if self._reset_is_due:
+            self._reset()
+        else:
+            for packet in outbox:
+                self._deliver(packet)
+        for sensor in self._sensors:
+            if sensor.due <= self.ticks:
+                sensor.due += sensor.period
+                sensor.sample()
+
+    def _advance_alone(self, robot: Robot, period: int) -> int:
+        for _ in range(max(1, -(-period // self.basic_step))):
+            self.advance()
+        return 0
+
+    def ask_for_reset(self) -> None:
+        """Reset the world at the end of the next basic time step."""
+        self._reset_is_due = True
+
+    def _reset(self) -> None:
+        self._reset_is_due = False
+        self.physics.reset()
+        self.time = 0
+        self._outbox.clear()
+        for robot in self.scene.robots:
+            self.custom_data[robot] = text(robot.node, "customData")
+        for inbox in self.inboxes.values():
+            inbox.arrived.clear()
+            inbox.queue.clear()
+        for sensor in self._sensors:
+            sensor.forget()
+
+    # Sensors
+
+    def enable(self, sensor: Sampled, period: int) -> None:
+        """Let a device measure in every `period` ms, in whole basic time steps; first after one period."""
+        steps = max(1, -(-period // self.basic_step))
+        sensor.period = steps * self.basic_step
+        sensor.due = self.ticks + sensor.period
+        if sensor not in self._sensors:
+            self._sensors.append(sensor)
+
+    def disable(self, sensor: Sampled) -> None:
+        if sensor in self._sensors:
+            self._sensors.remove(sensor)
+        sensor.period = 0
+
+    # Messages
+
+    def send(self, emitter: Device, data: bytes, channel: int, reach: float) -> None:
+        """Send a message in the next basic time step; `reach` is in m, negative without a limit."""
+        self._outbox.append(Packet(data, emitter, channel, reach))
+
+    def _deliver(self, packet: Packet) -> None:
+        sender, physics = packet.emitter, self.physics
+        robot, infra_red = sender.body.robot, text(sender.node, "type") == "infra-red"
+        start = physics.position(sender.body, sender.frame)
+        for device, inbox in self.inboxes.items():
+            fits = packet.channel in (-1, inbox.channel) or inbox.channel == -1
+            if not (fits and inbox.is_enabled) or device.body.robot is robot:
+                continue
+            if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
+                continue
+            place, turned = physics.frame(device.body, device.frame)
+            arrived = replace(packet, way=frames.subtract(start, place), turned=turned)
+            if 0 <= packet.range < arrived.distance:
+                continue
+            if inbox.noise:
+                arrived.noise = 1 + self.random.gauss(0.0, inbox.noise)
+            inbox.arrived.append(arrived)
+
+    def _sees(self, sender: Device, receiver: Device) -> bool:
+        """Return whether infra-red light of an emitter reaches a receiver: within both cones, and past
+        obstacles."""
+        start, sent = self.physics.frame(sender.body, sender.frame)
+        end, received = self.physics.frame(receiver.body, receiver.frame)
+        way = frames.subtract(end, start)
+        distance = frames.dot(way, way) ** 0.5
+        if distance == 0:
+            return True
+        unit = frames.scaled(way, 1 / distance)
+        for device, turned, direction in (
+            (sender, sent, unit),
+            (receiver, received, frames.scaled(unit, -1.0)),
+        ):
+            aperture = number(device.node, "aperture")
+            if aperture >= 0 and not _within_cone(frames.rotate_back(turned, direction), aperture):
+                return False
+        skipped = sender.body.robot.index if sender.body.robot else None
+        hit = self.physics.rays(start, [unit], distance, skipped)[0]
+        return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
+
+
+def _within_cone(direction: Triple, aperture: float) -> bool:
+    return direction[0] >= cos(min(aperture / 2, pi))

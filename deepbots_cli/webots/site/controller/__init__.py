@@ -1,0 +1,77 @@
+"""Webots' module `controller`, for worlds that deepbots runs."""
+
+from deepbots_cli.webots.api import MISSING_CLASSES
+from deepbots_cli.webots.device import Device
+from deepbots_cli.webots.devices import (
+    LED,
+    Camera,
+    Connector,
+    Display,
+    LightSensor,
+    Microphone,
+    Pen,
+    Radar,
+    RangeFinder,
+    Skin,
+    Speaker,
+    VacuumGripper,
+)
+from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
+from deepbots_cli.webots.radio import Emitter, Receiver
+from deepbots_cli.webots.sensors import (
+    GPS,
+    Accelerometer,
+    Altimeter,
+    Compass,
+    DistanceSensor,
+    Gyro,
+    InertialUnit,
+    Lidar,
+    LidarPoint,
+    TouchSensor,
+)
+from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
+from deepbots_cli.webots.tree import ContactPoint, Field, Node
+
+__all__ = [
+    "GPS",
+    "LED",
+    "Accelerometer",
+    "Altimeter",
+    "Brake",
+    "Camera",
+    "Compass",
+    "Connector",
+    "ContactPoint",
+    "Device",
+    "Display",
+    "DistanceSensor",
+    "Emitter",
+    "Field",
+    "Gyro",
+    "InertialUnit",
+    "Keyboard",
+    "Lidar",
+    "LidarPoint",
+    "LightSensor",
+    "Microphone",
+    "Motor",
+    "Node",
+    "Pen",
+    "PositionSensor",
+    "Radar",
+    "RangeFinder",
+    "Receiver",
+    "Robot",
+    "Skin",
+    "Speaker",
+    "Supervisor",
+    "TouchSensor",
+    "VacuumGripper",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name in MISSING_CLASSES:
+        raise ImportError(f"controller.{name} is not implemented")
+    raise AttributeError(f"module 'controller' has no attribute '{name}'")

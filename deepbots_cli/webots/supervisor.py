@@ -1,0 +1,234 @@
+"""The classes Robot, Supervisor and Keyboard of the module `controller`."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.webots.api import missing_attribute
+from deepbots_cli.webots.devices import device_object
+from deepbots_cli.webots.nodes import text, texts, walk
+from deepbots_cli.webots.syntax import Node as Written
+from deepbots_cli.webots.tree import Node, number_of
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.simulation import Simulation
+
+_ACTIVE: list[Simulation] = []
+"""The simulation that runs in this process; the module `controller` belongs to it."""
+
+
+def activate(simulation: Simulation) -> None:
+    """Let the module `controller` act on a simulation."""
+    _ACTIVE[:] = [simulation]
+
+
+def deactivate() -> None:
+    _ACTIVE.clear()
+
+
+def _active() -> Simulation:
+    if not _ACTIVE:
+        raise RuntimeError("no simulation runs; start the world with: deepbots webots WORLD.wbt --allow-code")
+    return _ACTIVE[0]
+
+
+class Robot:
+    """The robot whose controller this is."""
+
+    MODE_SIMULATION, MODE_CROSS_COMPILATION, MODE_REMOTE_CONTROL = 0, 1, 2
+
+    def __init__(self) -> None:
+        simulation = _active()
+        if simulation.current is None:
+            raise RuntimeError("only a controller can create a Robot")
+        self._webots_simulation, self._webots_robot = simulation, simulation.current
+        self.keyboard = Keyboard()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("get") and name[3:] in _DEVICE_CLASSES:
+            return self.getDevice  # the names of releases before R2022
+        raise missing_attribute(type(self), name)
+
+    def step(self, timeStep: int | float | None = None) -> int:
+        """Advance the simulation by `timeStep` ms, or by one basic time step; returns -1 at its end."""
+        period = self._webots_simulation.basic_step if timeStep is None else int(timeStep)
+        return self._webots_simulation.wait(self._webots_robot, period)
+
+    def getBasicTimeStep(self) -> float:
+        return float(self._webots_simulation.basic_step)
+
+    def getTime(self) -> float:
+        """Return the simulated time, s."""
+        return self._webots_simulation.time / 1000
+
+    def getName(self) -> str:
+        return self._webots_robot.name
+
+    def getModel(self) -> str:
+        return text(self._webots_robot.node, "model")
+
+    def getMode(self) -> int:
+        return self.MODE_SIMULATION
+
+    def getSupervisor(self) -> bool:
+        return self._webots_robot.is_supervisor
+
+    def getSynchronization(self) -> bool:
+        return True
+
+    def getControllerName(self) -> str:
+        return self._webots_robot.controller
+
+    def getControllerArguments(self) -> str:
+        return " ".join(texts(self._webots_robot.node, "controllerArgs"))
+
+    def getCustomData(self) -> str:
+        return self._webots_simulation.custom_data[self._webots_robot]
+
+    def setCustomData(self, customData: str) -> None:
+        self._webots_simulation.custom_data[self._webots_robot] = str(customData)
+
+    getData, setData = getCustomData, setCustomData
+
+    def getProjectPath(self) -> str:
+        return sys.path[0]
+
+    def getDevice(self, name: str) -> Any:
+        """Return a device, or None with a warning if there is none of this name."""
+        spec = self._webots_robot.devices.get(name)
+        if spec is not None:
+            return device_object(self._webots_simulation, spec)
+        near = nearest_word(name, self._webots_robot.devices)
+        hint = f"; did you mean '{near}'?" if near else ""
+        print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
+        return None
+
+    def getNumberOfDevices(self) -> int:
+        return len(self._webots_robot.devices)
+
+    def getDeviceByIndex(self, index: int) -> Any:
+        return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
+
+    def getKeyboard(self) -> Keyboard:
+        return self.keyboard
+
+
+_DEVICE_CLASSES = frozenset(
+    [
+        "Accelerometer",
+        "Altimeter",
+        "Brake",
+        "Camera",
+        "Compass",
+        "Connector",
+        "Display",
+        "DistanceSensor",
+        "Emitter",
+        "GPS",
+        "Gyro",
+        "InertialUnit",
+        "LED",
+        "Lidar",
+        "LightSensor",
+        "Motor",
+        "Pen",
+        "PositionSensor",
+        "Radar",
+        "RangeFinder",
+        "Receiver",
+        "Speaker",
+        "TouchSensor",
+    ]
+)
+
+
+class Supervisor(Robot):
+    """A robot that sees and changes the whole world."""
+
+    SIMULATION_MODE_PAUSE, SIMULATION_MODE_REAL_TIME, SIMULATION_MODE_FAST = 0, 1, 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        robot = self._webots_robot
+        if not robot.is_supervisor:
+            print(f"Error: '{robot.name}' is no supervisor; set its field supervisor TRUE", file=sys.stderr)
+
+    def getRoot(self) -> Node:
+        root = Written("Group", self._webots_robot.node.span)
+        return Node(self._webots_simulation, root, root_of=self._webots_simulation.scene.nodes)
+
+    def getSelf(self) -> Node:
+        return Node(self._webots_simulation, self._webots_robot.written)
+
+    def getFromDef(self, name: str) -> Node | None:
+        """Return the node of a DEF name, or of several with dots between, each in the one before."""
+        nodes = self._webots_simulation.scene.nodes
+        match: Written | None = None
+        for part in name.split("."):
+            match = next((node for node in _public(nodes) if node.name == part and node is not match), None)
+            if match is None:
+                return None
+            nodes = [match]
+        return None if match is None else Node(self._webots_simulation, match)
+
+    def getFromId(self, id: int) -> Node | None:
+        for node in walk(self._webots_simulation.scene.nodes):
+            if number_of(self._webots_simulation, node) == id:
+                return Node(self._webots_simulation, node)
+        return None
+
+    def getFromDevice(self, device: Any) -> Node:
+        return Node(self._webots_simulation, device._spec.node)
+
+    def simulationReset(self) -> None:
+        """Bring the world back to its begin, at the end of the next step."""
+        self._webots_simulation.ask_for_reset()
+
+    def simulationResetPhysics(self) -> None:
+        """Take away all velocities."""
+        self._webots_simulation.physics.stop()
+
+    def simulationQuit(self, status: int = 0) -> None:
+        """End the simulation in the next step, with an exit code."""
+        self._webots_simulation.quit_status = int(status)
+
+    def simulationGetMode(self) -> int:
+        return self.SIMULATION_MODE_FAST
+
+    def simulationSetMode(self, mode: int) -> None:
+        """Do nothing: the world runs as fast as it can."""
+
+    def setLabel(self, *_: Any) -> None:
+        """Do nothing: there is no window."""
+
+
+def _public(nodes: list[Written]) -> list[Written]:
+    """Return the nodes that a DEF name may mean: none of the body of a PROTO."""
+    return [node for node in walk(nodes) if not node.is_internal]
+
+
+class Keyboard:
+    """The keyboard: no key is pressed, because there is no window."""
+
+    END, HOME, LEFT, UP, RIGHT, DOWN = 312, 313, 314, 315, 316, 317
+    PAGEUP, PAGEDOWN, NUMPAD_HOME = 366, 367, 375
+    NUMPAD_LEFT, NUMPAD_UP, NUMPAD_RIGHT, NUMPAD_DOWN, NUMPAD_END = 376, 377, 378, 379, 382
+    KEY, SHIFT, CONTROL, ALT = 0x0000FFFF, 0x00010000, 0x00020000, 0x00040000
+
+    def __init__(self) -> None:
+        self._period = 0
+
+    def enable(self, samplingPeriod: int) -> None:
+        self._period = int(samplingPeriod)
+
+    def disable(self) -> None:
+        self._period = 0
+
+    def getSamplingPeriod(self) -> int:
+        return self._period
+
+    def getKey(self) -> int:
+        """Return -1: no key."""
+        return -1

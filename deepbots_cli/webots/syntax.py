@@ -1,0 +1,407 @@
+"""The text of a `.wbt` or `.proto` file as a tree of nodes with their places.
+
+The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` with an interface and `IS`,
+`hidden` fields. Values are untyped here, because the type of a field depends on its node; `nodes.py` gives
+them types. Nothing is evaluated: a template of a PROTO is text.
+
+Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
+`WorldSyntaxError` with a finding.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.webots.findings import WorldFinding
+
+MAX_BYTES = 8 * 2**20
+"""The maximum size of one file. The largest world of the four projects of deepworlds has 23 kB."""
+MAX_DEPTH = 64
+"""The maximum depth of nodes and lists in each other."""
+MAX_TOKENS = 1_500_000
+"""The maximum number of words in one file."""
+
+OLDEST_RELEASE = (2022, "a")
+"""The first release whose worlds have z upward, and cylinders along z."""
+
+_TOKEN = re.compile(
+    r"""[\s,]+|\#[^\n]*                # white space, commas and comments
+    |("(?:[^"\\]|\\.)*+")              # 1: a string
+    |([\[\]{}])                        # 2: a bracket
+    |([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s,\[\]{}"\#]|\Z))  # 3: a number
+    |([^\s,\[\]{}"\#]+)                # 4: a word
+    """,
+    re.VERBOSE | re.DOTALL,
+)
+_NAME = re.compile(r"[^\W\d][\w.+-]*\Z")
+_HEADER = re.compile(r"#VRML_SIM\s+(\S+)\s+utf8")
+_RELEASE = re.compile(r"R(20\d\d)([a-z])")
+_FIELD_TYPE = re.compile(r"[SM]F(?:Bool|Int32|Float|String|Vec2f|Vec3f|Rotation|Color|Node)\Z")
+_FIELD_WORDS = frozenset(
+    {"field", "hiddenField", "deprecatedField", "unconnectedField", "w3dField", "vrmlField"}
+)
+_CONSTANTS: Mapping[str, bool | None] = {"TRUE": True, "FALSE": False, "NULL": None}
+
+
+class WorldSyntaxError(DeepbotsError):
+    """A text is no world; has the finding."""
+
+    def __init__(self, span: Span, headline: str, help: str = "") -> None:
+        self.finding = WorldFinding("error", span, headline, help)
+        super().__init__(str(self.finding))
+
+
+@dataclass(eq=False)
+class Node:
+    """A node as it is written: its type, its DEF name or "", and its fields in the order of the text."""
+
+    type: str
+    span: Span
+    name: str = ""
+    fields: dict[str, Value] = field(default_factory=dict)
+    body: Node | None = None
+    """The node that a PROTO node stands for, once it is expanded."""
+    interface: Mapping[str, Parameter] = field(default_factory=dict)
+    """The fields of the PROTO, if this is a PROTO node."""
+    is_internal: bool = False
+    """Whether the node is part of the body of a PROTO."""
+
+    def __repr__(self) -> str:
+        return f"Node({self.type!r}, {self.name!r})"
+
+
+Item = float | str | bool | None | Node
+
+
+@dataclass(eq=False)
+class Value:
+    """The value of a field: its items, or the name of the field of the PROTO that it `IS`."""
+
+    span: Span
+    items: list[Item]
+    in_brackets: bool = False
+    alias: str = ""
+
+
+class Parameter(NamedTuple):
+    """A field in the interface of a PROTO, with the values that it allows (none: all)."""
+
+    name: str
+    type: str
+    default: Value
+    allowed: tuple[Item, ...] = ()
+
+
+@dataclass(eq=False)
+class Proto:
+    """The definition of a PROTO: its interface, and its body as nodes, or as the text of a template."""
+
+    name: str
+    span: Span
+    interface: dict[str, Parameter]
+    body: list[Node]
+    template: str = ""
+    source: Source | None = None
+    externs: list[Extern] = field(default_factory=list)
+    neighbors: Mapping[str, Proto] = field(default_factory=dict)
+    """The definitions in the same file."""
+
+
+class Extern(NamedTuple):
+    """A line EXTERNPROTO: the address of a PROTO."""
+
+    address: str
+    span: Span
+
+    @property
+    def name(self) -> str:
+        """The name of the PROTO: the last part of the address, without `.proto`."""
+        return self.address.rsplit("/", 1)[-1].removesuffix(".proto")
+
+
+@dataclass
+class Document:
+    """The contents of one file."""
+
+    source: Source
+    release: str
+    externs: list[Extern]
+    protos: dict[str, Proto]
+    nodes: list[Node]
+
+
+def parse(source: Source, *, is_proto: bool = False) -> Document:
+    """Read the text of a world, or of a file with a PROTO.
+
+    Raises:
+        WorldSyntaxError: The text is no world or PROTO, is of a release with other axes, or is too large.
+    """
+    return _Parser(source).document(is_proto=is_proto)
+
+
+def parse_interface(source: Source) -> dict[str, Parameter]:
+    """Read the lines of the interface of a PROTO, without its brackets."""
+    parser = _Parser(source)
+    return parser.interface(end="")
+
+
+class _Token(NamedTuple):
+    kind: int  # 1 string, 2 bracket, 3 number, 4 word, 0 end
+    text: str
+    start: int
+
+
+class _Parser:
+    def __init__(self, source: Source) -> None:
+        self.source, self.text = source, source.text
+        if len(self.text) > MAX_BYTES:
+            raise self._error(0, f"the file is larger than {MAX_BYTES >> 20} MiB")
+        self.definitions: dict[str, Node] = {}
+        self.depth = self.count = 0
+        self.token = _Token(0, "", 0)
+        self.end = 0
+        self.advance()
+
+    # Tokens
+
+    def advance(self) -> _Token:
+        """Return the present token, and go to the next one."""
+        before = self.token
+        while True:
+            if self.end >= len(self.text):
+                self.token = _Token(0, "", len(self.text))
+                return before
+            match = _TOKEN.match(self.text, self.end)
+            if match is None:
+                raise self._error(self.end, "a string without its end", 'write " after its last character')
+            self.end = match.end()
+            if match.lastindex is not None:
+                break
+        self.count += 1
+        if self.count > MAX_TOKENS:
+            raise self._error(match.start(), f"the file has more than {MAX_TOKENS:,} words")
+        self.token = _Token(match.lastindex, match[0], match.start())
+        return before
+
+    def _span(self, token: _Token) -> Span:
+        return Span(self.source, token.start, token.start + len(token.text))
+
+    def _error(self, place: int | _Token, headline: str, help: str = "") -> WorldSyntaxError:
+        if isinstance(place, _Token):
+            return WorldSyntaxError(self._span(place), headline, help)
+        return WorldSyntaxError(Span(self.source, place, place), headline, help)
+
+    def _unexpected(self, wanted: str) -> WorldSyntaxError:
+        text = self.token.text
+        shown = f"'{text[:40]}'" if text else "the end of the file"
+        return self._error(self.token, f"{shown} in the place of {wanted}")
+
+    def expect(self, text: str) -> _Token:
+        if self.token.text != text or self.token.kind not in (2, 4):
+            raise self._unexpected(f"'{text}'")
+        return self.advance()
+
+    def word(self, what: str) -> _Token:
+        if self.token.kind != 4 or not _NAME.match(self.token.text):
+            raise self._unexpected(what)
+        return self.advance()
+
+    # Files
+
+    def document(self, *, is_proto: bool) -> Document:
+        release = self.release(is_proto=is_proto)
+        document = Document(self.source, release, [], {}, [])
+        while self.token.kind:
+            text = self.token.text
+            if text == "IMPORTABLE":
+                self.advance()
+            elif text == "EXTERNPROTO":
+                document.externs.append(self.extern())
+            elif text == "PROTO":
+                proto = self.proto(may_be_template=is_proto)
+                document.protos[proto.name] = proto
+                if is_proto:
+                    break  # Webots reads the first PROTO of a file
+            else:
+                document.nodes.append(self.node_or_use())
+        if is_proto and not document.protos:
+            raise self._error(0, "a file without a PROTO")
+        for proto in document.protos.values():
+            proto.externs, proto.neighbors = document.externs, document.protos
+        return document
+
+    def release(self, *, is_proto: bool) -> str:
+        """Return the release in the header, such as `R2023b`."""
+        header = _HEADER.match(self.text)
+        if header is None:
+            if "\0" in self.text[:1000]:
+                raise self._error(0, "the file is binary")
+            raise self._error(
+                0, "the first line is no header of Webots", "a world begins with: #VRML_SIM R2023b utf8"
+            )
+        release = _RELEASE.match(header[1])
+        newer = release is not None and (int(release[1]), release[2]) >= OLDEST_RELEASE
+        if not newer and not is_proto:
+            raise self._error(
+                0,
+                f"a world of {header[1][:20]}; before R2022a other axes point up and along cylinders",
+                "open and save it in Webots R2022a or later",
+            )
+        return header[1]
+
+    def extern(self) -> Extern:
+        self.advance()
+        if self.token.kind != 1:
+            raise self._unexpected("an address in quotes")
+        token = self.advance()
+        return Extern(_unquoted(token.text), self._span(token))
+
+    def proto(self, *, may_be_template: bool) -> Proto:
+        self.advance()
+        name = self.word("the name of the PROTO")
+        self.expect("[")
+        interface = self.interface(end="]")
+        if self.token.text != "{":
+            raise self._unexpected("'{'")
+        proto = Proto(name.text, self._span(name), interface, [], source=self.source)
+        if _is_template(self.text, self.token.start):
+            if not may_be_template:
+                raise self._error(name, template_message(name.text), "write it without a template")
+            proto.template = self.text[self.token.start :]
+            self.end = len(self.text)
+            self.token = _Token(0, "", self.end)
+            return proto
+        outer, self.definitions = self.definitions, {}
+        self.advance()
+        while self.token.text != "}":
+            if not self.token.kind:
+                raise self._unexpected("'}'")
+            if self.token.text == "EXTERNPROTO":
+                self.extern()
+                continue
+            proto.body.append(self.node_or_use())
+        self.advance()
+        self.definitions = outer
+        if not proto.body:
+            raise self._error(name, f"PROTO {name.text} has no node")
+        return proto
+
+    def interface(self, end: str) -> dict[str, Parameter]:
+        fields: dict[str, Parameter] = {}
+        while self.token.text != end or (not end and self.token.kind):
+            if self.token.text not in _FIELD_WORDS:
+                raise self._unexpected("'field'")
+            self.advance()
+            kind = self.word("the type of the field")
+            if not _FIELD_TYPE.match(kind.text):
+                raise self._error(kind, f"there is no type {kind.text[:40]}")
+            allowed: tuple[Item, ...] = ()
+            if self.token.text == "{":
+                allowed = self.allowed_values()
+            name = self.word("the name of the field")
+            fields[name.text] = Parameter(name.text, kind.text, self.value(), allowed)
+        self.advance()
+        return fields
+
+    def allowed_values(self) -> tuple[Item, ...]:
+        self.advance()
+        items: list[Item] = []
+        while self.token.text != "}":
+            items.extend(self.value().items)
+        self.advance()
+        return tuple(items)
+
+    # Nodes and values
+
+    def node_or_use(self) -> Node:
+        if self.token.kind != 4 or self.token.text in _CONSTANTS:
+            raise self._unexpected("a node")
+        node = self.item()
+        assert isinstance(node, Node)
+        return node
+
+    def node(self, name: str = "") -> Node:
+        token = self.word("the type of a node")
+        node = Node(token.text, self._span(token), name)
+        if name:
+            self.definitions[name] = node
+        self.expect("{")
+        self._deeper(token)
+        while self.token.text != "}":
+            if self.token.text in ("hidden", "unconnected"):
+                self.advance()
+            key = self.word("the name of a field or '}'")
+            if key.text in node.fields:
+                raise self._error(key, f"the field {key.text} is written twice")
+            node.fields[key.text] = self.value()
+        self.advance()
+        self.depth -= 1
+        return node
+
+    def _deeper(self, token: _Token) -> None:
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise self._error(token, f"nodes are more than {MAX_DEPTH} levels deep")
+
+    def value(self) -> Value:
+        first = self.token
+        value = Value(self._span(first), [])
+        if first.text == "[" and first.kind == 2:
+            self.advance()
+            self._deeper(first)
+            value.in_brackets = True
+            while self.token.text != "]" or self.token.kind != 2:
+                value.items.append(self.item())
+            self.depth -= 1
+            self.advance()
+        elif first.text == "IS" and first.kind == 4:
+            self.advance()
+            value.alias = self.word("the name of a field of the PROTO").text
+        elif first.kind == 3:
+            while self.token.kind == 3:
+                value.items.append(float(self.advance().text))
+        else:
+            value.items.append(self.item())
+        return value
+
+    def item(self) -> Item:
+        token = self.token
+        if token.kind == 1:
+            self.advance()
+            return _unquoted(token.text)
+        if token.kind == 3:
+            self.advance()
+            return float(token.text)
+        if token.kind != 4:
+            raise self._unexpected("a value")
+        if token.text in _CONSTANTS:
+            self.advance()
+            return _CONSTANTS[token.text]
+        if token.text == "USE":
+            self.advance()
+            name = self.advance().text
+            if name not in self.definitions:
+                raise self._error(token, f"USE of '{name[:40]}', which no DEF names before")
+            return self.definitions[name]
+        if token.text == "DEF":
+            self.advance()
+            return self.node(self.advance().text)
+        return self.node()
+
+
+def template_message(name: str) -> str:
+    return f"PROTO {name} is a template of JavaScript, and deepbots runs none"
+
+
+def _unquoted(text: str) -> str:
+    return re.sub(r"\\(.)", r"\1", text[1:-1], flags=re.DOTALL)
+
+
+def _is_template(text: str, start: int) -> bool:
+    """Return whether the body of a PROTO contains a statement in JavaScript or Lua."""
+    return "%<" in text[start:] or "%{" in text[start:]

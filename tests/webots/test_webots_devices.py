@@ -1,0 +1,465 @@
+"""Devices of worlds against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deepbots_cli.webots.api import NotImplementedCallError
+from tests.webots.worlds_of_webots import FLOOR, device, hinge, node, run, simulate, solid
+
+
+def robot(devices: str, fields: str = "", mass: float = 1.0) -> str:
+    """Return a robot in free space: a box of 20 cm."""
+    return f"""DEF ROBOT Robot {{ {fields} children [ {devices} ] boundingObject Box {{ size 0.2 0.2 0.2 }}
+      physics Physics {{ density -1 mass {mass} }} }}"""
+
+
+def reading(simulation, name: str, period: int = 8):
+    """Enable a sensor, and return it after its first measurement."""
+    sensor = device(simulation, name)
+    sensor.enable(period)
+    simulation.advance()
+    return sensor
+
+
+# Sampling
+
+
+def test_a_sensor_measures_first_after_its_period_and_then_once_in_each():
+    simulation = simulate(robot("GPS { }", "linearVelocity 1 0 0"), gravity="0 0 0")
+    gps = device(simulation, "gps")
+    gps.enable(24)
+    seen = []
+    for _ in range(7):
+        simulation.advance()
+        seen.append(gps.getValues()[0])
+    assert [math.isnan(value) for value in seen[:2]] == [True, True]
+    assert seen[2:] == pytest.approx([0.024] * 3 + [0.048] * 2)
+    assert gps.getSamplingPeriod() == 24
+
+
+def test_a_sensor_that_is_off_keeps_its_last_value():
+    simulation = simulate(robot("GPS { }", "linearVelocity 1 0 0"), gravity="0 0 0")
+    gps = reading(simulation, "gps")
+    gps.disable()
+    run(simulation, 1)
+    assert gps.getValues()[0] == pytest.approx(0.008)
+    assert gps.getSamplingPeriod() == 0
+
+
+def test_a_sampling_period_is_whole_basic_steps():
+    simulation = simulate(robot("GPS { }", "linearVelocity 1 0 0"), 32, gravity="0 0 0")
+    gps = device(simulation, "gps")
+    gps.enable(33)
+    simulation.advance()
+    assert math.isnan(gps.getValues()[0])
+    simulation.advance()
+    assert gps.getValues()[0] == pytest.approx(0.064)
+
+
+@pytest.mark.parametrize("period", [0, -1])
+def test_a_sampling_period_is_positive(period: int):
+    sensor = device(simulate(robot("Gyro { }")), "gyro")
+    with pytest.raises(ValueError, match="must be positive"):
+        sensor.enable(period)
+
+
+# Motion
+
+
+def test_a_gyro_measures_in_its_own_frame():
+    simulation = simulate(
+        robot("Gyro { rotation 0 0 1 1.5707963 }", "angularVelocity 1 2 3"), gravity="0 0 0"
+    )
+    assert reading(simulation, "gyro").getValues() == pytest.approx([2, -1, 3], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("rotation", "expected"),
+    [("0 0 1 0", (0, 0, 9.81)), ("1 0 0 1.5707963", (0, 9.81, 0)), ("0 1 0 1.5707963", (-9.81, 0, 0))],
+)
+def test_an_accelerometer_at_rest_feels_the_ground(rotation: str, expected: tuple[float, ...]):
+    text = FLOOR + robot(f"Accelerometer {{ rotation {rotation} }}", "translation 0 0 0.1")
+    simulation = simulate(text)
+    run(simulation, 1)
+    assert reading(simulation, "accelerometer").getValues() == pytest.approx(expected, abs=0.05)
+
+
+def test_an_accelerometer_that_falls_feels_nothing():
+    simulation = simulate(robot("Accelerometer { }", "translation 0 0 10"))
+    assert reading(simulation, "accelerometer").getValues() == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+def test_an_accelerometer_on_a_wheel_feels_the_centripetal_force():
+    text = hinge(
+        devices="RotationalMotor { maxTorque 1e6 }",
+        end="""children [ Accelerometer { translation 0.5 0 0 } ]
+      boundingObject Box { size 1 0.02 0.02 }""",
+    )
+    simulation = simulate(text, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(4)
+    sensor = device(simulation, "accelerometer")
+    sensor.enable(8)
+    run(simulation, 1)
+    x, y, z = sensor.getValues()
+    assert math.hypot(x, y, z) == pytest.approx(4**2 * 0.5, rel=0.01)
+    assert x == pytest.approx(-(4**2) * 0.5, rel=0.01)
+
+
+def test_an_axis_that_is_off_reads_nan():
+    values = reading(simulate(robot("Gyro { yAxis FALSE }")), "gyro").getValues()
+    assert [math.isnan(value) for value in values] == [False, True, False]
+
+
+def test_a_lookup_table_answers_for_a_gyro():
+    text = robot("Gyro { lookupTable [ -10 -1000 0, 10 1000 0 ] }", "angularVelocity 0 0 3")
+    assert reading(simulate(text, gravity="0 0 0"), "gyro").getValues()[2] == pytest.approx(300, rel=1e-3)
+
+
+def test_an_inertial_unit_measures_roll_pitch_and_yaw():
+    simulation = simulate(robot("InertialUnit { }", "rotation 0 0 1 0.7"), gravity="0 0 0")
+    unit = reading(simulation, "inertial unit")
+    assert unit.getRollPitchYaw() == pytest.approx([0, 0, 0.7])
+    assert unit.getQuaternion() == pytest.approx([0, 0, math.sin(0.35), math.cos(0.35)])
+
+
+def test_a_compass_points_north_in_its_own_frame():
+    simulation = simulate(robot("Compass { }", "rotation 0 0 1 1.5707963"), gravity="0 0 0")
+    assert reading(simulation, "compass").getValues() == pytest.approx([1, 0, 0], abs=1e-6)
+
+
+def test_a_gps_measures_position_and_speed_at_its_place():
+    simulation = simulate(
+        robot("GPS { translation 0 0.1 0 }", "translation 1 2 3 angularVelocity 0 0 2"), gravity="0 0 0"
+    )
+    gps = reading(simulation, "gps")
+    angle = 2 * 0.008
+    assert gps.getValues() == pytest.approx([1 - 0.1 * math.sin(angle), 2 + 0.1 * math.cos(angle), 3])
+    assert gps.getSpeed() == pytest.approx(0.2)
+
+
+def test_noise_has_its_deviation():
+    simulation = simulate(robot("GPS { accuracy 0.5 }"), gravity="0 0 0")
+    gps = device(simulation, "gps")
+    gps.enable(8)
+    values = []
+    for _ in range(500):
+        simulation.advance()
+        values.append(gps.getValues()[0])
+    deviation = math.sqrt(sum(value**2 for value in values) / len(values))
+    assert deviation == pytest.approx(0.5, rel=0.15)
+
+
+def test_a_position_sensor_reads_its_joint():
+    simulation = simulate(
+        hinge(devices="RotationalMotor { maxTorque 1e6 } PositionSensor { }"), gravity="0 0 0"
+    )
+    motor, sensor = device(simulation, "rotational motor"), device(simulation, "position sensor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(2)
+    sensor.enable(8)
+    run(simulation, 0.8)
+    assert sensor.getValue() == pytest.approx(2 * 0.8, rel=1e-3)
+    assert sensor.getMotor() is motor
+    assert motor.getPositionSensor() is sensor
+    assert motor.getBrake() is None
+
+
+def test_a_resolution_rounds():
+    simulation = simulate(robot("GPS { resolution 0.25 }", "translation 0.4 0.3 -0.1"), gravity="0 0 0")
+    assert reading(simulation, "gps").getValues() == pytest.approx([0.5, 0.25, 0])
+
+
+# Motors
+
+
+def test_a_motor_reports_its_torque():
+    text = hinge(devices="RotationalMotor { maxTorque 100 }")
+    simulation = simulate(text)
+    motor = device(simulation, "rotational motor")
+    motor.enableTorqueFeedback(8)
+    run(simulation, 1)
+    assert abs(motor.getTorqueFeedback()) == pytest.approx(2 * 9.81 * 0.5, rel=0.02)
+
+
+def test_a_velocity_and_a_torque_beyond_the_limit_are_limited_with_a_warning(capsys):
+    simulation = simulate(hinge(devices="RotationalMotor { }"))
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(-20)
+    assert motor.getVelocity() == -10
+    assert "exceeds maxVelocity 10" in capsys.readouterr().err
+    motor.setTorque(30)
+    assert "exceeds the limit 10" in capsys.readouterr().err
+
+
+def test_a_position_beyond_the_range_of_a_motor_is_limited(capsys):
+    text = hinge(devices="RotationalMotor { minPosition -1 maxPosition 1 maxTorque 1e6 }")
+    motor = device(simulate(text), "rotational motor")
+    motor.setPosition(3)
+    assert motor.getTargetPosition() == 1
+    assert "outside -1 .. 1" in capsys.readouterr().err
+
+
+def test_less_available_torque_is_less_acceleration():
+    simulation = simulate(hinge(devices="RotationalMotor { maxVelocity 1000 }"), gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(1000)
+    motor.setAvailableTorque(0.1)
+    run(simulation, 0.8)
+    first = node(simulation, "ROD").getVelocity()[4]
+    motor.setAvailableTorque(10)
+    run(simulation, 0.08)
+    second = node(simulation, "ROD").getVelocity()[4]
+    assert (second - first) / first == pytest.approx(10, rel=0.01)
+
+
+@pytest.mark.parametrize("value", [math.nan])
+def test_a_command_that_is_no_number_is_an_error(value: float):
+    motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
+    with pytest.raises(ValueError, match="NaN"):
+        motor.setVelocity(value)
+    with pytest.raises(ValueError, match="NaN"):
+        motor.setPosition(value)
+
+
+# Surroundings
+
+WALL = "Solid { translation 0.6 0 0 children [ Shape { appearance PBRAppearance { baseColor %s 0 0 } } ] boundingObject Box { size 0.2 4 4 } }"
+TABLE = "lookupTable [ 0 0 0, 1 1000 0 ]"
+
+
+def sensed(sensor: str, wall: str = WALL % 1) -> float:
+    text = f"{wall} Robot {{ children [ DistanceSensor {{ {TABLE} {sensor} }} ] }}"
+    return reading(simulate(text), "distance sensor").getValue()
+
+
+@pytest.mark.parametrize("kind", ["generic", "infra-red", "sonar", "laser"])
+def test_a_distance_sensor_answers_by_its_table(kind: str):
+    assert sensed(f'type "{kind}"') == pytest.approx(500, rel=1e-3)
+
+
+def test_a_distance_sensor_looks_along_x_of_its_pose():
+    assert sensed("rotation 0 0 1 0.5") == pytest.approx(500 / math.cos(0.5), rel=1e-3)
+    assert sensed("rotation 0 0 1 3.1416") == 1000
+    assert sensed("translation 0.2 0 0") == pytest.approx(300, rel=1e-3)
+
+
+def test_a_sonar_hears_no_slanted_wall():
+    assert sensed('type "sonar" rotation 0 0 1 0.38') == pytest.approx(500 / math.cos(0.38), rel=1e-3)
+    assert sensed('type "sonar" rotation 0 0 1 0.41') == 1000
+
+
+def test_rays_are_averaged_and_a_sonar_takes_the_nearest():
+    edge = "Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }"
+    two = "numberOfRays 2 aperture 0.2"
+    assert sensed(two, edge) == pytest.approx((1000 + 400 / math.cos(0.1)) / 2, rel=1e-3)
+    assert sensed(f'{two} type "sonar"', edge) == pytest.approx(400 / math.cos(0.1), rel=1e-3)
+
+
+def test_infra_red_sees_dark_walls_less():
+    dark, light = (sensed('type "infra-red"', WALL % red) for red in (0.0, 1.0))
+    assert light == pytest.approx(500, rel=1e-3)
+    assert dark == 1000  # 0.5 m / 0.2 is beyond the table
+    assert sensed('type "infra-red" translation 0.4 0 0', WALL % 0.5) == pytest.approx(100 / 0.6, rel=1e-3)
+
+
+def test_the_own_robot_stops_no_ray():
+    text = f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ {TABLE} }} ]
+      boundingObject Pose {{ translation 0.2 0 0 children [ Box {{ size 0.1 0.1 0.1 }} ] }} }}"""
+    assert reading(simulate(text), "distance sensor").getValue() == pytest.approx(500, rel=1e-3)
+
+
+def test_a_lidar_measures_row_by_row_from_the_left():
+    text = """Solid { translation 0 2.05 0 boundingObject Box { size 9 0.1 9 } }
+      Solid { translation 0.6 0 0 boundingObject Box { size 0.2 1 4 } }
+      Robot { children [ Lidar { horizontalResolution 4 numberOfLayers 3 fieldOfView 3.1415926
+        verticalFieldOfView 0.6 maxRange 2.5 } ] }"""
+    simulation = simulate(text)
+    lidar = device(simulation, "lidar")
+    lidar.enable(8)
+    lidar.enablePointCloud()
+    simulation.advance()
+    image = lidar.getRangeImage()
+    eighth = math.pi / 8
+    middle = [2 / math.sin(3 * eighth), 0.5 / math.cos(eighth), 0.5 / math.cos(eighth), math.inf]
+    assert lidar.getLayerRangeImage(1) == image[4:8] == pytest.approx(middle, rel=1e-3)
+    assert image[1] == pytest.approx(middle[1] / math.cos(0.3), rel=1e-3)
+    assert image[9] == pytest.approx(image[1])
+    point = lidar.getPointCloud()[1]
+    assert (point.x, point.layer_id) == (pytest.approx(0.5, rel=1e-3), 0)
+    assert point.z == pytest.approx(image[1] * math.sin(0.3), rel=1e-3)
+    assert lidar.getNumberOfPoints() == 12
+
+
+def test_a_display_and_a_speaker_have_no_effect():
+    simulation = simulate(robot("Display { width 3 height 2 } Speaker { }"))
+    display, speaker = device(simulation, "display"), device(simulation, "speaker")
+    display.setColor(0xFF0000)
+    display.drawPixel(0, 0)
+    speaker.speak("hello", 1.0)
+    assert (display.getWidth(), display.getHeight(), speaker.isSpeaking()) == (3, 2, False)
+
+
+def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
+    text = f"""{WALL % 1} Robot {{ children [ DistanceSensor {{ lookupTable [ 0 0 0.1, 1 1000 0.1 ] }} ] }}"""
+    simulation = simulate(text)
+    sensor = device(simulation, "distance sensor")
+    sensor.enable(8)
+    values = []
+    for _ in range(400):
+        simulation.advance()
+        values.append(sensor.getValue())
+    mean = sum(values) / len(values)
+    deviation = math.sqrt(sum((value - mean) ** 2 for value in values) / len(values))
+    assert (mean, deviation) == (pytest.approx(500, rel=0.02), pytest.approx(50, rel=0.15))
+
+
+def test_a_bumper_is_pressed_while_it_touches():
+    text = FLOOR + robot(
+        "TouchSensor { translation 0 0 -0.1 boundingObject Box { size 0.1 0.1 0.02 } }", "translation 0 0 0.5"
+    )
+    simulation = simulate(text)
+    bumper = device(simulation, "touch sensor")
+    bumper.enable(8)
+    run(simulation, 0.1)
+    assert bumper.getValue() == 0
+    run(simulation, 2)
+    assert bumper.getValue() == 1
+
+
+def test_a_force_sensor_weighs():
+    text = FLOOR + robot(
+        """TouchSensor { type "force-3d" translation 0 0 -0.1 boundingObject Box { size 0.1 0.1 0.02 } }""",
+        "translation 0 0 0.11",
+        mass=3,
+    )
+    simulation = simulate(text)
+    sensor = device(simulation, "touch sensor")
+    sensor.enable(8)
+    run(simulation, 2)
+    assert sensor.getValues() == pytest.approx([0, 0, 3 * 9.81], rel=0.01, abs=0.05)
+
+
+# Messages
+
+PAIR = """Robot { name "one" children [ Emitter { %s } Receiver { } ] }
+Robot { name "two" translation 3 4 0 rotation 0 0 1 1.5707963 children [ Emitter { } Receiver { %s } ] }"""
+
+
+def exchange(emitter: str = "", receiver: str = "", message: object = b"hello"):
+    simulation = simulate(PAIR % (emitter, receiver), 32)
+    sender, inbox = device(simulation, "emitter", 0), device(simulation, "receiver", 1)
+    inbox.enable(32)
+    device(simulation, "receiver", 0).enable(32)
+    sent = sender.send(message)
+    assert inbox.getQueueLength() == 0
+    simulation.advance()
+    assert device(simulation, "receiver", 0).getQueueLength() == 0  # no robot hears itself
+    return inbox, sent
+
+
+def test_a_message_needs_one_basic_step():
+    inbox, sent = exchange()
+    assert (sent, inbox.getQueueLength(), inbox.getDataSize()) == (1, 1, 5)
+    assert (inbox.getString(), inbox.getBytes(), inbox.getData()) == ("hello", b"hello", b"hello")
+    inbox.nextPacket()
+    assert inbox.getQueueLength() == 0
+    with pytest.raises(RuntimeError, match=r"Receiver.getString: the queue of 'receiver' is empty"):
+        inbox.getString()
+
+
+def test_texts_and_numbers_are_messages_too():
+    assert exchange(message="a,ä")[0].getString() == "a,ä"
+    assert exchange(message=[0.5, -1.0])[0].getFloats() == [0.5, -1.0]
+
+
+def test_strength_and_direction_are_those_of_the_emitter():
+    inbox, _ = exchange()
+    assert inbox.getSignalStrength() == pytest.approx(1 / 25)
+    assert inbox.getEmitterDirection() == pytest.approx([-0.8, 0.6, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("emitter", "receiver", "count"),
+    [
+        ("channel 3", "channel 3", 1),
+        ("channel 3", "", 0),
+        ("channel -1", "channel 7", 1),
+        ("channel 3", "channel -1", 1),
+        ("range 5.01", "", 1),
+        ("range 4.99", "", 0),
+        ('type "infra-red"', "", 0),
+        ('type "infra-red"', 'type "infra-red"', 1),
+        ('type "infra-red" aperture 1 rotation 0 0 1 0.9273', 'type "infra-red"', 1),
+        ('type "infra-red" aperture 1', 'type "infra-red"', 0),
+        ("", "bufferSize 4", 0),
+        ("", "bufferSize 5", 1),
+    ],
+)
+def test_a_message_arrives_where_channel_range_and_cone_allow(emitter: str, receiver: str, count: int):
+    assert exchange(emitter, receiver)[0].getQueueLength() == count
+
+
+def test_a_message_beyond_the_buffer_is_not_sent():
+    inbox, sent = exchange("bufferSize 4")
+    assert (sent, inbox.getQueueLength()) == (0, 0)
+
+
+def test_messages_keep_their_order():
+    simulation = simulate(PAIR % ("", ""), 32)
+    inbox = device(simulation, "receiver", 1)
+    inbox.enable(64)
+    for number in range(4):
+        device(simulation, "emitter", 0).send(f"{number}")
+        simulation.advance()
+    assert [inbox.getString(), inbox.nextPacket(), inbox.getString(), inbox.getQueueLength()] == [
+        "0",
+        None,
+        "1",
+        3,
+    ]
+
+
+# What is missing
+
+
+@pytest.mark.parametrize(
+    ("node_name", "name", "call"),
+    [
+        ("Camera", "camera", "recognitionEnable"),
+        ("Camera", "camera", "getImage"),
+        ("Lidar", "lidar", "getRangeImageArray"),
+        ("Radar", "radar", "getTargets"),
+        ("LightSensor", "light sensor", "getValue"),
+        ("Speaker", "speaker", "getEngine"),
+        ("Display", "display", "imageNew"),
+    ],
+)
+def test_a_function_that_is_missing_says_so_by_name(node_name: str, name: str, call: str):
+    thing = device(simulate(robot(f"{node_name} {{ }}")), name)
+    with pytest.raises(NotImplementedCallError, match=rf"^{node_name}\.{call} is not implemented$"):
+        getattr(thing, call)
+
+
+def test_a_function_that_webots_does_not_have_gets_a_suggestion():
+    motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
+    with pytest.raises(
+        AttributeError, match=r"'Motor' has no attribute 'setPositon'; did you mean 'setPosition'"
+    ):
+        motor.setPositon(1)
+
+
+def test_a_lamp_keeps_its_value():
+    lamp = device(simulate(robot("LED { }")), "led")
+    lamp.set(1)
+    assert lamp.get() == 1
+
+
+def test_a_solid_name_is_free_to_repeat():
+    assert simulate(solid("Box { }") + solid("Box { }", "translation 1 0 0", name="OTHER"))

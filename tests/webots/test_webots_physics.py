@@ -1,0 +1,324 @@
+"""Physics of worlds against closed forms, within 1 % at steps of 8 ms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.webots.worlds_of_webots import FLOOR, device, hinge, node, run, simulate, solid
+
+ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
+"""About the hinge, kg m^2."""
+
+
+@pytest.mark.parametrize("step", [8, 32])
+def test_a_body_falls(step: int):
+    simulation = simulate(solid("Sphere { radius 0.1 }", "translation 0 0 100"), step)
+    run(simulation, 1.6)
+    assert 100 - node(simulation, "BODY").getPosition()[2] == pytest.approx(9.81 * 1.6**2 / 2, rel=0.01)
+    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-9.81 * 1.6, rel=0.001)
+
+
+def test_gravity_is_a_vector_of_the_world():
+    simulation = simulate(solid("Box { }"), gravity="1 0 0")
+    run(simulation, 2)
+    assert node(simulation, "BODY").getPosition() == pytest.approx([2.0, 0, 0], rel=0.01)
+
+
+def test_a_pendulum_swings_with_its_period():
+    text = hinge(
+        end="rotation 0 1 0 1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"
+    )
+    simulation = simulate(text)
+    times, before = [], None
+    for step in range(1000):
+        simulation.advance()
+        now = node(simulation, "ROD").getVelocity()[4]
+        if before is not None and before < 0 <= now:
+            times.append(step * 0.008 + 0.008 * before / (before - now))
+        before = now
+    period = (times[-1] - times[0]) / (len(times) - 1)
+    small = 2 * math.pi * math.sqrt(ROD_INERTIA / (2 * 9.81 * 0.5))
+    assert period == pytest.approx(small * (1 + 0.1**2 / 16), rel=0.01)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.6])
+def test_a_block_slides_to_a_stop(friction: float):
+    text = FLOOR + solid("Box { size 0.2 0.2 0.1 }", "translation 0 0 0.05 linearVelocity 6 0 0")
+    simulation = simulate(
+        text, contactProperties=f"[ ContactProperties {{ coulombFriction {friction} bounce 0 }} ]"
+    )
+    run(simulation, 6 / (friction * 9.81) + 0.5)
+    assert node(simulation, "BODY").getPosition()[0] == pytest.approx(6**2 / (2 * friction * 9.81), rel=0.01)
+
+
+def test_two_materials_have_the_friction_of_their_pair():
+    text = (
+        'Solid { contactMaterial "ice" boundingObject Plane { } }'
+        + solid(
+            "Box { size 0.2 0.2 0.1 }", 'contactMaterial "wood" translation 0 0 0.05 linearVelocity 1 0 0'
+        )
+        + solid("Box { size 0.2 0.2 0.1 }", "translation 0 1 0.05 linearVelocity 1 0 0", name="OTHER")
+    )
+    pair = '[ ContactProperties { material1 "wood" material2 "ice" coulombFriction 0.1 bounce 0 } ]'
+    simulation = simulate(text, contactProperties=pair)
+    run(simulation, 1.5)
+    assert node(simulation, "BODY").getPosition()[0] == pytest.approx(1 / (2 * 0.1 * 9.81), rel=0.01)
+    assert node(simulation, "OTHER").getPosition()[0] == pytest.approx(1 / (2 * 9.81), rel=0.02)
+
+
+@pytest.mark.parametrize("bounce", [0.3, 0.5, 0.8])
+def test_a_ball_bounces_with_its_share_of_the_speed(bounce: float):
+    text = FLOOR + solid("Sphere { radius 0.1 }", "translation 0 0 1.1")
+    simulation = simulate(text, 8, contactProperties=f"[ ContactProperties {{ bounce {bounce} }} ]")
+    run(simulation, 0.44)
+    fast = 0.0
+    for _ in range(100):
+        simulation.advance()
+        fast = max(fast, node(simulation, "BODY").getVelocity()[2])
+    assert fast == pytest.approx(bounce * math.sqrt(2 * 9.81 * 1.0), rel=0.04)
+
+
+def test_a_box_rests_on_the_ground():
+    simulation = simulate(FLOOR + solid("Box { size 0.2 0.2 0.2 }", "translation 0 0 0.1"))
+    run(simulation, 2)
+    assert node(simulation, "BODY").getPosition() == pytest.approx([0, 0, 0.1], abs=1e-3)
+    assert node(simulation, "BODY").getVelocity() == pytest.approx([0.0] * 6, abs=1e-4)
+
+
+def test_a_motor_at_its_limit_accelerates_its_load():
+    text = hinge(devices="RotationalMotor { maxTorque 0.5 maxVelocity 1000 }")
+    simulation = simulate(text, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(1000)
+    run(simulation, 0.8)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(0.5 / ROD_INERTIA * 0.8, rel=0.01)
+
+
+@pytest.mark.parametrize("step", [8, 32])
+def test_a_motor_reaches_its_velocity_in_one_step(step: int):
+    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1000 }"), step, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(3)
+    simulation.advance()
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-3)
+    run(simulation, 1)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-4)
+
+
+def test_a_motor_without_commands_keeps_its_position():
+    simulation = simulate(hinge("position 0.3", "RotationalMotor { maxTorque 100 }"))
+    run(simulation, 1)
+    assert node(simulation, "JOINT").getField("position").getSFFloat() == pytest.approx(0.3, abs=1e-3)
+
+
+def test_a_motor_too_weak_for_its_load_gives_way():
+    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 5 }"))
+    run(simulation, 0.24)
+    torque = 2 * 9.81 * 0.5 - 5  # near the horizontal
+    position = node(simulation, "JOINT").getField("position").getSFFloat()
+    assert position == pytest.approx(torque / ROD_INERTIA * 0.24**2 / 2, rel=0.04)
+
+
+def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
+    text = hinge(devices="RotationalMotor { maxTorque 1e6 maxVelocity 2 controlPID 5 0 0 }")
+    simulation = simulate(text, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(1.0)
+    run(simulation, 0.2)
+    position = node(simulation, "JOINT").getField("position")
+    assert position.getSFFloat() == pytest.approx(0.4, rel=0.01)  # at 2 rad/s
+    run(simulation, 0.1)  # to 0.6, from where on the gain asks for less
+    assert position.getSFFloat() == pytest.approx(0.6, rel=0.02)
+    run(simulation, 0.4)
+    assert 1 - position.getSFFloat() == pytest.approx(0.4 * math.exp(-5 * 0.4), rel=0.1)
+
+
+def test_an_acceleration_limits_the_velocity():
+    text = hinge(devices="RotationalMotor { maxTorque 1e6 acceleration 4 }")
+    simulation = simulate(text, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(8)
+    run(simulation, 1)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(4, rel=0.01)
+
+
+def test_a_torque_acts_until_another_command():
+    simulation = simulate(hinge(devices="RotationalMotor { }"), gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setTorque(0.7)
+    run(simulation, 0.8)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(0.7 / ROD_INERTIA * 0.8, rel=0.01)
+
+
+def test_a_slider_moves_along_its_axis():
+    text = hinge(devices="LinearMotor { maxForce 3 maxVelocity 1000 }", kind="SliderJoint")
+    simulation = simulate(text)
+    motor = device(simulation, "linear motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(1000)
+    run(simulation, 0.8)
+    assert node(simulation, "ROD").getVelocity()[0] == pytest.approx(3 / 2 * 0.8, rel=0.01)
+    assert node(simulation, "ROD").getPosition()[0] == pytest.approx(3 / 2 * 0.8**2 / 2, rel=0.015)
+
+
+def test_a_spring_swings_with_its_period():
+    text = hinge("position 0.2 springConstant 32", kind="SliderJoint")
+    simulation = simulate(text)
+    field = node(simulation, "JOINT").getField("position")
+    run(simulation, 2 * math.pi * math.sqrt(2 / 32) / 2)
+    assert field.getSFFloat() == pytest.approx(-0.2, rel=0.02)
+
+
+def test_damping_slows_exponentially():
+    text = hinge("dampingConstant 4", "RotationalMotor { maxTorque 1e6 }")
+    simulation = simulate(text, gravity="0 0 0")
+    motor = device(simulation, "rotational motor")
+    motor.setPosition(math.inf)
+    motor.setVelocity(3)
+    simulation.advance()
+    motor.setTorque(0)
+    run(simulation, 0.2)
+    left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(left, rel=0.03)
+
+
+def test_a_brake_adds_damping():
+    text = hinge(devices="RotationalMotor { maxTorque 1e6 } Brake { }")
+    simulation = simulate(text, gravity="0 0 0")
+    motor, brake = device(simulation, "rotational motor"), device(simulation, "brake")
+    motor.setPosition(math.inf)
+    motor.setVelocity(3)
+    simulation.advance()
+    motor.setTorque(0)
+    brake.setDampingConstant(4)
+    run(simulation, 0.2)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(
+        3 * math.exp(-4 / ROD_INERTIA * 0.2), rel=0.03
+    )
+
+
+def test_stops_hold_a_joint():
+    simulation = simulate(hinge("minStop -0.4 maxStop 0.4"))
+    run(simulation, 3)
+    assert node(simulation, "JOINT").getField("position").getSFFloat() == pytest.approx(0.4, abs=0.01)
+
+
+def test_the_position_in_a_file_is_that_of_the_pose_in_it():
+    simulation = simulate(hinge("position 0.5 springConstant 1000 dampingConstant 50"), gravity="0 0 0")
+    run(simulation, 3)
+    x, _, z = node(simulation, "ROD").getOrientation()[0::3]
+    assert math.atan2(-z, x) == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_a_ball_joint_turns_about_all_axes():
+    text = """Robot { children [ BallJoint { jointParameters BallJointParameters { anchor 0 0 0 }
+      endPoint DEF ROD Solid { boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }
+      physics Physics { density -1 mass 2 } } } ] }"""
+    simulation = simulate(text)
+    run(simulation, 0.2)
+    angle = 2 * 9.81 * 0.5 / ROD_INERTIA * 0.2**2 / 2
+    assert node(simulation, "ROD").getPosition() == pytest.approx([0, 0, 0], abs=1e-3)
+    assert math.asin(-node(simulation, "ROD").getOrientation()[6]) == pytest.approx(angle, rel=0.06)
+
+
+def test_a_hinge2_joint_has_two_axes():
+    text = """DEF ROBOT Robot { children [ DEF JOINT Hinge2Joint {
+      jointParameters HingeJointParameters { axis 0 0 1 } jointParameters2 JointParameters { axis 0 1 0 }
+      device [ RotationalMotor { name "first" maxTorque 1e6 } ] device2 [ RotationalMotor { name "second" maxTorque 1e6 } ]
+      endPoint DEF ROD Solid { boundingObject Box { size 1 0.2 0.1 } physics Physics { density -1 mass 2 } } } ] }"""
+    simulation = simulate(text, gravity="0 0 0")
+    for name, angle in (("first", 0.6), ("second", 0.3)):
+        device(simulation, name).setPosition(angle)
+    run(simulation, 3)
+    x, y, z = node(simulation, "ROD").getOrientation()[0::3]
+    assert (math.atan2(y, x), math.asin(-z)) == pytest.approx((0.6, 0.3), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("shape", "volume"),
+    [
+        ("Box { size 0.1 0.2 0.3 }", 0.006),
+        ("Sphere { radius 0.1 }", 4 / 3 * math.pi * 1e-3),
+        ("Cylinder { radius 0.1 height 0.3 }", math.pi * 0.003),
+        ("Capsule { radius 0.1 height 0.3 }", math.pi * 0.003 + 4 / 3 * math.pi * 1e-3),
+        (
+            "IndexedFaceSet { coord Coordinate { point [ 0 0 0, 0.3 0 0, 0 0.3 0, 0 0 0.3 ] }"
+            " coordIndex [ 0 2 1 -1 0 1 3 -1 0 3 2 -1 1 2 3 -1 ] }",
+            0.3**3 / 6,
+        ),
+    ],
+)
+def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
+    simulation = simulate(
+        f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity="0 0 0"
+    )
+    node(simulation, "BODY").addForce([0.0, 0.0, 1.0], False)
+    simulation.advance()
+    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
+
+
+def test_stated_inertia_and_center_replace_those_of_the_outline():
+    text = """DEF BODY Solid { boundingObject Box { } physics Physics { density -1 mass 2
+      centerOfMass [ 0.1 0 0 ] inertiaMatrix [ 0.02 0.03 0.04, 0 0 0 ] } }"""
+    simulation = simulate(text, gravity="0 0 0")
+    body = node(simulation, "BODY")
+    assert body.getCenterOfMass() == pytest.approx([0.1, 0, 0])
+    body.addTorque([0.0, 0.0, 1.0], False)
+    simulation.advance()
+    assert body.getVelocity()[5] == pytest.approx(0.008 / 0.04, rel=0.01)
+
+
+def test_solids_without_a_joint_are_one_body():
+    text = """DEF BODY Solid { boundingObject Box { } physics Physics { density -1 mass 1 } children [
+      DEF PART Solid { translation 1 0 0 boundingObject Box { } physics Physics { density -1 mass 3 } } ] }"""
+    simulation = simulate(text, gravity="0 0 0")
+    assert node(simulation, "BODY").getCenterOfMass() == pytest.approx([0.75, 0, 0])
+    node(simulation, "BODY").setVelocity([0, 0, 0, 0, 0, 1])
+    assert node(simulation, "PART").getVelocity() == pytest.approx([0, 1, 0, 0, 0, 1], abs=1e-9)
+
+
+def test_a_scale_shrinks_shapes_and_places():
+    text = """Solid { translation 0 0 2 scale 0.1 0.1 0.1 children [
+      DEF PART Solid { translation 1 0 0 boundingObject Sphere { radius 1 } } ] }"""
+    simulation = simulate(text)
+    assert node(simulation, "PART").getPosition() == pytest.approx([0.1, 0, 2])
+    assert simulation.physics.geoms[0][1].shape.size == pytest.approx([0.1])
+
+
+def test_an_elevation_grid_begins_at_its_origin():
+    grid = "ElevationGrid { xDimension 3 yDimension 2 xSpacing 1 ySpacing 2 height [ 0 0.5 1, 0 0.5 1 ] }"
+    simulation = simulate(f"Solid {{ translation 1 0 0 boundingObject {grid} }}")
+    for x, height in ((1.5, 0.25), (2.0, 0.5), (2.8, 0.9)):
+        distance = simulation.physics.rays((x, 1.0, 5.0), [(0.0, 0.0, -1.0)], 10, None)[0][0]
+        assert 5 - distance == pytest.approx(height, abs=1e-3)
+
+
+def test_the_parts_of_a_robot_pass_through_each_other_unless_it_says_so():
+    text = """DEF ROBOT Robot {{ {} children [ HingeJoint {{ jointParameters HingeJointParameters {{ axis 0 1 0 }}
+      endPoint DEF ROD Solid {{ boundingObject Pose {{ translation 0.5 0 0 children [ Box {{ size 1 0.1 0.1 }} ] }}
+      physics Physics {{ }} }} }} Solid {{ translation 0.8 0 -0.3 boundingObject Box {{ size 0.2 0.2 0.2 }} }} ] }}"""
+    angles = []
+    for fields in ("", "selfCollision TRUE"):
+        simulation = simulate(text.format(fields))
+        run(simulation, 0.6)
+        angles.append(math.asin(-node(simulation, "ROD").getOrientation()[6]))
+    assert angles[0] > 0.8
+    assert angles[1] < 0.3
+
+
+def test_a_run_is_repeatable():
+    text = FLOOR + solid("Box { size 0.2 0.2 0.2 }", "translation 0 0 1 angularVelocity 1 2 3")
+    ends = []
+    for _ in range(2):
+        simulation = simulate(text, 32)
+        run(simulation, 3)
+        ends.append(node(simulation, "BODY").getPosition())
+    assert ends[0] == ends[1]
+    simulation.physics.reset()
+    run(simulation, 3)
+    assert node(simulation, "BODY").getPosition() == ends[0]

@@ -1,0 +1,302 @@
+"""`deepbots webots`: projects with their controllers, as processes see them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests.webots.worlds_of_webots import HEADER
+
+ROOT = Path(__file__).parents[2]
+
+WORLD = """WorldInfo { basicTimeStep 32 }
+Robot { name "boss" supervisor TRUE controller "boss" children [ Emitter { } Receiver { } ] }
+DEF CART Robot { name "cart" controller "cart" children [ Emitter { } Receiver { } ] }"""
+
+
+class Project:
+    """A project with one world, in a folder of a test."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "worlds").mkdir()
+        self.write("worlds/w.wbt", HEADER + WORLD)
+
+    def write(self, name: str, text: str) -> None:
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(textwrap.dedent(text), encoding="utf-8")
+
+    def controller(self, name: str, text: str) -> None:
+        self.write(f"controllers/{name}/{name}.py", text)
+
+    def run(self, *options: str, allow: bool = True) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, "-m", "deepbots_cli", "webots", str(self.folder / "worlds" / "w.wbt")]
+        return subprocess.run(
+            [*words, *(["--allow-code"] if allow else []), *options],
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            timeout=120,
+            check=False,
+        )
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Project:
+    return Project(tmp_path)
+
+
+CART = """
+    from controller import Robot
+    robot = Robot()
+    emitter, receiver = robot.getDevice("emitter"), robot.getDevice("receiver")
+    receiver.enable(32)
+    while robot.step(32) != -1:
+        while receiver.getQueueLength():
+            emitter.send(receiver.getString() + "!")
+            receiver.nextPacket()
+    print("the end")
+"""
+
+BOSS = """
+    from controller import Supervisor
+    boss = Supervisor()
+    emitter, receiver = boss.getDevice("emitter"), boss.getDevice("receiver")
+    receiver.enable(32)
+    for number in range(4):
+        emitter.send(str(number))
+        boss.step(32)
+        words = []
+        while receiver.getQueueLength():
+            words.append(receiver.getString())
+            receiver.nextPacket()
+        print(number, words)
+"""
+
+
+def test_messages_are_one_step_late_in_each_direction(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert ran.stdout.splitlines() == [
+        "[boss] 0 []",
+        "[boss] 1 ['0!']",
+        "[boss] 2 ['1!']",
+        "[boss] 3 ['2!']",
+        "[cart] the end",
+    ]
+    assert ran.returncode == 0
+    assert "4 steps, 0.128 s of simulated time" in ran.stderr
+
+
+def test_no_code_runs_without_permission(project: Project):
+    project.controller("cart", "open('ran', 'w')")
+    project.controller("boss", "open('ran', 'w')")
+    ran = project.run(allow=False)
+    assert ran.returncode == 0
+    assert "--allow-code" in ran.stdout
+    assert [line.split()[:3] for line in ran.stdout.splitlines()[2:4]] == [
+        ["boss", "yes", "boss"],
+        ["cart", "no", "cart"],
+    ]
+    assert not list(project.folder.rglob("ran"))
+
+
+def test_controllers_have_their_own_modules_folders_and_arguments(project: Project):
+    project.write(
+        "worlds/w.wbt",
+        HEADER + WORLD.replace('controller "cart"', 'controller "cart" controllerArgs [ "a" "b c" ]'),
+    )
+    for name in ("boss", "cart"):
+        project.write(f"controllers/{name}/shared_name.py", f"WHO = '{name}'\ncount = 0")
+        project.write(f"controllers/{name}/package/__init__.py", "")
+        project.write(f"controllers/{name}/package/inner.py", f"WHO = '{name} inside'")
+        project.controller(
+            name,
+            f"""
+            import os, sys
+            from controller import Supervisor, Robot
+            import shared_name
+            robot = {"Supervisor" if name == "boss" else "Robot"}()
+            for _ in range(3):
+                robot.step(32)
+                import shared_name as again
+                from package import inner
+                again.count += 1
+            print(again.WHO, inner.WHO, shared_name.count, os.path.basename(os.getcwd()), sys.argv[1:], __name__)
+            import __main__
+            print(__main__.__file__.endswith("{name}.py"))
+            """,
+        )
+    lines = project.run().stdout.splitlines()
+    assert sorted(lines) == [
+        "[boss] True",
+        "[boss] boss boss inside 3 boss [] __main__",
+        "[cart] True",
+        "[cart] cart cart inside 3 cart ['a', 'b c'] __main__",
+    ]
+
+
+def test_a_supervisor_quits_with_an_exit_code(project: Project):
+    project.controller("cart", CART)
+    project.controller(
+        "boss",
+        """
+        from controller import Supervisor
+        boss = Supervisor()
+        boss.step(32)
+        boss.simulationQuit(7)
+        print(boss.step(32))
+        """,
+    )
+    ran = project.run()
+    assert (ran.returncode, ran.stdout.splitlines()[0]) == (7, "[boss] -1")
+
+
+def test_a_crash_names_its_robot(project: Project):
+    project.controller("cart", CART.replace("emitter.send(", "emitter.sned("))
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert ran.returncode == 1
+    assert (
+        "error: the controller of 'cart' failed: AttributeError: 'Emitter' has no attribute 'sned'"
+        in ran.stderr
+    )
+    assert "[cart] " in ran.stderr
+    assert "runner.py" not in ran.stderr
+
+
+def test_an_exit_code_of_a_controller_is_kept(project: Project):
+    project.controller("cart", "from controller import Robot\nRobot().step(32)\nraise SystemExit(5)")
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert ran.returncode == 5
+    assert "[boss] 3 []" in ran.stdout
+
+
+def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
+    project.controller("cart", "print('done', end='')")
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert (ran.returncode, "[cart] done" in ran.stdout, "[boss] 3 []" in ran.stdout) == (0, True, True)
+
+
+def test_a_controller_that_never_steps_ends_the_run(project: Project):
+    project.controller("cart", "while True: pass")
+    project.controller("boss", BOSS)
+    ran = project.run("--timeout", "1")
+    assert ran.returncode == 1
+    assert "error: the controller of 'cart' made no step for 1 s" in ran.stderr
+
+
+def test_a_controller_that_ignores_the_end_is_ended(project: Project):
+    project.controller("cart", CART)
+    project.controller(
+        "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
+    )
+    ran = project.run("--steps", "50", "--json")
+    assert ran.returncode == 0
+    result = json.loads(ran.stdout)
+    assert (result["steps"], result["simulated_s"]) == (50, 1.6)
+    assert [one["robot"] for one in result["controllers"]] == ["boss", "cart"]
+
+
+def test_a_controller_in_another_language_is_named_and_not_run(project: Project):
+    project.write("controllers/cart/cart.cpp", "int main() {}")
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert ran.returncode == 0
+    assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.stderr
+    assert "[boss] 3 []" in ran.stdout
+
+
+def test_a_controller_with_a_longer_period_runs_less_often(project: Project):
+    project.controller(
+        "cart",
+        "from controller import Robot\nrobot = Robot()\nwhile robot.step(100) != -1: print(robot.getTime())",
+    )
+    project.controller("boss", BOSS.replace("range(4)", "range(9)"))
+    lines = [line for line in project.run().stdout.splitlines() if line.startswith("[cart]")]
+    assert lines == ["[cart] 0.128", "[cart] 0.256"]
+
+
+def test_a_reset_empties_the_queues(project: Project):
+    project.controller("cart", CART)
+    project.controller(
+        "boss",
+        BOSS.replace(
+            "        boss.step(32)\n",
+            "        boss.step(32)\n        if number == 2:\n            boss.simulationReset()\n            boss.step(32)\n",
+        ),
+    )
+    lines = [line for line in project.run().stdout.splitlines() if line.startswith("[boss]")]
+    assert lines == ["[boss] 0 []", "[boss] 1 ['0!']", "[boss] 2 []", "[boss] 3 []"]
+
+
+def test_two_supervisors_run_until_both_end(project: Project):
+    project.write(
+        "worlds/w.wbt",
+        HEADER + WORLD.replace('name "cart" controller', 'name "cart" supervisor TRUE controller'),
+    )
+    project.controller(
+        "cart",
+        "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
+    )
+    project.controller("boss", BOSS)
+    ran = project.run()
+    assert ran.stdout.splitlines()[-1] == "[cart] 0.288"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--engine", "pybullet"], "worlds of Webots run on 'mujoco', and not on 'pybullet'"),
+        (["--protos", "nowhere"], "--protos nowhere: there is no such folder"),
+        (["--python", "nowhere"], "--python nowhere does not run"),
+        (["--steps", "0"], "too small"),
+    ],
+)
+def test_wrong_options_are_refused(project: Project, options: list[str], words: str):
+    project.controller("cart", CART)
+    project.controller("boss", BOSS)
+    ran = project.run(*options)
+    assert (ran.returncode, ran.stdout) == (2, "")
+    assert words in " ".join(ran.stderr.split())
+
+
+def test_a_world_with_errors_runs_nothing(project: Project):
+    project.write("worlds/w.wbt", HEADER + WORLD + "\nRobt { }")
+    ran = project.run()
+    assert ran.returncode == 1
+    assert ran.stderr.count("error: there is no node Robt") == 1
+    assert "w.wbt:5:1" in ran.stderr
+
+
+def test_a_world_without_controllers_says_so(project: Project):
+    project.write("worlds/w.wbt", HEADER + "Solid { }")
+    ran = project.run()
+    assert (ran.returncode, "no robot of the world has a controller that can run" in ran.stderr) == (2, True)
+
+
+def test_the_packages_of_another_environment_are_found(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", "from controller import Supervisor\nSupervisor()\nimport json\nprint('ok')")
+    ran = project.run("--python", sys.executable)
+    assert (ran.returncode, ran.stdout.splitlines()[0]) == (0, "[boss] ok")
+
+
+def test_a_class_that_is_missing_says_so_by_name(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", "from controller import Mouse")
+    ran = project.run()
+    assert ran.returncode == 1
+    assert "ImportError: controller.Mouse is not implemented" in ran.stderr
