@@ -304,7 +304,7 @@ def build_batch(
 ) -> BatchSupervisor:
     """Return the supervisor of `count` worlds of a compiled scenario; see `make_vec`."""
     if program.others is None:
-        return _build_batch(program, count, engine, fixed)
+        return _build_batch(program, count, engine, fixed, scripts=program.scripted_rivals)
     from deepbots_cli.codegen import batch_obstacles
     from deepbots_cli.program.members import world_of
 

@@ -138,7 +138,7 @@ def _self_play(train: TrainingSpec) -> SelfPlay | None:
     if spec is None:
         return None
     every = spec.every or max(1, train.total_timesteps // _SNAPSHOTS)
-    return SelfPlay(every, spec.pool, float(spec.newest))
+    return SelfPlay(every, spec.pool, float(spec.newest), float(spec.scripts))
 
 
 def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:

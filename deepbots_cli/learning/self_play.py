@@ -2,15 +2,16 @@
 
 In some worlds both agents are the present policy, and it learns from both sides. In the others it plays one
 side, against a member of a pool of past policies that is drawn anew for each episode (fictitious self-play;
-J. Heinrich, M. Lanctot, D. Silver, ICML 2015). The results of these episodes give ratings (OpenSkill, in the
-model of Plackett and Luce; R. Weng, C.-J. Lin, JMLR 2011).
+J. Heinrich, M. Lanctot, D. Silver, ICML 2015), or against a script of the scenario. The results of the
+episodes against past policies give ratings (OpenSkill, in the model of Plackett and Luce; R. Weng, C.-J. Lin,
+JMLR 2011).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from pydantic import Field, NonNegativeInt
@@ -20,6 +21,7 @@ from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointP
 from deepbots_cli.learning.joint import JointLearner, JointState
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.records import PoolGames, Rating
+from deepbots_cli.program.members import joint_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
@@ -28,12 +30,14 @@ from deepbots_cli.runtime.spaces import by_part
 from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
-    pass
+    from deepbots_cli.rollout.collector import LocalCollector
 
 _OPPONENTS = "opponents"
 """The column of a fragment with the opponent in each world: its place in the pool, or `_PRESENT`."""
 _PRESENT = -1
 """The opponent of a world without one from the pool: the present policy."""
+_FIRST_SCRIPT = -2
+"""The opponent that is the first script; the next one is -3."""
 _POOL = "pool"
 
 
@@ -43,21 +47,26 @@ class Sides(NamedTuple):
     Attributes:
         first: The worlds in which it learns as the first agent.
         second: The worlds in which it learns as the second agent.
-        past: The worlds in which a past policy plays the other side.
+        others: The worlds in which a past policy or a script plays the other side.
+        scripted: Those of them in which it is a script.
     """
 
     first: Array
     second: Array
-    past: Array
+    others: Array
+    scripted: Array
 
     @classmethod
-    def divided(cls, worlds: int, newest: float) -> Sides:
-        """Divide the worlds: the first ones play against the present policy; in the others, the policy takes
-        each side in turn."""
+    def divided(cls, worlds: int, newest: float, scripts: float = 0.0) -> Sides:
+        """Divide the worlds: in the first ones the policy plays against itself, and in the last ones against
+        scripts. Where it plays one side, it takes each side in turn."""
         both = min(worlds, round(newest * worlds))
-        past = np.arange(both, worlds)
+        others = np.arange(both, worlds)
         return cls(
-            np.concatenate([np.arange(both), past[::2]]), np.concatenate([np.arange(both), past[1::2]]), past
+            np.concatenate([np.arange(both), others[::2]]),
+            np.concatenate([np.arange(both), others[1::2]]),
+            others,
+            others[len(others) - min(len(others), round(scripts * worlds)) :],
         )
 
 
@@ -218,7 +227,18 @@ class SelfPlayLearner(JointLearner):
         self._rater = _Rater()
         (name, training), _ = setup.training.agents
         places = [self._critical[each] for each, _ in setup.training.agents]
-        self._sides = Sides.divided(training.environments, self._settings.newest)
+        self._scripts = {
+            each: [joint_name(each, script.name) for script in place.member.program.agent.scripts]
+            for each, place in self._critical.items()
+        }
+        settings = self._settings
+        self._sides = Sides.divided(training.environments, settings.newest, settings.scripts)
+        if settings.newest + settings.scripts > 1:
+            raise UsageError("`newest` and `scripts` of `self_play` are shares, so together at most 100 %")
+        if settings.scripts and not all(self._scripts.values()):
+            raise UsageError(
+                "`scripts` of `self_play` needs agents with `scripts`; write one, or leave it out"
+            )
         self._collector = SidesCollector(setup.collector, places, self._sides)
         self._collectors[name] = self._collector
         learner = self._create(name, training, self._collector)
@@ -258,28 +278,45 @@ class SelfPlayLearner(JointLearner):
         actions = [np.zeros(shape, decision.actions.dtype) for _ in names]
         actions[0][sides.first] = decision.actions[: len(sides.first)]
         actions[1][sides.second] = decision.actions[len(sides.first) :]
-        # In the first of the worlds with a past policy, the present one is the first agent.
-        for side, worlds in ((1, sides.past[::2]), (0, sides.past[1::2])):
+        # In the first of the worlds with another opponent, the policy is the first agent.
+        for side, worlds in ((1, sides.others[::2]), (0, sides.others[1::2])):
             self._let_opponents_act(
                 worlds, places[side].observation(observations), own_masks[side], actions[side]
             )
+            self._let_scripts_act(worlds, places[side], actions[side])
         columns = {**decision.columns, _OPPONENTS: self._opponents.copy()}
         return Decision(joined_actions(actions), columns)
 
     def _draw_opponents(self, starts: Array) -> None:
-        """Draw an opponent in each world of the past in which an episode begins."""
-        for world in self._sides.past[starts[self._sides.past]]:
-            self._opponents[world] = np.random.randint(len(self.pool)) if self.pool else _PRESENT
+        """Draw an opponent in each world in which an episode against another one than the present policy
+        begins."""
+        sides = self._sides
+        scripts = min(len(names) for names in self._scripts.values())
+        for world in sides.others[starts[sides.others]]:
+            if world in sides.scripted:
+                self._opponents[world] = _FIRST_SCRIPT - np.random.randint(scripts)
+            else:
+                self._opponents[world] = np.random.randint(len(self.pool)) if self.pool else _PRESENT
 
     def _let_opponents_act(self, worlds: Array, seen: Any, masks: Array | None, actions: Array) -> None:
         """Write the actions of past policies in some worlds; each samples from its distribution."""
-        for place in np.unique(self._opponents[worlds]):
+        policies = worlds[self._opponents[worlds] >= _PRESENT]
+        for place in np.unique(self._opponents[policies]):
             rows = worlds[self._opponents[worlds] == place]
             policy = self._learner if place == _PRESENT else self.pool[place].policy
             actions[rows], _ = policy.predict(
                 by_part(lambda part, rows=rows: part[rows], seen),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
+
+    def _let_scripts_act(self, worlds: Array, place: Place, actions: Array) -> None:
+        """Write the actions of the scripts of an agent in some worlds."""
+        scripted = worlds[self._opponents[worlds] <= _FIRST_SCRIPT]
+        worlds_of_all = cast("LocalCollector", self.setup.collector).worlds
+        for opponent in np.unique(self._opponents[scripted]):
+            rows = scripted[self._opponents[scripted] == opponent]
+            name = self._scripts[place.member.name][_FIRST_SCRIPT - opponent]
+            actions[rows] = place.actions(worlds_of_all.scripted(name)[rows])
 
     def collect(self) -> bool:
         if not super().collect():
@@ -301,6 +338,7 @@ class SelfPlayLearner(JointLearner):
         one, two = (self._critical[name].member for name in self.learners)
         fragment = self._last
         wins = losses = 0
+        against_scripts = []
         for number, ending in fragment.endings:
             place = int(fragment.columns[_OPPONENTS][number, ending.row])
             if place == _PRESENT:
@@ -310,6 +348,9 @@ class SelfPlayLearner(JointLearner):
             by = ending.episode.ended_by
             endings = () if by is None else (by,)
             score = int(mine.has_succeeded(endings)) - int(other.has_succeeded(endings))
+            if place <= _FIRST_SCRIPT:
+                against_scripts.append(score)
+                continue
             wins, losses = wins + (score > 0), losses + (score < 0)
             past = self.pool[place]
             past.wins, past.losses = past.wins + (score > 0), past.losses + (score < 0)
@@ -319,6 +360,9 @@ class SelfPlayLearner(JointLearner):
         self.log.record("self_play/pool", len(self.pool))
         if wins + losses:
             self.log.record("self_play/win_rate", wins / (wins + losses))
+        if any(against_scripts):
+            decided = [score for score in against_scripts if score]
+            self.log.record("self_play/win_rate_against_scripts", decided.count(1) / len(decided))
 
     def _add_to_pool(self) -> None:
         """Make the present policy a member of the pool, with its rating."""
@@ -330,11 +374,9 @@ class SelfPlayLearner(JointLearner):
         self.ratings.append(rating)
         if len(self.pool) > self._settings.pool:
             self.pool.pop(0)
-            past = self._sides.past
             # The episodes against the removed member go on against the one that is now the oldest.
-            self._opponents[past] = np.where(
-                self._opponents[past] == _PRESENT, _PRESENT, np.maximum(self._opponents[past] - 1, 0)
-            )
+            opponents = self._opponents
+            opponents[:] = np.where(opponents < 0, opponents, np.maximum(opponents - 1, 0))
 
     def _past(self, rating: Rating, weights: Mapping[str, Array]) -> PastPolicy:
         from deepbots_cli.learning.shards import random_numbers_kept
@@ -384,8 +426,9 @@ class SelfPlayLearner(JointLearner):
             self.pool.append(replace(member, wins=past.wins, losses=past.losses))
         self.ratings = [Rating(**rating.model_dump()) for rating in kept.ratings]
         opponents = arrays[_OPPONENTS]
-        if opponents.min() < _PRESENT or opponents.max() >= len(self.pool):
-            raise ValueError("an opponent is no member of the pool")
+        scripts = min(len(names) for names in self._scripts.values())
+        if opponents.min() <= _FIRST_SCRIPT - scripts or opponents.max() >= len(self.pool):
+            raise ValueError("an opponent is neither a member of the pool nor a script")
         self._opponents[:] = opponents
 
 

@@ -143,6 +143,15 @@ class Program:
         ]
         return two.names.mirrors == one.name and outcomes[0] == outcomes[1]
 
+    @property
+    def scripted_rivals(self) -> tuple[str, ...]:
+        """The scripts against which the agents train by self-play."""
+        training = self.agent.training
+        of_agents = () if training is None else training.agents
+        if not any(own.self_play is not None and own.self_play.scripts for _, own in of_agents):
+            return ()
+        return tuple(script.name for script in self.agent.scripts)
+
     def with_agents(self, **changes: Any) -> Program:
         """Return the program with the same fields of every agent changed."""
         return replace(self, agents={name: replace(agent, **changes) for name, agent in self.agents.items()})

@@ -530,11 +530,13 @@ class SelfPlay:
         every: The number of steps after which the present policy becomes a member of the pool.
         pool: The largest number of members.
         newest: The share of the worlds in which the policy plays against itself.
+        scripts: The share of the worlds in which it plays against scripts.
     """
 
     every: int
     pool: int
     newest: float
+    scripts: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -507,6 +507,14 @@ class BatchWorlds(Worlds):
             masks[rows] = episodes.batch.action_masks()[rows]
         return masks
 
+    def scripted(self, name: str) -> Array:
+        (_, first), *others = self._batches.items()
+        actions = np.asarray(first.batch.script(name))
+        for stage, episodes in others:
+            rows = self._rows_in(stage)
+            actions[rows] = np.asarray(episodes.batch.script(name))[rows]
+        return actions
+
     def step_all(self, actions: Any) -> WorldsStep:
         rewards, dones = np.zeros(self.rows, np.float32), np.zeros(self.rows, bool)
         agent_rewards = {agent: np.zeros(self.rows, np.float32) for agent in self._term_places}

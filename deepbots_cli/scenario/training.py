@@ -84,6 +84,8 @@ class SelfPlay(Section):
     newest: Fraction = 0.5
     """Share of the environments in which the policy plays against itself, and learns from both sides. In the
     others it plays against a random member of the pool."""
+    scripts: Fraction = 0.0
+    """Share of the environments in which the policy plays against a random script of the other agent."""
 
 
 class PolicyNetwork(Section):

@@ -33,7 +33,7 @@ PLAYED = SHARED.replace(
 @given(worlds=st.integers(1, 200), newest=st.floats(0, 1))
 def test_the_policy_plays_one_or_both_sides_of_each_world(worlds: int, newest: float) -> None:
     sides = Sides.divided(worlds, newest)
-    first, second, past = set(sides.first), set(sides.second), set(sides.past)
+    first, second, past = set(sides.first), set(sides.second), set(sides.others)
     assert first | second == set(range(worlds))
     assert past == first ^ second  # there another policy plays the other side
     assert abs(len(first) - len(second)) <= 1
