@@ -30,9 +30,18 @@ PLAYED = SHARED.replace(
 ).replace("n_steps: 64", "n_steps: 32")
 
 
-@given(worlds=st.integers(1, 200), newest=st.floats(0, 1))
-def test_the_policy_plays_one_or_both_sides_of_each_world(worlds: int, newest: float) -> None:
-    sides = Sides.divided(worlds, newest)
+SCRIPTED = PLAYED.replace("newest: 50 %", "newest: 25 %, scripts: 50 %").replace(
+    "5 * left.angle / rad}", "5 * left.angle / rad}, ahead: {drive: 1}"
+)
+
+
+@given(worlds=st.integers(1, 200), newest=st.floats(0, 1), scripts=st.floats(0, 1))
+def test_the_policy_plays_one_or_both_sides_of_each_world(
+    worlds: int, newest: float, scripts: float
+) -> None:
+    sides = Sides.divided(worlds, newest, scripts)
+    assert set(sides.scripted) <= set(sides.others)
+    assert len(sides.scripted) == min(len(sides.others), round(scripts * worlds))
     first, second, past = set(sides.first), set(sides.second), set(sides.others)
     assert first | second == set(range(worlds))
     assert past == first ^ second  # there another policy plays the other side
@@ -72,8 +81,11 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
     assert [(number, ending.row) for number, ending in part.endings] == sorted(expected)
 
 
-def test_an_interrupted_training_with_self_play_becomes_the_same(tmp_path: Path) -> None:
-    scenario = written(tmp_path, PLAYED)
+@pytest.mark.parametrize(("text", "worlds"), [(PLAYED, 4), (SCRIPTED, 4), (SCRIPTED, 16)])
+def test_an_interrupted_training_with_self_play_becomes_the_same(
+    tmp_path: Path, text: str, worlds: int
+) -> None:
+    scenario = written(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
     deepbots_cli.train(scenario, run=tmp_path / "whole", seed=2)
     assert deepbots_cli.train(scenario, run=tmp_path / "cut", seed=2, progress=At(900)).interrupted
     resumed = deepbots_cli.resume(tmp_path / "cut")
@@ -116,9 +128,37 @@ def test_past_policies_act_with_the_weights_of_their_time(
     assert len(set(digests.values())) == len(digests) == 5
 
 
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_scripts_of_the_scenario_play_the_other_side(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str
+) -> None:
+    seen = []
+    collect = SelfPlayLearner.collect
+
+    def watched(learner: SelfPlayLearner) -> bool:
+        collected = collect(learner)
+        seen.append((learner._last.columns["opponents"], learner._last.actions, learner._sides))
+        return collected
+
+    monkeypatch.setattr(SelfPlayLearner, "collect", watched)
+    text = SCRIPTED.replace("environments: 4", "environments: 16").replace("arena:", f"engine: {engine}, arena:")
+    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", seed=2)
+    ahead = 0
+    for opponents, actions, sides in seen:
+        assert set(np.unique(opponents[:, sides.scripted])) <= {-2, -3}  # lean and ahead
+        assert opponents[:, sides.others].max() < 3
+        for side, worlds in ((1, sides.others[::2]), (0, sides.others[1::2])):
+            is_ahead = opponents[:, worlds] == -3
+            ahead += is_ahead.sum()
+            assert (actions[:, worlds, side][is_ahead] == 1).all()
+    assert ahead > 100
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("newest: 50 %, scripts: 20 %", "newest: 50 %, scripts: 60 %", "`scripts` of `self_play` are shares"),
+        ("scripts: {lean: {drive: 5 * left.angle / rad}}", "", "needs agents with `scripts`"),
         (
             "{like: left, robots: [right]}",
             "{like: left, robots: [right], reward: {alive: 1}}",
@@ -134,9 +174,10 @@ def test_past_policies_act_with_the_weights_of_their_time(
     ],
 )
 def test_self_play_of_unequal_agents_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
-    assert old in PLAYED
+    text = PLAYED.replace("newest: 50 %", "newest: 50 %, scripts: 20 %") if "scripts" in message else PLAYED
+    assert old in text
     with pytest.raises(UsageError, match=message):
-        deepbots_cli.train(written(tmp_path, PLAYED.replace(old, new)), run=tmp_path / "run")
+        deepbots_cli.train(written(tmp_path, text.replace(old, new)), run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
