@@ -292,7 +292,7 @@ class Runner:
         if self._begin is not None:
             time.sleep(max(0.0, self._begin + self.simulation.ticks / 1000 - time.monotonic()))
         try:
-            self.simulation.advance()
+            self.simulation.run_step()
         except FloatingPointError as error:
             self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
             self.is_over = True

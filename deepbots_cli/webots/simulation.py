@@ -128,7 +128,7 @@ class Simulation:
 
     # Steps
 
-    def advance(self) -> None:
+    def run_step(self) -> None:
         """Advance by one basic time step."""
         outbox, self._outbox = self._outbox, []
         started = time.thread_time()
@@ -149,7 +149,7 @@ class Simulation:
 
     def _advance_alone(self, robot: Robot, period: int) -> int:
         for _ in range(max(1, -(-period // self.basic_step))):
-            self.advance()
+            self.run_step()
         return 0
 
     def ask_for_reset(self) -> None:

@@ -31,7 +31,7 @@ OLDEST_RELEASE = (2022, "a")
 
 _TOKEN = re.compile(
     r"""[\s,]+|\#[^\n]*                # white space, commas and comments
-    |("(?:[^"\\]|\\.)*+")              # 1: a string
+    |("[^"\\]*+(?:\\.[^"\\]*+)*")              # 1: a string
     |([\[\]{}])                        # 2: a bracket
     |([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=[\s,\[\]{}"\#]|\Z))  # 3: a number
     |([^\s,\[\]{}"\#]+)                # 4: a word
@@ -165,11 +165,11 @@ class _Parser:
         self.depth = self.count = 0
         self.token = _Token(0, "", 0)
         self.end = 0
-        self.advance()
+        self.take()
 
     # Tokens
 
-    def advance(self) -> _Token:
+    def take(self) -> _Token:
         """Return the present token, and go to the next one."""
         before = self.token
         while True:
@@ -204,12 +204,12 @@ class _Parser:
     def expect(self, text: str) -> _Token:
         if self.token.text != text or self.token.kind not in (2, 4):
             raise self._unexpected(f"'{text}'")
-        return self.advance()
+        return self.take()
 
     def word(self, what: str) -> _Token:
         if self.token.kind != 4 or not _NAME.match(self.token.text):
             raise self._unexpected(what)
-        return self.advance()
+        return self.take()
 
     # Files
 
@@ -219,7 +219,7 @@ class _Parser:
         while self.token.kind:
             text = self.token.text
             if text == "IMPORTABLE":
-                self.advance()
+                self.take()
             elif text == "EXTERNPROTO":
                 document.externs.append(self.extern())
             elif text == "PROTO":
@@ -255,14 +255,14 @@ class _Parser:
         return header[1]
 
     def extern(self) -> Extern:
-        self.advance()
+        self.take()
         if self.token.kind != 1:
             raise self._unexpected("an address in quotes")
-        token = self.advance()
+        token = self.take()
         return Extern(_unquoted(token.text), self._span(token))
 
     def proto(self, *, may_be_template: bool) -> Proto:
-        self.advance()
+        self.take()
         name = self.word("the name of the PROTO")
         self.expect("[")
         interface = self.interface(end="]")
@@ -277,7 +277,7 @@ class _Parser:
             self.token = _Token(0, "", self.end)
             return proto
         outer, self.definitions = self.definitions, {}
-        self.advance()
+        self.take()
         while self.token.text != "}":
             if not self.token.kind:
                 raise self._unexpected("'}'")
@@ -285,7 +285,7 @@ class _Parser:
                 self.extern()
                 continue
             proto.body.append(self.node_or_use())
-        self.advance()
+        self.take()
         self.definitions = outer
         if not proto.body:
             raise self._error(name, f"PROTO {name.text} has no node")
@@ -296,7 +296,7 @@ class _Parser:
         while self.token.text != end or (not end and self.token.kind):
             if self.token.text not in _FIELD_WORDS:
                 raise self._unexpected("'field'")
-            self.advance()
+            self.take()
             kind = self.word("the type of the field")
             if not _FIELD_TYPE.match(kind.text):
                 raise self._error(kind, f"there is no type {kind.text[:40]}")
@@ -305,15 +305,15 @@ class _Parser:
                 allowed = self.allowed_values()
             name = self.word("the name of the field")
             fields[name.text] = Parameter(name.text, kind.text, self.value(), allowed)
-        self.advance()
+        self.take()
         return fields
 
     def allowed_values(self) -> tuple[Item, ...]:
-        self.advance()
+        self.take()
         items: list[Item] = []
         while self.token.text != "}":
             items.extend(self.value().items)
-        self.advance()
+        self.take()
         return tuple(items)
 
     # Nodes and values
@@ -334,12 +334,12 @@ class _Parser:
         self._deeper(token)
         while self.token.text != "}":
             if self.token.text in ("hidden", "unconnected"):
-                self.advance()
+                self.take()
             key = self.word("the name of a field or '}'")
             if key.text in node.fields:
                 raise self._error(key, f"the field {key.text} is written twice")
             node.fields[key.text] = self.value()
-        self.advance()
+        self.take()
         self.depth -= 1
         return node
 
@@ -352,19 +352,19 @@ class _Parser:
         first = self.token
         value = Value(self._span(first), [])
         if first.text == "[" and first.kind == 2:
-            self.advance()
+            self.take()
             self._deeper(first)
             value.in_brackets = True
             while self.token.text != "]" or self.token.kind != 2:
                 value.items.append(self.item())
             self.depth -= 1
-            self.advance()
+            self.take()
         elif first.text == "IS" and first.kind == 4:
-            self.advance()
+            self.take()
             value.alias = self.word("the name of a field of the PROTO").text
         elif first.kind == 3:
             while self.token.kind == 3:
-                value.items.append(float(self.advance().text))
+                value.items.append(float(self.take().text))
         else:
             value.items.append(self.item())
         return value
@@ -372,25 +372,25 @@ class _Parser:
     def item(self) -> Item:
         token = self.token
         if token.kind == 1:
-            self.advance()
+            self.take()
             return _unquoted(token.text)
         if token.kind == 3:
-            self.advance()
+            self.take()
             return float(token.text)
         if token.kind != 4:
             raise self._unexpected("a value")
         if token.text in _CONSTANTS:
-            self.advance()
+            self.take()
             return _CONSTANTS[token.text]
         if token.text == "USE":
-            self.advance()
-            name = self.advance().text
+            self.take()
+            name = self.take().text
             if name not in self.definitions:
                 raise self._error(token, f"USE of '{name[:40]}', which no DEF names before")
             return self.definitions[name]
         if token.text == "DEF":
-            self.advance()
-            return self.node(self.advance().text)
+            self.take()
+            return self.node(self.take().text)
         return self.node()
 
 

@@ -296,7 +296,7 @@ def test_what_runs_nothing_needs_no_extra(tmp_path):
         "compile cartpole",
         "inspect cartpole",
         "scenarios",
-        "schema --for cartpole",
+        "lsp --schema --for cartpole",
         "new cartpole there --from cartpole",
         "compile cartpole --project here",
         "explain DB603",

@@ -95,7 +95,7 @@ def check_verbs(damaged: Case) -> int:
     name = str(damaged.main)
     for words, allowed in (
         (("fmt", "--diff", name), (0, 1)),
-        (("schema", "--for", name), (0, 1, 2)),
+        (("lsp", "--schema", "--for", name), (0, 1, 2)),
         (("diff", name, name), (0, 2)),
     ):
         out, err = io.StringIO(), io.StringIO()

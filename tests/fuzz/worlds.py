@@ -52,7 +52,7 @@ def check(number: int) -> str:
         scene = build_scene(world)
         world.findings.require_none()
         simulation = Simulation(scene, world.span)
-        simulation.advance()
+        simulation.run_step()
     except DeepbotsError:
         return "findings"
     except FloatingPointError:

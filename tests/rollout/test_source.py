@@ -22,7 +22,7 @@ SCENARIO = [
     ["bench", "?"],
     ["compile", "?"],
     ["compile", "?", "--project", "made"],
-    ["schema", "--for", "?"],
+    ["lsp", "--schema", "--for", "?"],
 ]
 RUN = [
     ["eval", "?"],

@@ -20,7 +20,7 @@ def reading(simulation, name: str, period: int = 8):
     """Enable a sensor, and return it after its first measurement."""
     sensor = device(simulation, name)
     sensor.enable(period)
-    simulation.advance()
+    simulation.run_step()
     return sensor
 
 
@@ -33,7 +33,7 @@ def test_a_sensor_measures_first_after_its_period_and_then_once_in_each():
     gps.enable(24)
     seen = []
     for _ in range(7):
-        simulation.advance()
+        simulation.run_step()
         seen.append(gps.getValues()[0])
     assert [math.isnan(value) for value in seen[:2]] == [True, True]
     assert seen[2:] == pytest.approx([0.024] * 3 + [0.048] * 2)
@@ -53,9 +53,9 @@ def test_a_sampling_period_is_whole_basic_steps():
     simulation = simulate(robot("GPS { }", "linearVelocity 1 0 0"), 32, gravity="0 0 0")
     gps = device(simulation, "gps")
     gps.enable(33)
-    simulation.advance()
+    simulation.run_step()
     assert math.isnan(gps.getValues()[0])
-    simulation.advance()
+    simulation.run_step()
     assert gps.getValues()[0] == pytest.approx(0.064)
 
 
@@ -148,7 +148,7 @@ def test_noise_has_its_deviation():
     gps.enable(8)
     values = []
     for _ in range(500):
-        simulation.advance()
+        simulation.run_step()
         values.append(gps.getValues()[0])
     deviation = math.sqrt(sum(value**2 for value in values) / len(values))
     assert deviation == pytest.approx(0.5, rel=0.15)
@@ -284,7 +284,7 @@ def test_a_lidar_measures_row_by_row_from_the_left():
     lidar = device(simulation, "lidar")
     lidar.enable(8)
     lidar.enablePointCloud()
-    simulation.advance()
+    simulation.run_step()
     image = lidar.getRangeImage()
     eighth = math.pi / 8
     middle = [2 / math.sin(3 * eighth), 0.5 / math.cos(eighth), 0.5 / math.cos(eighth), math.inf]
@@ -313,7 +313,7 @@ def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
     sensor.enable(8)
     values = []
     for _ in range(400):
-        simulation.advance()
+        simulation.run_step()
         values.append(sensor.getValue())
     mean = sum(values) / len(values)
     deviation = math.sqrt(sum((value - mean) ** 2 for value in values) / len(values))
@@ -359,7 +359,7 @@ def exchange(emitter: str = "", receiver: str = "", message: object = b"hello"):
     device(simulation, "receiver", 0).enable(32)
     sent = sender.send(message)
     assert inbox.getQueueLength() == 0
-    simulation.advance()
+    simulation.run_step()
     assert device(simulation, "receiver", 0).getQueueLength() == 0  # no robot hears itself
     return inbox, sent
 
@@ -417,7 +417,7 @@ def test_messages_keep_their_order():
     inbox.enable(64)
     for number in range(4):
         device(simulation, "emitter", 0).send(f"{number}")
-        simulation.advance()
+        simulation.run_step()
     assert [inbox.getString(), inbox.nextPacket(), inbox.getString(), inbox.getQueueLength()] == [
         "0",
         None,

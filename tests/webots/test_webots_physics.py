@@ -33,7 +33,7 @@ def test_a_pendulum_swings_with_its_period():
     simulation = simulate(text)
     times, before = [], None
     for step in range(1000):
-        simulation.advance()
+        simulation.run_step()
         now = node(simulation, "ROD").getVelocity()[4]
         if before is not None and before < 0 <= now:
             times.append(step * 0.008 + 0.008 * before / (before - now))
@@ -75,7 +75,7 @@ def test_a_ball_bounces_with_its_share_of_the_speed(bounce: float):
     run(simulation, 0.44)
     fast = 0.0
     for _ in range(100):
-        simulation.advance()
+        simulation.run_step()
         fast = max(fast, node(simulation, "BODY").getVelocity()[2])
     assert fast == pytest.approx(bounce * math.sqrt(2 * 9.81 * 1.0), rel=0.04)
 
@@ -103,7 +103,7 @@ def test_a_motor_reaches_its_velocity_in_one_step(step: int):
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
-    simulation.advance()
+    simulation.run_step()
     assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-3)
     run(simulation, 1)
     assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(3, rel=1e-4)
@@ -180,7 +180,7 @@ def test_damping_slows_exponentially():
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
-    simulation.advance()
+    simulation.run_step()
     motor.setTorque(0)
     run(simulation, 0.2)
     left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
@@ -193,7 +193,7 @@ def test_a_brake_adds_damping():
     motor, brake = device(simulation, "rotational motor"), device(simulation, "brake")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
-    simulation.advance()
+    simulation.run_step()
     motor.setTorque(0)
     brake.setDampingConstant(4)
     run(simulation, 0.2)
@@ -258,7 +258,7 @@ def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
         f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity="0 0 0"
     )
     node(simulation, "BODY").addForce([0.0, 0.0, 1.0], False)
-    simulation.advance()
+    simulation.run_step()
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
 
 
@@ -269,7 +269,7 @@ def test_stated_inertia_and_center_replace_those_of_the_outline():
     body = node(simulation, "BODY")
     assert body.getCenterOfMass() == pytest.approx([0.1, 0, 0])
     body.addTorque([0.0, 0.0, 1.0], False)
-    simulation.advance()
+    simulation.run_step()
     assert body.getVelocity()[5] == pytest.approx(0.008 / 0.04, rel=0.01)
 
 

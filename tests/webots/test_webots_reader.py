@@ -266,7 +266,7 @@ def survives(text: str) -> None:
         world.findings.require_none()
         simulation = Simulation(scene, world.span)
         for _ in range(2):
-            simulation.advance()
+            simulation.run_step()
     except (DeepbotsError, FloatingPointError):
         pass
 

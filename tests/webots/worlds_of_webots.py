@@ -33,7 +33,7 @@ def simulate(text: str, step: int = 8, **info: object) -> Simulation:
 
 def run(simulation: Simulation, seconds: float) -> None:
     for _ in range(round(seconds * 1000 / simulation.basic_step)):
-        simulation.advance()
+        simulation.run_step()
 
 
 def node(simulation: Simulation, name: str) -> Node:
