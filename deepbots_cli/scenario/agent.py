@@ -190,8 +190,8 @@ class Ending(Section):
     when: Condition
     """The condition."""
     ends: AgentNames = ALL_AGENTS
-    """The agents whose episode ends: names such as `left`, or `all`. Others go on; the episode of the world ends with that of
-    the last agent."""
+    """The agents whose episode ends: names such as `left`, or `all`. Others go on; the episode of the world
+    ends with that of the last agent."""
     success: AgentNames = ()
     """The agents that have then succeeded: names, or `all`."""
     failure: AgentNames = ()
