@@ -36,9 +36,7 @@ SCRIPTED = PLAYED.replace("newest: 50 %", "newest: 25 %, scripts: 50 %").replace
 
 
 @given(worlds=st.integers(1, 200), newest=st.floats(0, 1), scripts=st.floats(0, 1))
-def test_the_policy_plays_one_or_both_sides_of_each_world(
-    worlds: int, newest: float, scripts: float
-) -> None:
+def test_the_policy_plays_one_or_both_sides_of_each_world(worlds: int, newest: float, scripts: float) -> None:
     sides = Sides.divided(worlds, newest, scripts)
     assert set(sides.scripted) <= set(sides.others)
     assert len(sides.scripted) == min(len(sides.others), round(scripts * worlds))
@@ -141,7 +139,9 @@ def test_scripts_of_the_scenario_play_the_other_side(
         return collected
 
     monkeypatch.setattr(SelfPlayLearner, "collect", watched)
-    text = SCRIPTED.replace("environments: 4", "environments: 16").replace("arena:", f"engine: {engine}, arena:")
+    text = SCRIPTED.replace("environments: 4", "environments: 16").replace(
+        "arena:", f"engine: {engine}, arena:"
+    )
     deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", seed=2)
     ahead = 0
     for opponents, actions, sides in seen:
