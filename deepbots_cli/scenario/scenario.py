@@ -364,9 +364,8 @@ class ScenarioTest(Section):
     """Of several agents, the one whose results are expected, and whose names conditions may use. Default: the
     first one."""
     driver: Annotated[dict[AgentName, Annotated[str, Reference("driver")]] | DriverName, FORMS] | None = None
-    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice).
-    Of several agents, the driver of each: `{hunter: chase, prey: zero}`; an agent without one acts by its
-    script of the common name, else by its first script, else at random."""
+    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice); or
+    who acts for each of several agents."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them. Of several agents, the action of
     each: `{hunter: {gas: 1}, prey: {gas: 0}}`; an agent without one does nothing in this step."""
