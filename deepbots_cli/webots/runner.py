@@ -64,7 +64,6 @@ class Controller:
     steps: int = 0
     steps_after_end: int = 0
     exit_code: int = 0
-    error: str = ""
 
     @property
     def name(self) -> str:

@@ -23,10 +23,11 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.webots.project import Files, world_of_source
 from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
-from tests.fuzz.mutations import SEEDS, damaged
+from tests.fuzz.mutations import damaged
 from tests.fuzz.workbench import peak_memory
 
 ROOT = Path(__file__).parents[2]
+SEEDS = Path(__file__).parent / "seeds_of_worlds"
 SECONDS = 20
 """The time that one world may take."""
 MEMORY = 1 << 30
