@@ -58,9 +58,8 @@ def test_who_leaves_the_ring_loses(seed: int) -> None:
 
 def test_in_sumo_both_agents_observe_the_same_from_their_own_side() -> None:
     with closing(deepbots_cli.parallel_env("sumo")) as environment:
-        start = {"reset.place.red.x": -0.2, "reset.place.red.y": 0.0, "reset.place.red.yaw": 0.3}
-        turned = {"reset.place.blue.x": 0.2, "reset.place.blue.y": 0.0, "reset.place.blue.yaw": 0.3 - 3.14159}
-        observed, _ = environment.reset(seed=0, options={"draws": {**start, **turned}})
+        draws = {"away": 0.2, "aside": 0.1, "reset.place.red.yaw": 0.3, "reset.place.blue.yaw": 0.3 + np.pi}
+        observed, _ = environment.reset(seed=0, options={"draws": draws})
         assert observed["red"] == pytest.approx(observed["blue"], abs=1e-3)
 
 
