@@ -120,13 +120,13 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
         with closing(env):
             generator = np.random.default_rng(1)
             for _ in range(120):
-                observations, rewards, dones, _, endings, _ = env.step_all(generator.integers(0, 2, env.rows))
+                step = env.step_all(generator.integers(0, 2, env.rows))
                 seen.append(
                     (
-                        observations.tolist(),
-                        rewards.tolist(),
-                        dones.tolist(),
-                        [ending.episode for ending in endings],
+                        step.observations.tolist(),
+                        step.rewards.tolist(),
+                        step.dones.tolist(),
+                        [ending.episode for ending in step.endings],
                     )
                 )
                 of_stages.append(sum(stages))
