@@ -25,7 +25,7 @@ inventory.py    the names of a scenario by kind, for editors and its JSON Schema
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -75,6 +75,8 @@ from deepbots_cli.diagnostics import Finding, Findings, TooManyFindings
 from deepbots_cli.document import Document
 from deepbots_cli.document.hints import number_fix
 from deepbots_cli.program import Program
+from deepbots_cli.program.resets import Reset
+from deepbots_cli.program.robots import Link
 from deepbots_cli.program.task import (
     ONLY_AGENT,
     ActionPart,
@@ -287,17 +289,8 @@ def _program(namespace: Namespace) -> Program:
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
     each = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
-    between = route("between_robots", namespace)
-    links = tuple(link for builder in builders for link in builder.links(between))
-    if links and each is not None:
-        namespace.values.add_at_key(
-            "DB108",
-            ("robots", links[0].receiver, "hear"),
-            "`hear` together with copies of a robot is not supported yet",
-            "remove it",
-        )
+    links = _links(namespace, builders, has_copies=each is not None)
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
-    poses = {builder.robot.name: builder.poses for builder in builders}
     agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
     ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
@@ -319,13 +312,7 @@ def _program(namespace: Namespace) -> Program:
         },
         endings=signals.endings(),
         truncation=limits,
-        reset=replace(
-            reset,
-            joint_starts=joint_starts(namespace, poses),
-            settle=settling_time(namespace, timestep),
-            variations=(*namespace.fields.variations, *namespace.fields.colors),
-            groups=tuple(namespace.groups.values()),
-        ),
+        reset=_complete_reset(reset, namespace, builders, timestep),
         action_repeat=spec.agent.action_repeat,
         evaluation=Evaluation(spec.evaluation.episodes),
         disturbances=disturbances(namespace),
@@ -338,6 +325,33 @@ def _program(namespace: Namespace) -> Program:
     )
     return with_reading_ages(
         replace(program, robots=sending, ros=topics(namespace, program), levels=levels(namespace, program))
+    )
+
+
+def _links(namespace: Namespace, builders: Sequence[RobotBuilder], *, has_copies: bool) -> tuple[Link, ...]:
+    """Return the channels between robots."""
+    between = route("between_robots", namespace)
+    links = tuple(link for builder in builders for link in builder.links(between))
+    if links and has_copies:
+        namespace.values.add_at_key(
+            "DB108",
+            ("robots", links[0].receiver, "hear"),
+            "`hear` together with copies of a robot is not supported yet",
+            "remove it",
+        )
+    return links
+
+
+def _complete_reset(
+    reset: Reset, namespace: Namespace, builders: Sequence[RobotBuilder], timestep: float
+) -> Reset:
+    """Return the reset with what is known once all values of the file have been read."""
+    return replace(
+        reset,
+        joint_starts=joint_starts(namespace, {builder.robot.name: builder.poses for builder in builders}),
+        settle=settling_time(namespace, timestep),
+        variations=(*namespace.fields.variations, *namespace.fields.colors),
+        groups=tuple(namespace.groups.values()),
     )
 
 

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import combinations, product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -21,7 +22,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import Scores, agent_scores
 from deepbots_cli.learning.policy import loaded
-from deepbots_cli.learning.run import ModelRef
+from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 from deepbots_cli.learning.statistics import Interval, wilson
 from deepbots_cli.program import Program, identity
@@ -119,16 +120,7 @@ def play_matches(
     """
     refs = [run if isinstance(run, ModelRef) else ModelRef.open(run) for run in runs]
     first = refs[0].run if refs else None
-    if scenario is not None:
-        program = _world_of(api.compile(scenario).program)
-    elif first is not None:
-        program = _world_of(first.program)
-    else:
-        raise UsageError("a match needs a run or a scenario")
-    if len(program.members) != 2:
-        raise UsageError(
-            f"a match needs a scenario with two agents; {program.name} has {max(1, len(program.members))}"
-        )
+    program = _played_program(first, scenario)
     if seed is None:
         seed = 0 if first is None else first.evaluation_seed
     starts = [
@@ -139,10 +131,7 @@ def play_matches(
     players = _players(program, refs, is_symmetric=is_symmetric)
     rows = [player for player in players if one in player.drivers]
     columns = [player for player in players if two in player.drivers]
-    if is_symmetric:
-        pairs = [(a, b) for place, a in enumerate(rows) for b in rows[place + 1 :]]
-    else:
-        pairs = [(a, b) for a in rows for b in columns]
+    pairs = [*combinations(rows, 2)] if is_symmetric else [*product(rows, columns)]
     count, total = 0, len(pairs) * len(starts) * (2 if is_symmetric else 1)
 
     def counted(done: Iterator[Episode]) -> Iterator[Episode]:
@@ -179,6 +168,21 @@ def play_matches(
         seed=seed,
         matches=tuple(matches),
     )
+
+
+def _played_program(run: Run | None, scenario: str | Path | Compiled | None) -> Program:
+    """Return the program of both agents: of the scenario, or of the run."""
+    if scenario is not None:
+        program = _world_of(api.compile(scenario).program)
+    elif run is not None:
+        program = _world_of(run.program)
+    else:
+        raise UsageError("a match needs a run or a scenario")
+    if len(program.members) != 2:
+        raise UsageError(
+            f"a match needs a scenario with two agents; {program.name} has {max(1, len(program.members))}"
+        )
+    return program
 
 
 def _world_of(program: Program) -> Program:

@@ -14,7 +14,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from time import perf_counter
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import torch
@@ -29,6 +29,7 @@ from deepbots_cli.learning.held_out import EvaluationWorlds
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import longest_episode
+from deepbots_cli.program import Program
 from deepbots_cli.program.levels import LIMITS, SUCCESS
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout import Episode
@@ -41,7 +42,7 @@ from deepbots_cli.rollout.collector import (
     Order,
     RunningEpisode,
 )
-from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, Array, BatchWorlds, Worlds
+from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, AgentTerms, Array, BatchWorlds, Worlds
 from deepbots_cli.runtime.streams import derive_seed
 
 
@@ -63,6 +64,21 @@ class WorldPlan:
 def world_seed(run: Run, world: int) -> int:
     """Return the seed of the first episode of a world."""
     return derive_seed(run.record.seed, "environment", world)
+
+
+class _Calls(TypedDict):
+    """The functions that worlds call."""
+
+    on_step: Callable[[], None]
+    on_episode: Callable[[int, Episode], None]
+    options: Callable[[int], Mapping[str, Any] | None]
+
+
+class _OfAgents(TypedDict):
+    """The arguments of worlds about several agents."""
+
+    agent_terms: AgentTerms
+    agents_alone: Sequence[str]
 
 
 def make_worlds(
@@ -88,8 +104,6 @@ def make_worlds(
     engine = run.record.engine
     seeds = [world_seed(run, number) for number in plan.numbers]
     levels = run.program.levels
-    agent_terms = {name: [*member.terms.values()] for name, member in run.program.members.items()}
-    agents_alone = [name for name, member in run.program.members.items() if member.alone]
     outcomes: list[list[str]] = [[] for _ in seeds]
 
     def guarded(stage: int) -> FailureRecorder:
@@ -122,6 +136,7 @@ def make_worlds(
         seed = next_seed(world)
         return None if seed is None else (guarded(stages[world]), seed)
 
+    calls: _Calls = {"on_step": on_step, "on_episode": end, "options": options}
     env: Worlds
     if not reasons_against_batch(run.program, len(seeds), engine, plan.build):
         recorder = BatchFailureRecorder(run, guarded, next_episode, curriculum, note)
@@ -129,30 +144,26 @@ def make_worlds(
             lambda stage: build_batch(curriculum.scenario_of(stage).with_critic, len(seeds), engine=engine),
             seeds,
             stages if levels is None else None,
-            on_step=on_step,
-            on_episode=end,
             next_seed=next_seed,
-            options=options,
             recorder=recorder,
-            agent_terms=agent_terms,
-            agents_alone=agents_alone,
+            **calls,
+            **_of_agents(run.program),
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(
-            worlds,
-            seeds,
-            on_step=on_step,
-            on_episode=end,
-            next_world=next_world,
-            options=options,
-            agent_terms=agent_terms,
-            agents_alone=agents_alone,
-        )
+        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_of_agents(run.program))
     stack.callback(env.close)
     return env
+
+
+def _of_agents(program: Program) -> _OfAgents:
+    members = program.members.items()
+    return {
+        "agent_terms": {name: [*member.terms.values()] for name, member in members},
+        "agents_alone": [name for name, member in members if member.alone],
+    }
 
 
 def _level_draw(plan: WorldPlan, worlds: Worlds, world: int) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,9 @@ from deepbots_cli.cli.command import AllowCode, Force, Json, integer, option
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+
+if TYPE_CHECKING:
+    from deepbots_cli.insight.report import Report
 
 
 def command(
@@ -81,22 +84,24 @@ def command(
     for note in report.notes:
         terminal.note(f"note: {note}")
     drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
-    of_agents: dict[str, object] = {}
-    causes = []
-    if isinstance(report, of_runs.Report):
-        causes = [cause.as_json() for cause in report.causes]
-        of_agents = {
-            agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}
-            for agent in report.agents
-        }
     data = {
         "report": target,
         "result": report.result,
-        "causes": causes,
-        **({"agents": of_agents} if of_agents else {}),
+        "causes": [],
+        **(_of_run(report) if isinstance(report, of_runs.Report) else {}),
         "figures": written,
         "notes": report.notes,
     }
     terminal.show(
         data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json
     )
+
+
+def _of_run(report: Report) -> dict[str, object]:
+    """Return the causes in a run, and the results of each of several agents."""
+    of_agents = {
+        agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}
+        for agent in report.agents
+    }
+    causes = [cause.as_json() for cause in report.causes]
+    return {"causes": causes, **({"agents": of_agents} if of_agents else {})}
