@@ -101,7 +101,8 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
         before = np.concatenate(
             [team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)]
         )
-        observations, rewards, dones, _, endings, _ = copies.step_all(actions)
+        step = copies.step_all(actions)
+        observations, rewards, dones, endings = step.observations, step.rewards, step.dones, step.endings
         assert (rewards == 1.0).all()
     world = int(np.argmax(dones)) // SIZE
     rows = range(world * SIZE, world * SIZE + SIZE)
