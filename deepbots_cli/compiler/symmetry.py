@@ -16,6 +16,7 @@ from deepbots_cli.scenario.training import Symmetry as SymmetrySpec
 
 _PATH: NodePath = ("train", "symmetry")
 _MAX_LISTED = 3
+_PREVIOUS = "previous_action."
 
 
 class RangedName(NamedTuple):
@@ -91,7 +92,9 @@ class _SymmetryReader:
         return self._pattern.sub(lambda match: self._words[match[0]], name)
 
     def _changes_sign(self, name: str) -> bool:
-        return any(fnmatchcase(name, pattern) for pattern in self._flips)
+        """Return whether a number is listed under `flip`; a previous action has the sign of the action."""
+        names = (name, name.removeprefix(_PREVIOUS))
+        return any(fnmatchcase(each, pattern) for pattern in self._flips for each in names)
 
     def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
         """Return the mirror image of numbers; None after a finding."""
