@@ -126,7 +126,7 @@ class Symmetry(Section):
     `dog.q.FR_hip_joint`. A word ends at `_`, at `.` and at the ends of a name."""
     flip: Many[PlainText] = ()
     """Numbers of the observation and the action that change their sign, by name or by pattern: `wz`, `v.y`,
-    `'*_hip_joint'`."""
+    `'*_hip_joint'`. The previous action has the sign of the action."""
 
 
 AnyRate = Annotated[AdaptiveRate | Schedule, FORMS]

@@ -178,3 +178,12 @@ def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> N
     train(path, run=parts, engine="pybullet", progress=At(200))
     resume(parts)
     assert outcome(parts)["models"] == outcome(whole)["models"]
+
+
+def test_the_previous_action_has_the_sign_of_the_action(tmp_path: Path) -> None:
+    text = CART.replace("deepbots: 1\n", "deepbots: 1\nobservation: {previous_action: auto}\n", 1)
+    program = compiled(tmp_path, text)
+    names = [seen.name for seen in program.agent.inputs]
+    symmetry = symmetry_of(program)
+    assert symmetry.ranges.factors == (-1.0,)
+    assert symmetry.observation.factors[names.index("previous_action.drive")] == -1.0
