@@ -363,6 +363,8 @@ def _calculated(name: str, arguments: list[Value], place: Place) -> Value:
         return Quantity(first.text, first.unit, first.is_simple, f"the project rounds to {digits} digits")
     if arguments and all(is_number(one) for one in arguments):
         return _number(name, arguments, place)
+    if name == "clip" and isinstance(first, list):
+        return [_calculated(name, [one, *arguments[1:]], place) for one in first]
     if isinstance(first, Quantity):
         return _of_quantity(name, first, arguments, place)
     if name in ("min", "max", "hypot") and all(isinstance(one, Quantity) or is_number(one) for one in arguments):

@@ -6,6 +6,7 @@ Files, their size and the depth of their trees have limits; what is beyond them 
 from __future__ import annotations
 
 import ast
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,8 +16,6 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.imports.values import Place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.project import Files
 
@@ -171,7 +170,9 @@ def module_of(
         findings.warning(span, f"{shown} has more than {MAX_CHARACTERS:,} characters; it is not read")
         return None
     try:
-        tree = ast.parse(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as of an escape in a text that Python does not know
+            tree = ast.parse(text)
         deepest = _depth(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else "it is nested too deeply, or is no text"
@@ -217,7 +218,3 @@ def _fill(module: ModuleCode, body: list[ast.stmt]) -> None:
                     module.imported[one.asname or one.name] = f"{source or ''}.{one.name}"
             case ast.If(body=inner) | ast.Try(body=inner):
                 _fill(module, inner)
-
-
-def walk(tree: ast.AST) -> Iterator[ast.AST]:
-    return ast.walk(tree)

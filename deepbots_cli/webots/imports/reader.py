@@ -429,7 +429,7 @@ class Reader:
         for value in values:
             condition = self.truth(self.evaluate(frame, value), frame, value)
             if condition is is_or:
-                return is_or if not conditions else _several(conditions, place, is_or=is_or, last=is_or)
+                return is_or
             if not isinstance(condition, bool):
                 conditions.append(condition)
         if not conditions:
@@ -573,11 +573,9 @@ def _joined(path: tuple[Condition | Unknown, ...], place: Place) -> Condition | 
 
 
 def _several(
-    conditions: list, place: Place, *, is_or: bool, last: bool | None = None
+    conditions: list[Condition | Unknown], place: Place, *, is_or: bool
 ) -> Condition | Unknown:
     """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
-    if last is not None:
-        return Unknown(place)
     for condition in conditions:
         if isinstance(condition, Unknown):
             return Unknown(place) if len(conditions) > 1 else condition
