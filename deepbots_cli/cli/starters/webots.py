@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.cli.starters.text import aligned, yaml_name
-from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
@@ -80,13 +80,10 @@ def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> 
         scenario = Path(folder, f"{name}.yaml")
         for _ in range(_MAX_PASSES):
             scenario.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            try:
-                errors = [one for one in api.lint(scenario) if one.severity == "error"]
-            except ScenarioError as error:
-                errors = [one for one in error.findings if one.severity == "error"]
+            errors = [one for one in api.lint(scenario) if one.severity == "error"]
             if not errors:
                 return lines
-            numbers = {one.span.line for one in errors if one.span is not None}
+            numbers = {one.span.start_position.line for one in errors if one.span.source.name.endswith(scenario.name)}
             numbers = {number for number in numbers if _is_entry(lines, number)}
             if not numbers:
                 break
@@ -248,6 +245,7 @@ def _one_line(text: str) -> str:
 # Sections without an entry
 
 _PLACEHOLDERS = {
+    "action": "command: -1 .. 1",
     "observation": "previous_action: auto",
     "reward": "each_step: 0",
     "truncation": "max_steps: 1000",

@@ -338,13 +338,13 @@ def _read_choices(
         variables.append(names.new("command" if len(groups) == 1 else f"{label}_command"))
     options = []
     for index in range(count):
-        values = [number_text(column[index], motors.unit) for motors, column in groups]
+        values = [number_text(column[index]) for _, column in groups]
         pairs = ", ".join(f"{name}: {value}" for name, value in zip(variables, values, strict=True))
         options.append(f"action_{index}: {values[0] if len(groups) == 1 else f'{{{pairs}}}'}")
     key = variables[0] if len(groups) == 1 else names.new("command")
     task.action.append(Entry(key, f"{{choices: {{{', '.join(options)}}}}}"))
     for (motors, _), variable in zip(groups, variables, strict=True):
-        _actuator(task, motors, variable, parts, names)
+        _actuator(task, motors, f"{variable} * 1 {motors.unit}", parts, names)
     return True
 
 
