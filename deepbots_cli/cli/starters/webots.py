@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,8 @@ from typing import TYPE_CHECKING
 from deepbots_cli import api
 from deepbots_cli.cli.starters.text import aligned, yaml_name
 from deepbots_cli.errors import UsageError
+from deepbots_cli.webots.imports.draft import read_project
+from deepbots_cli.webots.imports.task import Entry
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
 TODO = "# TODO"
 """How a comment about a place begins that is left to a person."""
 _MAX_PASSES = 20
+_LONGEST = 140  # characters of a line of Python
 _HEAD = """\
 # From {world} of Webots. {todos}
 # What the project states in a plain form is below, with the values of the project. Webots and deepbots differ in their
@@ -42,8 +46,6 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
         WorldError: The world has errors.
         UsageError: A file cannot be read, no robot has a motor, or no valid scenario came out.
     """
-    from deepbots_cli.webots.imports.draft import read_project
-
     draft = read_project(world, library)
     robots = {PurePosixPath(_robot_file(name, one)): one.urdf().encode() for one in draft.robots}
     meshes = {
@@ -180,8 +182,6 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
 
 
 def _emit(draft: Draft) -> list[str]:
-    from deepbots_cli.webots.imports.task import Entry
-
     emit = draft.task.emit
     entries = [one for one in emit if isinstance(one, Entry)]
     lines = _comments(emit, "    ")
@@ -197,28 +197,40 @@ def _section(key: str, items: Sequence[Item]) -> list[str]:
 
 
 def _items(items: Sequence[Item], indent: str) -> list[str]:
-    from deepbots_cli.webots.imports.task import Entry
-
     lines = []
     for one in items:
         if isinstance(one, Entry):
             note = f"    # {one.note}" if one.note else ""
+            if one.value.startswith("{choices: ") and len(one.value) > _LONGEST // 2:
+                lines += _choices(one, indent)
+                continue
             lines.append(aligned(f"{indent}{one.key}: {one.value}{note}"))
         else:
             lines += _comments([one], indent)
     return lines
 
 
-def _comments(items: Sequence[Item], indent: str) -> list[str]:
-    from deepbots_cli.webots.imports.task import Entry
+def _choices(entry: Entry, indent: str) -> list[str]:
+    """Return an action of several options with a line for each."""
+    options = entry.value.removeprefix("{choices: {").removesuffix("}}")
+    lines = re.sub(r"(?:^|, )(?=action_\d+: )", f"\n{indent}    ", options).splitlines()
+    return [f"{indent}{entry.key}:", f"{indent}  choices:", *lines[1:]]
 
+
+def _comments(items: Sequence[Item], indent: str) -> list[str]:
     lines = []
     for one in items:
         if not isinstance(one, Entry):
             about = f"{one.about}, " if one.about else ""
             where = f"from {one.place}" if one.place.line else f"of {one.place.python}"
             lines.append(f"{indent}{TODO}: {about}{_one_line(where)}")
+            lines += [f"{indent}#     {_visible(line)}" for line in one.python]
     return lines
+
+
+def _visible(line: str) -> str:
+    """Return a line of Python without characters that YAML refuses."""
+    return "".join(letter if letter.isprintable() else "?" for letter in line)[:_LONGEST]
 
 
 def _endings(draft: Draft) -> list[str]:
@@ -230,8 +242,6 @@ def _endings(draft: Draft) -> list[str]:
 
 
 def _solved(draft: Draft) -> list[str]:
-    from deepbots_cli.webots.imports.task import Entry
-
     lines = [""]
     for one in draft.task.solved:
         lines += [f"solved: {one.value}"] if isinstance(one, Entry) else _comments([one], "")

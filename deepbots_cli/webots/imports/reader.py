@@ -177,6 +177,8 @@ class Reader:
                 self._assign(frame, target, self.evaluate(frame, value))
             case ast.AugAssign(target=target, op=op, value=value):
                 before = self.evaluate(frame, _loaded(target))
+                if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
+                    return False  # the counter of the project, which the language counts itself
                 result = self._binary(op, before, self.evaluate(frame, value), frame, statement)
                 self._assign(frame, target, result)
             case ast.Expr(value=value):
@@ -481,8 +483,10 @@ def merged(condition: Condition | Unknown, one: Value, other: Value, place: Plac
     """Return `one if condition else other`."""
     if _is_same(one, other):
         return one
+    if isinstance(condition, Condition) and condition.unknown is not None:
+        condition = Unknown(condition.unknown.place)
     if isinstance(condition, Unknown):
-        return condition
+        return _merged_unknown(condition, one, other)
     if isinstance(one, Unknown) or isinstance(other, Unknown):
         return one if isinstance(one, Unknown) else other
     if isinstance(one, bool | Condition) and isinstance(other, bool | Condition):
@@ -493,6 +497,15 @@ def merged(condition: Condition | Unknown, one: Value, other: Value, place: Plac
     return _short(
         Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), place
     )
+
+
+def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
+    """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
+    if one is True and isinstance(other, Condition):
+        return Condition((*other.parts, Part("", condition.place)))
+    if one is True and other is False:
+        return Condition((Part("", condition.place),))
+    return condition
 
 
 def _merged_truth(
@@ -565,6 +578,8 @@ def _copied(state: tuple[dict, ...]) -> tuple[dict, ...]:
 def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown:
     if isinstance(condition, Unknown):
         return condition
+    if condition.unknown is not None:
+        return Unknown(condition.unknown.place)
     return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
 
 
@@ -583,6 +598,8 @@ def _several(
         return conditions[0]
     if is_or:
         return _checked(Condition(tuple(part for condition in conditions for part in condition.parts)), place)
+    if any(condition.unknown for condition in conditions):
+        return Unknown(place)
     text = " and ".join(f"({condition.text})" for condition in conditions)
     notes = [part.note for condition in conditions for part in condition.parts if part.note]
     return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)

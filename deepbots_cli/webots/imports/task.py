@@ -10,6 +10,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from deepbots_cli.webots.imports.calls import Calls
+from deepbots_cli.webots.imports.code import last_name
 from deepbots_cli.webots.imports.names import Names, scenario_name
 from deepbots_cli.webots.imports.reader import Frame, Reader
 from deepbots_cli.webots.imports.values import (
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Device
 
 MAX_ACTIONS = 64
+_SHOWN_LINES = 30
 _AXES = ("x", "y", "z")
 _UNITS = {"velocity": "rad/s", "position": "rad", "torque": "N*m"}
 _LINEAR_UNITS = {"velocity": "m/s", "position": "m", "torque": "N"}
@@ -58,6 +60,8 @@ class Todo:
 
     place: Place
     about: str = ""
+    python: tuple[str, ...] = ()
+    """The lines of a method that is left whole."""
 
 
 Item = Entry | Todo
@@ -95,9 +99,18 @@ class Controller:
     def reader(self) -> Reader:
         """Return a reader after `__init__`."""
         reader = Reader(self.code, self.cls, self.calls)
-        reader.call("__init__", [])
+        reader.call("__init__", self._arguments(reader))
         _forget_changes(reader, self.code)
         return reader
+
+    def _arguments(self, reader: Reader) -> list[Value]:
+        """Return what the code creates the object with, where it first does."""
+        for module in self.code.modules.values():
+            for node in ast.walk(module.tree):
+                if isinstance(node, ast.Call) and last_name(node.func) == self.cls.name and node.args:
+                    frame = Frame(module, {})
+                    return [reader.evaluate(frame, argument) for argument in node.args]
+        return []
 
 
 # Attributes that change
@@ -145,7 +158,8 @@ def _changed(before: Value, statements: list[tuple[ModuleCode, ast.stmt]]) -> Va
     if all(isinstance(node, ast.AugAssign) and _adds_reward(node) for _, node in others):
         return Quantity("episode_return")
     module, node = others[0]
-    return Unknown(module.place(node))
+    unknown = Unknown(module.place(node))
+    return [unknown] * len(before) if isinstance(before, list) else unknown
 
 
 def _sets_again(node: ast.stmt, before: Value) -> bool:
@@ -223,7 +237,6 @@ def read_action(
     task: Task, controller: Controller, method: str, space: Value, parts: RobotParts, names: Names
 ) -> None:
     """Read `use_message_data` or `apply_action` into `action`, `actuators` and `apply`."""
-    place = _method_place(controller.cls, method)
     motors = [one for one in controller.calls.robot.devices.values() if one.type.endswith("Motor")]
     count = space.choices if isinstance(space, Space) else space
     read = _read_ranges(task, controller, method, space, parts, names) or _read_choices(
@@ -231,18 +244,19 @@ def read_action(
     )
     if read:
         return
-    if place is not None:
-        task.action.append(Todo(place, "the actions"))
+    if method in controller.cls.methods:
+        task.action.append(_whole(controller.cls, method, "the actions"))
     add_placeholder(task, motors, parts, names)
 
 
-def _method_place(cls: ClassCode, method: str) -> Place | None:
-    if method not in cls.methods:
-        return None
+def _whole(cls: ClassCode, method: str, about: str) -> Todo:
+    """Return a method as a place that is left to a person, with its lines."""
     module, function = cls.methods[method]
-    body = function.body[-1] if function.body else function
-    whole = module.place(body)
-    return Place(whole.file, function.lineno, f"def {method}: ... {whole.python}")
+    body = [one for one in function.body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))]
+    lines = [line for statement in body for line in ast.unparse(statement).splitlines()]
+    if len(lines) > _SHOWN_LINES:
+        lines = [*lines[:_SHOWN_LINES], "..."]
+    return Todo(Place(module.file, function.lineno, f"def {method}"), about, tuple(lines))
 
 
 def _outputs(controller: Controller, method: str, argument: Value) -> dict[tuple[str, str], Value] | None:
@@ -494,7 +508,7 @@ def read_reward(task: Task, reader: Reader) -> None:
     result = reader.call("get_reward", [Unknown(Place("get_reward", 0, "action"))])
     if result is None:
         return
-    returned, value = result
+    _, value = result
     if isinstance(value, bool):
         value = int(value)
     if is_number(value) and isfinite(value):
@@ -503,8 +517,7 @@ def read_reward(task: Task, reader: Reader) -> None:
         term = f"{value.operand} / {_divisor(value.unit)}" if value.unit else value.text
         task.reward.append(Entry("task", term, value.note))
     else:
-        places = [one.place for one in returned] or [_method_place(reader.cls, "get_reward")]
-        task.reward += [Todo(place, "the reward") for place in dict.fromkeys(places) if place is not None]
+        task.reward.append(_whole(reader.cls, "get_reward", "the reward"))
 
 
 def _divisor(unit: str) -> str:
@@ -525,7 +538,10 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
                 task.failure.append(Todo(condition.place, "an ending"))
             else:
                 for part in condition.parts:
-                    _end(task, part, names)
+                    if part.text:
+                        _end(task, part, names)
+                    else:
+                        task.failure.append(Todo(part.place, "an ending"))
 
 
 def _ending_conditions(path: tuple[Condition | Unknown, ...], value: Value) -> list[Condition | Unknown]:
@@ -537,7 +553,9 @@ def _ending_conditions(path: tuple[Condition | Unknown, ...], value: Value) -> l
     conditions = [one for one in conditions if isinstance(one, Unknown) or not one.text.startswith("not (")]
     unknown = [one for one in conditions if isinstance(one, Unknown)]
     if unknown:
-        return unknown[:1]
+        return list(unknown[:1])
+    if any(isinstance(one, Condition) and one.unknown for one in conditions) and len(conditions) > 1:
+        return [Unknown(conditions[-1].parts[0].place)]
     if len(conditions) < 2:
         return list(conditions)
     both = " and ".join(f"({one.text})" for one in conditions)
@@ -630,21 +648,13 @@ def _constant(node: ast.expr, module: ModuleCode, reader: Reader) -> Value:
     return reader.evaluate(Frame(module, {}), node)
 
 
-_READ = frozenset(
-    "__init__ get_observations get_default_observation get_reward is_done solved get_info render create_message"
-    " use_message_data apply_action".split()
-)
-
-
 def read_overridden(task: Task, cls: ClassCode) -> None:
     """Name methods of deepbots that the project writes anew, whose effect is not read."""
     for name in ("step", "reset", "handle_emitter", "handle_receiver", "run"):
         if name in cls.methods:
-            module, function = cls.methods[name]
-            place = module.place(function.body[-1])
-            about = "an own reset" if name == "reset" else f"an own {name}"
+            _, function = cls.methods[name]
             if not _only_sets(function):
-                task.agent.append(Todo(Place(place.file, function.lineno, f"def {name}"), about))
+                task.agent.append(_whole(cls, name, f"an own {name}"))
 
 
 def _only_sets(function: ast.FunctionDef) -> bool:

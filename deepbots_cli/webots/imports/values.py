@@ -58,7 +58,8 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Part:
-    """One condition of several, of which one must hold, and where it stands in the Python."""
+    """One condition of several, of which one must hold, and where it stands in the Python. The text of one
+    without a plain form is ""."""
 
     text: str
     place: Place
@@ -70,6 +71,11 @@ class Condition:
     """A condition: it holds if one of its parts does."""
 
     parts: tuple[Part, ...]
+
+    @property
+    def unknown(self) -> Part | None:
+        """The first part without a plain form."""
+        return next((part for part in self.parts if not part.text), None)
 
     @property
     def text(self) -> str:
