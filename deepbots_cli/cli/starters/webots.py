@@ -54,7 +54,7 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     lines = _settled(_lines(draft, name, title), {**robots, **meshes}, name)
     text = "".join(f"{line.rstrip()}\n" for line in lines)
     todos = sum(line.strip().startswith(TODO) for line in lines)
-    head = _HEAD.format(world=draft.world_file, todos=_todo_text(todos))
+    head = _HEAD.format(world=_one_line(draft.world_file), todos=_todo_text(todos))
     files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **robots, **meshes}
     return Starter(files, todos, list(map(str, draft.findings.warnings)))
 
@@ -85,7 +85,9 @@ def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> 
             errors = [one for one in api.lint(scenario) if one.severity == "error"]
             if not errors:
                 return lines
-            numbers = {one.span.start_position.line for one in errors if one.span.source.name.endswith(scenario.name)}
+            numbers = {
+                one.span.start_position.line for one in errors if one.span.source.name.endswith(scenario.name)
+            }
             numbers = {number for number in numbers if _is_entry(lines, number)}
             if not numbers:
                 break
@@ -143,7 +145,9 @@ def _lines(draft: Draft, name: str, title: str) -> list[str]:
     lines += _endings(draft)
     lines += _section("truncation", task.truncation)
     starts = {
-        f"{robot.name}.{joint}": value for robot in draft.robots for joint, value in robot.built.starts.items()
+        f"{robot.name}.{joint}": value
+        for robot in draft.robots
+        for joint, value in robot.built.starts.items()
     }
     if starts:
         pairs = ", ".join(f"{joint}: {_position(value, joint, draft)}" for joint, value in starts.items())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.webots.imports.values import (
     Callable,
@@ -38,9 +38,15 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.syntax import Node
 
 _AXES = ("x", "y", "z")
-_COMMANDS = {"setPosition": "position", "setVelocity": "velocity", "setTorque": "torque", "setForce": "torque"}
-_PASSING = frozenset(["float", "int", "str", "array", "asarray", "float32", "float64", "int32", "list", "tuple"])
-_NOTHING = frozenset(["print", "super().__init__"])
+_COMMANDS = {
+    "setPosition": "position",
+    "setVelocity": "velocity",
+    "setTorque": "torque",
+    "setForce": "torque",
+}
+_PASSING = frozenset(
+    ["float", "int", "str", "array", "asarray", "float32", "float64", "int32", "list", "tuple"]
+)
 
 
 @dataclass
@@ -176,7 +182,10 @@ class Calls:
         plain = numbers(node, field_name)
         if name in ("getSFFloat", "getSFInt32") and len(plain) == 1:
             return plain[0]
-        if name in ("getSFVec2f", "getSFVec3f", "getMFFloat") and field_name not in ("translation", "rotation"):
+        if name in ("getSFVec2f", "getSFVec3f", "getMFFloat") and field_name not in (
+            "translation",
+            "rotation",
+        ):
             return list(plain)
         return text(node, field_name) if name == "getSFString" else Unknown(place)
 
@@ -195,7 +204,11 @@ class Calls:
         motor = self.robot.devices[device].node
         if name in ("getMaxVelocity", "getMaxTorque", "getMaxForce", "getMaxPosition", "getMinPosition"):
             key = name[3].lower() + name[4:]
-            return next(iter(numbers(motor, key)), Unknown(place)) if key in parameters(motor) else Unknown(place)
+            return (
+                next(iter(numbers(motor, key)), Unknown(place))
+                if key in parameters(motor)
+                else Unknown(place)
+            )
         if entry is None or reading is None:
             return None if name in ("enable", "disable") else Unknown(place)
         if name == "getValue" and entry.is_truth:
@@ -286,14 +299,18 @@ def _normalized(arguments: list[Value], named: dict[str, Value], place: Place) -
         return value
     if not isinstance(value, Quantity):
         return value if isinstance(value, Unknown) else Unknown(place)
-    return Normalized(value, *ends, clips is True, place)
+    low, high, new_low, new_high = ends
+    return Normalized(value, low, high, new_low, new_high, clips is True, place)
 
 
 def _space(name: str, arguments: list[Value], named: dict[str, Value], place: Place) -> Value:
     if name == "Discrete":
         count = arguments[0] if arguments else named.get("n")
         return Space(choices=count) if isinstance(count, int) and 0 < count <= 1000 else Unknown(place)
-    ends = [named.get(key, arguments[at] if len(arguments) > at else None) for at, key in enumerate(("low", "high"))]
+    ends = [
+        named.get(key, arguments[at] if len(arguments) > at else None)
+        for at, key in enumerate(("low", "high"))
+    ]
     shape = named.get("shape", arguments[2] if len(arguments) > 2 else None)
     size = shape[0] if isinstance(shape, list) and len(shape) == 1 else shape
     columns = []
@@ -339,7 +356,7 @@ def _converted(name: str, value: Value, place: Place) -> Value:
     return list(value) if isinstance(value, list) else value
 
 
-_PLAIN = {
+_PLAIN: dict[str, Any] = {
     "abs": abs,
     "fabs": abs,
     "absolute": abs,
@@ -360,6 +377,8 @@ def _calculated(name: str, arguments: list[Value], place: Place) -> Value:
     first = arguments[0] if arguments else None
     if name == "round" and isinstance(first, Quantity):
         digits = arguments[1] if len(arguments) > 1 else 0
+        if not isinstance(digits, int):
+            return Unknown(place)
         return Quantity(first.text, first.unit, first.is_simple, f"the project rounds to {digits} digits")
     if arguments and all(is_number(one) for one in arguments):
         return _number(name, arguments, place)
@@ -367,7 +386,9 @@ def _calculated(name: str, arguments: list[Value], place: Place) -> Value:
         return [_calculated(name, [one, *arguments[1:]], place) for one in first]
     if isinstance(first, Quantity):
         return _of_quantity(name, first, arguments, place)
-    if name in ("min", "max", "hypot") and all(isinstance(one, Quantity) or is_number(one) for one in arguments):
+    if name in ("min", "max", "hypot") and all(
+        isinstance(one, Quantity) or is_number(one) for one in arguments
+    ):
         return _joined(name, arguments, place)
     if name == "norm" and isinstance(first, list):
         return _joined("hypot", first, place)
@@ -416,8 +437,6 @@ def _joined(name: str, values: list[Value], place: Place) -> Value:
     unit = units.pop()
     if not all(isinstance(value, Quantity) or is_number(value) for value in values):
         return Unknown(place)
-    texts = [
-        value.text if isinstance(value, Quantity) else number_text(value, unit) for value in values
-    ]
+    texts = [value.text if isinstance(value, Quantity) else number_text(value, unit) for value in values]
     joined = ", ".join(texts)
     return Quantity(f"{name}({joined})", unit) if len(joined) < 300 else Unknown(place)

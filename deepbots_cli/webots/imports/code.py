@@ -150,9 +150,7 @@ def _python_files(folder: Path) -> list[Path]:
     return result
 
 
-def _read(
-    files: Files, path: Path, folder: Path, span: Span, findings: WorldFindings
-) -> ModuleCode | None:
+def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFindings) -> ModuleCode | None:
     shown = str(path.relative_to(folder))
     try:
         source = files.read(path)
@@ -162,9 +160,7 @@ def _read(
     return module_of(source.text, path.stem, shown, span, findings)
 
 
-def module_of(
-    text: str, name: str, shown: str, span: Span, findings: WorldFindings
-) -> ModuleCode | None:
+def module_of(text: str, name: str, shown: str, span: Span, findings: WorldFindings) -> ModuleCode | None:
     """Return a Python file as a module; None with a finding for a text that is no Python, or too large."""
     if len(text) > MAX_CHARACTERS:
         findings.warning(span, f"{shown} has more than {MAX_CHARACTERS:,} characters; it is not read")

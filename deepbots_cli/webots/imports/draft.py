@@ -218,7 +218,11 @@ def _task(
     used: list[Node] = []
     acting = judging = None
     if roles.acting is not None and roles.acting_code is not None:
-        readings = labels if roles.has_messages else {device: f"{parts.name}.{one}" for device, one in labels.items()}
+        readings = (
+            labels
+            if roles.has_messages
+            else {device: f"{parts.name}.{one}" for device, one in labels.items()}
+        )
         calls = Calls(scene, roles.robot, expressions, entries, readings, scene.basic_step)
         acting = Controller(roles.acting_code, roles.acting, calls)
     message = None

@@ -6,11 +6,12 @@ import re
 
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _OTHER = re.compile(r"[^a-z0-9]+")
-_RESERVED = frozenset(
+_RESERVED_WORDS = (
     "and or not if else when true false null yes no on off time step ground arena any each every over from urdf"
     " terminated truncated ended goal_reached achieved desired previous_action previous_reward episode_return"
-    " m mm cm km s ms us min h kg g rad deg rpm hz n j w pa max abs sum mean norm sqrt x y z".split()
+    " m mm cm km s ms us min h kg g rad deg rpm hz n j w pa max abs sum mean norm sqrt x y z"
 )
+_RESERVED = frozenset(_RESERVED_WORDS.split())
 MAX_LENGTH = 40
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.webots.imports.values import (
     MAX_TEXT,
@@ -20,6 +20,7 @@ from deepbots_cli.webots.imports.values import (
     Instance,
     Method,
     Normalized,
+    Otherwise,
     Parent,
     Part,
     Place,
@@ -47,6 +48,13 @@ _COMPARISONS: dict[type, str] = {
     ast.Eq: "==",
     ast.NotEq: "!=",
 }
+
+
+State = tuple[dict[str, Value], dict[str, Value], dict[tuple[str, str], Value]]
+"""Local names, attributes of `self`, and what the code set."""
+
+_LEAVES: dict[type[ast.stmt], str] = {ast.Raise: "return", ast.Break: "break", ast.Continue: "continue"}
+"""How a statement leaves."""
 
 
 class TooLongError(Exception):
@@ -103,9 +111,7 @@ class Reader:
             frame.returned.append(Returned((), Unknown(module.place(function)), module.place(function)))
         return frame.returned, self._result(frame, module.place(function))
 
-    def _enter(
-        self, called: Callable, arguments: list[Value], named: dict[str, Value], depth: int
-    ) -> Frame:
+    def _enter(self, called: Callable, arguments: list[Value], named: dict[str, Value], depth: int) -> Frame:
         function = called.function
         self.followed.add(id(function))
         owner = called.owner if isinstance(called.owner, Instance) else None
@@ -125,7 +131,9 @@ class Reader:
                 frame.local[parameter.arg] = Unknown(called.module.place(parameter))
         return frame
 
-    def follow(self, frame: Frame, called: Callable, arguments: list[Value], named: dict[str, Value]) -> Value:
+    def follow(
+        self, frame: Frame, called: Callable, arguments: list[Value], named: dict[str, Value]
+    ) -> Value:
         """Return what a function of the project returns."""
         place = called.module.place(called.function)
         if frame.depth >= MAX_CALLS:
@@ -138,53 +146,46 @@ class Reader:
         """Return the value of a call: of one `return`, or of several under their conditions."""
         if not frame.returned:
             return None
-        *others, last = frame.returned
-        value = last.value if not last.path else self._under(last.path, last.value, None, last.place)
-        for returned in reversed(others):
+        value: Value = None
+        for returned in reversed(frame.returned):
             value = self._under(returned.path, returned.value, value, returned.place)
         return value
 
-    def _under(self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place) -> Value:
-        if not path:
-            return value
-        return merged(_joined(path, place), value, other, place)
+    def _under(
+        self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place
+    ) -> Value:
+        conditions = [one for one in path if not isinstance(one, Otherwise)]
+        return merged(_several(conditions, place, is_or=False), value, other, place) if conditions else value
 
     # Statements
 
-    def _block(self, frame: Frame, body: list[ast.stmt]) -> bool:
-        """Follow statements; returns whether they always leave the function or the loop."""
-        return any(self._statement(frame, statement) for statement in body)
+    def _block(self, frame: Frame, body: list[ast.stmt]) -> str:
+        """Follow statements; returns how they always leave: "return", "break", "continue", or "" if not."""
+        for statement in body:
+            if leaves := self._statement(frame, statement):
+                return leaves
+        return ""
 
     def _count(self) -> None:
         self._steps += 1
         if self._steps > MAX_STEPS:
             raise TooLongError
 
-    def _statement(self, frame: Frame, statement: ast.stmt) -> bool:
+    def _statement(self, frame: Frame, statement: ast.stmt) -> str:
         self._count()
         match statement:
             case ast.Return(value=value):
                 result = self.evaluate(frame, value) if value is not None else None
                 frame.returned.append(Returned(frame.path, result, frame.module.place(statement)))
-                return True
+                return "return"
             case ast.Raise() | ast.Break() | ast.Continue():
-                return True
-            case ast.Assign(targets=targets, value=value):
-                result = self.evaluate(frame, value)
-                for target in targets:
-                    self._assign(frame, target, result)
-            case ast.AnnAssign(target=target, value=value) if value is not None:
-                self._assign(frame, target, self.evaluate(frame, value))
-            case ast.AugAssign(target=target, op=op, value=value):
-                before = self.evaluate(frame, _loaded(target))
-                if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
-                    return False  # the counter of the project, which the language counts itself
-                result = self._binary(op, before, self.evaluate(frame, value), frame, statement)
-                self._assign(frame, target, result)
+                return _LEAVES[type(statement)]
+            case ast.Assign() | ast.AnnAssign() | ast.AugAssign():
+                self._assignment(frame, statement)
             case ast.Expr(value=value):
                 self.evaluate(frame, value)
             case ast.If(test=test, body=body, orelse=orelse):
-                return self._if(frame, test, body, orelse, statement)
+                return self._if(frame, test, body, orelse)
             case ast.For(target=target, iter=iterated, body=body):
                 return self._for(frame, target, iterated, body, statement)
             case ast.While(body=body):
@@ -195,48 +196,73 @@ class Reader:
                 return self._block(frame, [*body, *orelse, *final])
             case ast.FunctionDef(name=name):
                 frame.local[name] = Callable(frame.module, statement)
-            case ast.Delete() | ast.Global() | ast.Nonlocal() | ast.Assert() | ast.Pass():
+            case ast.Pass() | ast.Assert() | ast.Delete() | ast.Global() | ast.Import() | ast.ImportFrom():
                 pass
-        return False
+            case _:
+                self._forget(frame, [statement], Unknown(frame.module.place(statement)))
+        return ""
 
-    def _if(
-        self, frame: Frame, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt], node: ast.AST
-    ) -> bool:
+    def _assignment(self, frame: Frame, statement: ast.stmt) -> None:
+        match statement:
+            case ast.Assign(targets=targets, value=value):
+                result = self.evaluate(frame, value)
+                for target in targets:
+                    self._assign(frame, target, result)
+            case ast.AnnAssign(target=target, value=value) if value is not None:
+                self._assign(frame, target, self.evaluate(frame, value))
+            case ast.AugAssign(target=target, op=op, value=value):
+                before = self.evaluate(frame, _loaded(target))
+                if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
+                    return  # the counter of the project, which the language counts itself
+                result = self._binary(op, before, self.evaluate(frame, value), frame, statement)
+                self._assign(frame, target, result)
+
+    def _if(self, frame: Frame, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt]) -> str:
         condition = self.truth(self.evaluate(frame, test), frame, test)
         if isinstance(condition, bool):
             return self._block(frame, body if condition else orelse)
-        before = (frame.local, self.attributes, self.outputs, frame.path)
         place = frame.module.place(test)
-        states = []
-        for branch, holds in ((body, condition), (orelse, negated(condition, place))):
-            frame.local, self.attributes, self.outputs = _copied(before[:3])
-            frame.path = (*before[3], holds)
-            leaves = self._block(frame, branch)
-            states.append((leaves, (frame.local, self.attributes, self.outputs)))
-        frame.path = before[3]
-        (body_leaves, ours), (else_leaves, others) = states
-        if body_leaves or else_leaves:
-            frame.local, self.attributes, self.outputs = others if body_leaves else ours
-            return body_leaves and else_leaves
-        frame.local, self.attributes, self.outputs = (
-            _merged_names(condition, one, other, place) for one, other in zip(ours, others, strict=True)
-        )
-        return False
+        if _jumps([*body, *orelse]):
+            self._forget(frame, [*body, *orelse], Unknown(place))
+            frame.returned.append(Returned((Unknown(place),), Unknown(place), place))
+            return ""
+        path = frame.path
+        before = (frame.local, self.attributes, self.outputs)
+        frame.path = (*path, condition)
+        leaves, ours = self._branch(frame, body, before)
+        opposite = negated(condition, place)
+        if leaves:
+            opposite = Otherwise(opposite.parts if isinstance(opposite, Condition) else (Part("", place),))
+        frame.path = (*path, opposite)
+        else_leaves, others = self._branch(frame, orelse, before)
+        frame.path = path
+        if leaves or else_leaves:
+            frame.local, self.attributes, self.outputs = others if leaves else ours
+            return "return" if leaves and else_leaves else ""
+        frame.local = _merged_names(condition, ours[0], others[0], place)
+        self.attributes = _merged_names(condition, ours[1], others[1], place)
+        self.outputs = _merged_names(condition, ours[2], others[2], place)
+        return ""
+
+    def _branch(self, frame: Frame, body: list[ast.stmt], before: State) -> tuple[str, State]:
+        """Follow a branch from a state; returns how it leaves, and the state after it."""
+        frame.local, self.attributes, self.outputs = _copied(before)
+        leaves = self._block(frame, body)
+        return leaves, (frame.local, self.attributes, self.outputs)
 
     def _for(
         self, frame: Frame, target: ast.expr, iterated: ast.expr, body: list[ast.stmt], node: ast.AST
-    ) -> bool:
+    ) -> str:
         items = self.evaluate(frame, iterated)
         if not isinstance(items, list) or len(items) > MAX_ITEMS:
             self._forget(frame, body, Unknown(frame.module.place(node)))
-            return False
-        count = len(frame.returned)
+            return ""
         for item in items:
             self._assign(frame, target, item)
-            if self._block(frame, body):
-                # A `return` leaves the function, `break` and `continue` do not.
-                return len(frame.returned) > count
-        return False
+            leaves = self._block(frame, body)
+            if leaves in ("return", "break"):
+                return leaves.replace("break", "")
+        return ""
 
     def _forget(self, frame: Frame, body: list[ast.stmt], value: Unknown) -> None:
         """Let what a loop changes be unknown."""
@@ -264,9 +290,14 @@ class Reader:
 
     def _assign_item(self, frame: Frame, owner: ast.expr, key: ast.expr, value: Value) -> None:
         container, index = self.evaluate(frame, owner), self.evaluate(frame, key)
-        if isinstance(container, list) and isinstance(index, int) and -len(container) <= index < len(container):
+        if (
+            isinstance(container, list)
+            and isinstance(index, int)
+            and -len(container) <= index < len(container)
+        ):
             container[index] = value
-        elif isinstance(container, dict) and isinstance(index, str | int):
+            return
+        if isinstance(container, dict) and isinstance(index, str | int):
             container[index] = value
         elif isinstance(container, list | dict):
             self._assign(frame, owner, Unknown(frame.module.place(owner)))
@@ -290,6 +321,23 @@ class Reader:
                 return [self.evaluate(frame, element) for element in elements]
             case ast.Dict(keys=keys, values=values):
                 return self._dict(frame, keys, values, node)
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                condition = self.truth(self.evaluate(frame, test), frame, test)
+                if isinstance(condition, bool):
+                    return self.evaluate(frame, body if condition else orelse)
+                one, other = self.evaluate(frame, body), self.evaluate(frame, orelse)
+                return merged(condition, one, other, frame.module.place(node))
+            case (
+                ast.ListComp(elt=element, generators=[one]) | ast.GeneratorExp(elt=element, generators=[one])
+            ):
+                return self._comprehension(frame, element, one, node)
+            case ast.Call():
+                return self._call(frame, node)
+        return self._operation(frame, node)
+
+    def _operation(self, frame: Frame, node: ast.expr) -> Value:
+        """Return the result of an operator."""
+        match node:
             case ast.UnaryOp(op=op, operand=operand):
                 return self._unary(op, self.evaluate(frame, operand), frame, node)
             case ast.BinOp(left=left, op=op, right=right):
@@ -298,18 +346,6 @@ class Reader:
                 return self._boolean(frame, values, node, is_or=isinstance(op, ast.Or))
             case ast.Compare(left=left, ops=ops, comparators=others):
                 return self._compare(frame, [left, *others], ops, node)
-            case ast.IfExp(test=test, body=body, orelse=orelse):
-                condition = self.truth(self.evaluate(frame, test), frame, test)
-                if isinstance(condition, bool):
-                    return self.evaluate(frame, body if condition else orelse)
-                one, other = self.evaluate(frame, body), self.evaluate(frame, orelse)
-                return merged(condition, one, other, frame.module.place(node))
-            case ast.ListComp(elt=element, generators=[one]) | ast.GeneratorExp(
-                elt=element, generators=[one]
-            ):
-                return self._comprehension(frame, element, one, node)
-            case ast.Call():
-                return self._call(frame, node)
         return Unknown(frame.module.place(node))
 
     def _name(self, frame: Frame, name: str, node: ast.expr) -> Value:
@@ -325,7 +361,9 @@ class Reader:
         if name in module.functions:
             return Callable(module, module.functions[name])
         if name in module.assigned:
-            self._constants[key] = Unknown(module.place(module.assigned[name]))  # for a name that names itself
+            self._constants[key] = Unknown(
+                module.place(module.assigned[name])
+            )  # for a name that names itself
             self._constants[key] = self.evaluate(Frame(module, {}), module.assigned[name])
             return self._constants[key]
         target = module.imported.get(name)
@@ -366,7 +404,11 @@ class Reader:
         if isinstance(key, ast.Slice):
             return self._slice(frame, container, key, node)
         index = self.evaluate(frame, key)
-        if isinstance(container, list) and isinstance(index, int) and -len(container) <= index < len(container):
+        if (
+            isinstance(container, list)
+            and isinstance(index, int)
+            and -len(container) <= index < len(container)
+        ):
             return container[index]
         if isinstance(container, dict) and isinstance(index, str | int) and index in container:
             return container[index]
@@ -379,13 +421,17 @@ class Reader:
             return container[slice(*bounds)]
         return Unknown(frame.module.place(node))
 
-    def _dict(self, frame: Frame, keys: list[ast.expr | None], values: list[ast.expr], node: ast.expr) -> Value:
+    def _dict(
+        self, frame: Frame, keys: list[ast.expr | None], values: list[ast.expr], node: ast.expr
+    ) -> Value:
         names = [None if key is None else self.evaluate(frame, key) for key in keys]
         if not all(isinstance(name, str | int) for name in names):
             return Unknown(frame.module.place(node))
         return dict(zip(names, (self.evaluate(frame, value) for value in values), strict=True))
 
-    def _comprehension(self, frame: Frame, element: ast.expr, one: ast.comprehension, node: ast.expr) -> Value:
+    def _comprehension(
+        self, frame: Frame, element: ast.expr, one: ast.comprehension, node: ast.expr
+    ) -> Value:
         items = self.evaluate(frame, one.iter)
         if not isinstance(items, list) or len(items) > MAX_ITEMS or one.ifs:
             return Unknown(frame.module.place(node))
@@ -462,6 +508,18 @@ class Reader:
         return Unknown(frame.module.place(node))
 
 
+def _jumps(body: list[ast.stmt]) -> bool:
+    """Return whether statements leave the loop around them, or a turn of it."""
+    waiting: list[ast.AST] = list(body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Break | ast.Continue):
+            return True
+        if not isinstance(node, ast.For | ast.While):
+            waiting += ast.iter_child_nodes(node)
+    return False
+
+
 def _loaded(target: ast.expr) -> ast.expr:
     """Return the target of `+=` as an expression to read."""
     match target:
@@ -508,9 +566,8 @@ def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
     return condition
 
 
-def _merged_truth(
-    condition: Condition, one: bool | Condition, other: bool | Condition, place: Place
-) -> Value:
+def _merged_truth(condition: Condition, one: Value, other: Value, place: Place) -> Value:
+    """Return the same for truth values and conditions."""
     if one is True:
         return condition if other is False else _several([condition, other], place, is_or=True)
     if one is False:
@@ -542,8 +599,8 @@ def _is_same(one: Value, other: Value) -> bool:
 
 
 def _merged_names(
-    condition: Condition | Unknown, ours: dict, others: dict, place: Place
-) -> dict:
+    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], place: Place
+) -> dict[Any, Value]:
     result = {}
     for name in [*ours, *(name for name in others if name not in ours)]:
         if name in ours and name in others:
@@ -553,7 +610,7 @@ def _merged_names(
     return result
 
 
-def _copied(state: tuple[dict, ...]) -> tuple[dict, ...]:
+def _copied(state: State) -> State:
     """Return dicts with their lists copied; two names of one list keep one list."""
     copies: dict[int, Value] = {}
 
@@ -569,7 +626,12 @@ def _copied(state: tuple[dict, ...]) -> tuple[dict, ...]:
                 empty.update((key, copy(item)) for key, item in value.items())
         return copies[id(value)]
 
-    return tuple({name: copy(value) for name, value in names.items()} for names in state)
+    local, attributes, outputs = state
+    return (
+        {name: copy(value) for name, value in local.items()},
+        {name: copy(value) for name, value in attributes.items()},
+        {key: copy(value) for key, value in outputs.items()},
+    )
 
 
 # Conditions
@@ -583,25 +645,19 @@ def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown
     return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
 
 
-def _joined(path: tuple[Condition | Unknown, ...], place: Place) -> Condition | Unknown:
-    return _several(list(path), place, is_or=False)
-
-
-def _several(
-    conditions: list[Condition | Unknown], place: Place, *, is_or: bool
-) -> Condition | Unknown:
+def _several(conditions: list[Condition | Unknown], place: Place, *, is_or: bool) -> Condition | Unknown:
     """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
-    for condition in conditions:
-        if isinstance(condition, Unknown):
-            return Unknown(place) if len(conditions) > 1 else condition
     if len(conditions) == 1:
         return conditions[0]
-    if is_or:
-        return _checked(Condition(tuple(part for condition in conditions for part in condition.parts)), place)
-    if any(condition.unknown for condition in conditions):
+    stated = [condition for condition in conditions if isinstance(condition, Condition)]
+    if len(stated) < len(conditions):
         return Unknown(place)
-    text = " and ".join(f"({condition.text})" for condition in conditions)
-    notes = [part.note for condition in conditions for part in condition.parts if part.note]
+    if is_or:
+        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), place)
+    if any(condition.unknown for condition in stated):
+        return Unknown(place)
+    text = " and ".join(f"({condition.text})" for condition in stated)
+    notes = [part.note for condition in stated for part in condition.parts if part.note]
     return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)
 
 
@@ -643,19 +699,19 @@ def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bo
 
 def _compared_plain(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
     if isinstance(op, ast.Eq):
-        return left == right
+        return bool(left == right)
     if isinstance(op, ast.NotEq):
-        return left != right
+        return bool(left != right)
     if isinstance(left, str) is not isinstance(right, str):
         return Unknown(place)
     match op:
         case ast.Lt():
-            return left < right
+            return bool(left < right)
         case ast.LtE():
-            return left <= right
+            return bool(left <= right)
         case ast.Gt():
-            return left > right
-    return left >= right
+            return bool(left > right)
+    return bool(left >= right)
 
 
 # Arithmetic
@@ -730,14 +786,17 @@ def _product(op: ast.operator, left: Value, right: Value, place: Place) -> Value
         text = f"{left.operand} {symbol} {number_text(right)}"
         return _short(Quantity(text, left.unit, False, left.note), place)
     if is_number(left) and isfinite(left) and isinstance(right, Quantity) and isinstance(op, ast.Mult):
-        return _short(Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), place)
+        return _short(
+            Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), place
+        )
     if not (isinstance(left, Quantity) and isinstance(right, Quantity)):
         return Unknown(place)
     if isinstance(op, ast.Div) and left.unit == right.unit:
         return _short(Quantity(f"{left.operand} / {right.operand}", "", False), place)
     if isinstance(op, ast.Mult) and left.unit == right.unit and left.unit in ("", "m"):
         unit = f"{left.unit}^2" if left.unit else ""
-        return _short(Quantity(f"{left.operand} * {right.operand}", unit, False), place)
+        product = f"{left.operand}^2" if left.text == right.text else f"{left.operand} * {right.operand}"
+        return _short(Quantity(product, unit, False), place)
     if isinstance(op, ast.Mult) and "" in (left.unit, right.unit):
         return _short(Quantity(f"{left.operand} * {right.operand}", left.unit or right.unit, False), place)
     return Unknown(place)

@@ -114,7 +114,11 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
             place = parts.frame_in_link(body, scene.places[node][1])
             joints.append(
                 urdf.Joint(
-                    f"{parts.links[node]}_fixed", "fixed", parts.link_of(body), parts.links[node], _pose(place)
+                    f"{parts.links[node]}_fixed",
+                    "fixed",
+                    parts.link_of(body),
+                    parts.links[node],
+                    _pose(place),
                 )
             )
     built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
@@ -281,9 +285,7 @@ def _joints(
     """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
     assert body.parent is not None
     above = parts.link_of(body.parent)
-    place = frames.compose(
-        _inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body))
-    )
+    place = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
     links: list[urdf.Link] = []
     joints: list[urdf.Joint] = []
     if body.joints and body.joints[0].kind == "ball":

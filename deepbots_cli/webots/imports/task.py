@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 from deepbots_cli.webots.imports.calls import Calls
 from deepbots_cli.webots.imports.code import last_name
 from deepbots_cli.webots.imports.names import Names, scenario_name
-from deepbots_cli.webots.imports.reader import Frame, Reader
+from deepbots_cli.webots.imports.reader import Frame, Reader, negated
 from deepbots_cli.webots.imports.values import (
     Condition,
     Normalized,
+    Otherwise,
     Part,
     Place,
     Quantity,
@@ -39,9 +40,12 @@ _UNITS = {"velocity": "rad/s", "position": "rad", "torque": "N*m"}
 _LINEAR_UNITS = {"velocity": "m/s", "position": "m", "torque": "N"}
 _MOTORS = {"velocity": "velocity_motor", "position": "position_motor", "torque": "torque_motor"}
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
-_NO_NAMES = frozenset(["self", "np", "numpy", "math", "abs", "round", "float", "int", "not", "and", "or", "len"])
+_NO_NAMES = frozenset(
+    ["self", "np", "numpy", "math", "abs", "round", "float", "int", "not", "and", "or", "len"]
+)
 _TIME = re.compile(r"time (>=?) (\S+) s")
 _STEP = re.compile(r"step (>=?) (\d+)")
+_SUCCESS = re.compile(r"solved|success|reached|goal|escaped", re.IGNORECASE)
 _RETURN = re.compile(r"episode_return >=? \S+")
 
 
@@ -138,7 +142,7 @@ def _collect_changes(
 ) -> None:
     for node in ast.walk(statement):
         if isinstance(node, ast.AugAssign | ast.AnnAssign):
-            targets = [node.target]
+            targets: list[ast.expr] = [node.target]
         elif isinstance(node, ast.Assign):
             targets = list(node.targets)
         else:
@@ -163,7 +167,9 @@ def _changed(before: Value, statements: list[tuple[ModuleCode, ast.stmt]]) -> Va
 
 
 def _sets_again(node: ast.stmt, before: Value) -> bool:
-    return isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant) and node.value.value == before
+    return (
+        isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant) and node.value.value == before
+    )
 
 
 def _adds_one(node: ast.AugAssign) -> bool:
@@ -191,18 +197,18 @@ def read_messages(task: Task, robot: Controller, name: str, names: dict[str, str
         task.emit.append(Todo(place, "the values of the message"))
         return []
     received: list[Value] = []
-    is_plain = True
     for position, item in enumerate(value):
         if isinstance(item, Quantity) and item.sensor is not None:
             device, component = item.sensor
             sensor = names[device]
             received.append(
-                Quantity(f"{name}.{sensor}{f'.{component}' if component else ''}", item.unit, sensor=item.sensor)
+                Quantity(
+                    f"{name}.{sensor}{f'.{component}' if component else ''}", item.unit, sensor=item.sensor
+                )
             )
             if Entry(sensor, sensor) not in task.emit:
                 task.emit.append(Entry(sensor, sensor))
         elif isinstance(item, Quantity):
-            is_plain = False
             key = f"value_{position}"
             task.emit.append(Entry(key, item.text))
             received.append(Quantity(f"{name}.{key}", item.unit))
@@ -252,7 +258,11 @@ def read_action(
 def _whole(cls: ClassCode, method: str, about: str) -> Todo:
     """Return a method as a place that is left to a person, with its lines."""
     module, function = cls.methods[method]
-    body = [one for one in function.body if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))]
+    body = [
+        one
+        for one in function.body
+        if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+    ]
     lines = [line for statement in body for line in ast.unparse(statement).splitlines()]
     if len(lines) > _SHOWN_LINES:
         lines = [*lines[:_SHOWN_LINES], "..."]
@@ -311,7 +321,9 @@ def _read_ranges(
     used = sorted({int(index) for text in texts for index in re.findall(r"\baction_(\d+)\b", text)})
     if not used:
         return False
-    variables = {f"action_{index}": names.new("action" if used == [0] else f"action_{index}") for index in used}
+    variables = {
+        f"action_{index}": names.new("action" if used == [0] else f"action_{index}") for index in used
+    }
     for index in used:
         low, high = -1.0, 1.0
         if isinstance(space, Space) and index < len(space.low):
@@ -459,16 +471,24 @@ def _observe(
             task.observation.append(Todo(place, f"value {position} of the observation"))
             return
         case _:
+            about = f"value {position} of the observation, which does not change"
+            task.observation.append(Todo(Place("get_observations", 0, f"`{str(item)[:20]}`"), about))
             return
     ends_text = f"{number_text(ends[0])} .. {number_text(ends[1], value.unit)}"
     key = value.text
     if value.sensor is None and not _is_reading(value):
-        key = names.new(label or value.text, "value")
+        key = names.new(label or _argument_name(item) or value.text, "value")
         task.augment.append(Entry(key, value.text, value.note))
     if key in keys:
         return
     keys.add(key)
     task.observation.append(Entry(key, f"{{range: {ends_text}{extra}}}" if extra else ends_text, note))
+
+
+def _argument_name(item: Value) -> str:
+    """Return the name of the variable that the project normalizes, or ""."""
+    match = re.search(r"\((\w+),", item.place.python) if isinstance(item, Normalized) else None
+    return match.group(1) if match and not match.group(1).isdigit() else ""
 
 
 def _text_place(value: Quantity) -> Place:
@@ -488,13 +508,11 @@ def _joined_vectors(items: list[Item]) -> list[Item]:
         if len(three) == 3 and all(isinstance(one, Entry) for one in three):
             stems = [one.key.rpartition(".") for one in three if isinstance(one, Entry)]
             values = {one.value for one in three if isinstance(one, Entry)}
-            if len({stem for stem, _, _ in stems}) == 1 and len(values) == 1:
-                if tuple(last for _, _, last in stems) == _AXES:
-                    first = three[0]
-                    assert isinstance(first, Entry)
-                    result.append(Entry(stems[0][0], first.value, first.note))
-                    position += 3
-                    continue
+            is_one = len({stem for stem, _, _ in stems}) == 1 and len(values) == 1
+            if is_one and tuple(last for _, _, last in stems) == _AXES:
+                result.append(Entry(stems[0][0], values.pop(), getattr(three[0], "note", "")))
+                position += 3
+                continue
         result.append(items[position])
         position += 1
     return result
@@ -530,39 +548,65 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
     if result is None:
         return
     returned, _ = result
+    barred: list[Condition | Unknown] = []
     for one in returned:
         if one.value is False or one.value is None:
+            if conditions := _stated(one.path):
+                barred.append(conditions[0] if len(conditions) == 1 else Unknown(one.place))
             continue
-        for condition in _ending_conditions(one.path, one.value):
+        for condition in _ending_conditions([*_opposites(barred), *one.path], one.value, one.place):
             if isinstance(condition, Unknown):
                 task.failure.append(Todo(condition.place, "an ending"))
-            else:
-                for part in condition.parts:
-                    if part.text:
-                        _end(task, part, names)
-                    else:
-                        task.failure.append(Todo(part.place, "an ending"))
+                continue
+            for part in condition.parts:
+                if part.text:
+                    _end(task, part, names, is_success=_names_success(reader, part.place))
+                else:
+                    task.failure.append(Todo(part.place, "an ending"))
 
 
-def _ending_conditions(path: tuple[Condition | Unknown, ...], value: Value) -> list[Condition | Unknown]:
+def _stated(path: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
+    """Return the conditions of a path but those that an earlier `return` covers."""
+    return [one for one in path if not isinstance(one, Otherwise)]
+
+
+def _opposites(conditions: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
+    """Return the opposites of conditions under which `is_done` returns False before."""
+    return [negated(one, one.place if isinstance(one, Unknown) else one.parts[0].place) for one in conditions]
+
+
+def _ending_conditions(
+    path: Sequence[Condition | Unknown], value: Value, place: Place
+) -> list[Condition | Unknown]:
     """Return the conditions under which a `return` ends the episode."""
     if isinstance(value, Unknown):
         return [value]
-    conditions = [*path, *([value] if isinstance(value, Condition) else [])]
-    # An earlier `return` ends the episode too, so its condition need not be excluded here.
-    conditions = [one for one in conditions if isinstance(one, Unknown) or not one.text.startswith("not (")]
-    unknown = [one for one in conditions if isinstance(one, Unknown)]
-    if unknown:
-        return list(unknown[:1])
-    if any(isinstance(one, Condition) and one.unknown for one in conditions) and len(conditions) > 1:
-        return [Unknown(conditions[-1].parts[0].place)]
+    conditions = _stated(path)
+    if isinstance(value, Condition):
+        conditions.append(value)
+    elif value is not True:
+        return [Unknown(place)]
+    for one in conditions:
+        if isinstance(one, Unknown):
+            return [one]
+        if one.unknown is not None and len(conditions) > 1:
+            return [Unknown(one.unknown.place)]
     if len(conditions) < 2:
-        return list(conditions)
-    both = " and ".join(f"({one.text})" for one in conditions)
-    return [Condition((Part(both, conditions[-1].parts[0].place),))]
+        return conditions
+    both = " and ".join(f"({one.text})" for one in conditions if isinstance(one, Condition))
+    return [Condition((Part(both, place),))]
 
 
-def _end(task: Task, part: Part, names: Names) -> None:
+def _names_success(reader: Reader, place: Place) -> bool:
+    """Return whether the branch of an ending speaks of success, as in `self.is_solved = True`."""
+    for module in reader.code.modules.values():
+        for node in ast.walk(module.tree) if module.file == place.file else ():
+            if isinstance(node, ast.If) and node.test.lineno == place.line:
+                return _SUCCESS.search(" ".join(map(ast.unparse, node.body))) is not None
+    return False
+
+
+def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
     if match := _TIME.fullmatch(part.text):
         _limit(task, "max_time", f"{match.group(2)} s")
     elif match := _STEP.fullmatch(part.text):
@@ -572,7 +616,7 @@ def _end(task: Task, part: Part, names: Names) -> None:
     else:
         words = [word for word in _IDENTIFIER.findall(part.place.python) if word not in _NO_NAMES]
         key = names.new(f"{words[0] if words else 'ending'}_limit", "ending")
-        task.failure.append(Entry(key, part.text, part.note))
+        (task.success if is_success else task.failure).append(Entry(key, part.text, part.note))
 
 
 def _limit(task: Task, key: str, value: str) -> None:

@@ -85,6 +85,12 @@ class Condition:
 
 
 @dataclass(frozen=True)
+class Otherwise(Condition):
+    """The opposite of a condition whose branch leaves the function. What an earlier `return` covers needs no
+    second mention."""
+
+
+@dataclass(frozen=True)
 class Normalized:
     """A quantity mapped from one range to another: the call of `normalize_to_range`."""
 
