@@ -15,7 +15,7 @@ from deepbots_cli.errors import DeepbotsError
 from tests.webots.worlds_of_webots import HEADER
 
 WORLD = """
-WorldInfo { basicTimeStep 16 gravity 9.81 }
+WorldInfo { basicTimeStep 16 gravity 0 0 -9.81 }
 RectangleArena { floorSize 3 2 }
 DEF BOX Solid { translation 1 0 0.1 boundingObject Box { size 0.2 0.2 0.2 } physics Physics { density -1 mass 0.4 } }
 DEF GOAL Solid { translation -1 0.5 0 }
@@ -90,8 +90,8 @@ class Judge(CSVSupervisorEnv):
             angle = normalize_to_range(float(self.message[0]), -0.9, 0.9, -1.0, 1.0, clip=True)
         else:
             angle = 0.0
-        x = normalize_to_range(self.cart.getPosition()[0], -1.5, 1.5, -1.0, 1.0)
-        return [angle, x]
+        place = normalize_to_range(self.cart.getPosition()[0], -1.5, 1.5, -1.0, 1.0)
+        return [angle, place]
 
     def get_reward(self, action=None):
         __REWARD__
@@ -157,10 +157,10 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
 
 
 def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) -> None:
-    _, text = imported(tmp_path, world=WORLD.replace("gravity 9.81", "gravity 1.6"))
+    _, text = imported(tmp_path, world=WORLD.replace("gravity 0 0 -9.81", "gravity 0 0 -1.6"))
     lines = lines_of(text)
     assert "timestep: 16 ms" in lines
-    assert "gravity: 0 0 -1.6 m/s^2" in lines or "gravity: 1.6" in text
+    assert "gravity: 0 0 -1.6 m/s^2" in lines
     assert "arena: {size: 3 2 m}" in lines
     assert "box: {shape: box, size: 0.2 0.2 0.2 m, mass: 0.4 kg, pose: {xyz: 1 0 0.1 m}}" in lines
     assert "goal:" not in text  # nothing reads it
@@ -182,7 +182,7 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
 def test_a_solid_that_the_supervisor_watches_is_a_link(tmp_path: Path) -> None:
     judge = JUDGE.replace('self.getFromDef("CART")', 'self.getFromDef("TIP")')
     _, text = imported(tmp_path, judge=judge)
-    assert "x: position(cart.tip).x" in lines_of(text)
+    assert "place: position(cart.tip).x" in lines_of(text)
     env = api.make(tmp_path / "out" / "cart.yaml")
     observation, _ = env.reset(seed=0)
     # The rod leans by 0.1 rad about an anchor 0.5 m below the tip in the world, which shows it upright.
@@ -196,9 +196,9 @@ def test_a_solid_that_the_supervisor_watches_is_a_link(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("call", "entry"),
     [
-        ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0, clip=True)", "x: -1.5 .. 1.5 m"),
-        ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0)", "x: {range: -1.5 .. 1.5 m, clip: false}"),
-        ("normalize_to_range(value=v, min_val=0, max_val=2, new_min=0, new_max=1, clip=True)", "x: 0 .. 2 m"),
+        ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0, clip=True)", "place: -1.5 .. 1.5 m"),
+        ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0)", "place: {range: -1.5 .. 1.5 m, clip: false}"),
+        ("normalize_to_range(value=v, min_val=0, max_val=2, new_min=0, new_max=1, clip=True)", "place: 0 .. 2 m"),
     ],
 )
 def test_a_range(tmp_path: Path, call: str, entry: str) -> None:

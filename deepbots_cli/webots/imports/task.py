@@ -594,7 +594,8 @@ def _ending_conditions(
     if len(conditions) < 2:
         return conditions
     both = " and ".join(f"({one.text})" for one in conditions if isinstance(one, Condition))
-    return [Condition((Part(both, place),))]
+    last = conditions[-1]
+    return [Condition((Part(both, last.parts[0].place if isinstance(last, Condition) else place),))]
 
 
 def _names_success(reader: Reader, place: Place) -> bool:
