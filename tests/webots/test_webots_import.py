@@ -198,7 +198,10 @@ def test_a_solid_that_the_supervisor_watches_is_a_link(tmp_path: Path) -> None:
     [
         ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0, clip=True)", "place: -1.5 .. 1.5 m"),
         ("normalize_to_range(v, -1.5, 1.5, -1.0, 1.0)", "place: {range: -1.5 .. 1.5 m, clip: false}"),
-        ("normalize_to_range(value=v, min_val=0, max_val=2, new_min=0, new_max=1, clip=True)", "place: 0 .. 2 m"),
+        (
+            "normalize_to_range(value=v, min_val=0, max_val=2, new_min=0, new_max=1, clip=True)",
+            "place: 0 .. 2 m",
+        ),
     ],
 )
 def test_a_range(tmp_path: Path, call: str, entry: str) -> None:
