@@ -20,6 +20,7 @@ api.py          names of Webots' functions that are not implemented, and their e
 runner.py       controllers as threads of one process, one at a time
 project.py      the files of a project: worlds, controllers, PROTOs
 site/           the folder with the module `controller`, on the path of controllers
+imports/        a project as a scenario: `deepbots new --webots`
 findings.py     findings about the files of a project
 
 A controller imports `controller` as in Webots; `deepbots webots` runs it.

@@ -392,3 +392,46 @@ def test_a_project_has_a_schema_for_its_editor_and_a_workflow_that_lints(deepbot
     assert lint[:2] == ["deepbots", "lint"]
     assert deepbots("lint", "work", *lint[3:]).code == 0
     assert deepbots("new", "mine", "other", "--template", "pit", "--project", "work").code == 2
+
+
+_ROLLER = """#VRML_SIM R2023b utf8
+WorldInfo { }
+Solid { boundingObject Plane { } }
+DEF ROLLER Robot { translation 0 0 0.05 controller "<none>" boundingObject Box { size 0.1 0.1 0.1 }
+  physics Physics { density -1 mass 1 }
+  children [ HingeJoint { jointParameters HingeJointParameters { anchor 0 0 0.1 }
+    device RotationalMotor { name "motor" }
+    endPoint Solid { translation 0 0 0.2 boundingObject Sphere { radius 0.02 } physics Physics { } } } ] }
+"""
+
+
+def test_a_world_of_webots_becomes_a_scenario_and_says_what_is_left(deepbots, tmp_path):
+    (tmp_path / "roller.wbt").write_text(_ROLLER)
+    made = deepbots("new", "mine", "--webots", "roller.wbt")
+    assert made.code == 0, made.err
+    assert made.out.split() == ["mine.yaml", "mine_roller.urdf"]
+    assert "left to you" in made.err
+    assert "deepbots lint mine.yaml" in made.err
+    assert deepbots("try", "mine.yaml", "--episodes", "1").code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--webots", "gone.wbt"], "gone.wbt is no world"),
+        (["--webots", "roller.wbt", "--protos", "gone"], "there is no such folder"),
+        (["--webots", "roller.wbt", "--urdf", "epuck"], "cannot be combined"),
+        (["--urdf", "epuck", "--protos", "."], "--protos goes with --webots"),
+        (["--webots", "empty.wbt"], "has a motor"),
+        (["--webots", "broken.wbt"], "broken.wbt:3"),
+    ],
+)
+def test_a_world_of_webots_that_cannot_be_read_is_one_sentence(deepbots, tmp_path, arguments, sentence):
+    (tmp_path / "roller.wbt").write_text(_ROLLER)
+    (tmp_path / "empty.wbt").write_text("#VRML_SIM R2023b utf8\nWorldInfo { }\n")
+    (tmp_path / "broken.wbt").write_text("#VRML_SIM R2023b utf8\nWorldInfo { \n")
+    made = deepbots("new", "mine", *arguments)
+    assert made.code != 0
+    assert sentence in made.err
+    assert "Traceback" not in made.err
+    assert not (tmp_path / "mine.yaml").exists()

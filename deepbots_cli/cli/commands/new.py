@@ -1,16 +1,16 @@
-"""`deepbots new`: a scenario from a template or for a robot file (`starters/`), or a copy of a shipped one
-with the files that it reads."""
+"""`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a copy
+of a shipped one with the files that it reads."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
 from shlex import quote
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -31,6 +31,9 @@ from deepbots_cli.files import atomic_write, check_writable, refuse_overwriting,
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.scenario.json_schema import schema_text
+
+if TYPE_CHECKING:
+    from deepbots_cli.cli.starters.webots import Starter
 
 Files = dict[PurePosixPath, bytes]
 """The contents of files by path below the folder that they are written to."""
@@ -84,6 +87,20 @@ def new(
             "--urdf ROBOT", "Robot file to begin with: a path, package://..., or the name of a shipped robot."
         ),
     ] = None,
+    webots: Annotated[
+        Path | None,
+        option(
+            "--webots WORLD.wbt",
+            "World of a project of Webots to begin with; deepbots reads its controllers, and runs no code.",
+        ),
+    ] = None,
+    protos: Annotated[
+        list[Path] | None,
+        option(
+            "--protos DIR",
+            "A copy of Webots, or a folder with PROTO files, from which the world may read; may be repeated.",
+        ),
+    ] = None,
     schema: Annotated[
         bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)
     ] = False,
@@ -99,16 +116,12 @@ def new(
     force: Force = False,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Write a scenario: from a template, a copy, or a robot file."""
+    """Write a scenario: from a template, a copy, a robot file, or a world of Webots."""
     name = validated_name(name)
-    starts = {"--template": template, "--from": shipped_name, "--urdf": urdf}
-    present = [option for option, value in starts.items() if value]
-    if len(present) > 1:
-        raise UsageError(f"{' and '.join(present)} cannot be combined; choose one of them")
-    if not present:
-        raise UsageError(
-            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, or --urdf ROBOT"
-        )
+    _check_start(
+        {"--template": template, "--from": shipped_name, "--urdf": urdf, "--webots": webots},
+        has_protos=bool(protos),
+    )
     if project is not None:
         if folder != Path(".") or schema:
             raise UsageError(
@@ -116,8 +129,12 @@ def new(
                 " --schema"
             )
         folder = project
+    starter: Starter | None = None
     if urdf:
         contents = from_robot(urdf, name, folder, permissions)
+    elif webots is not None:
+        starter = _from_webots(webots, protos or (), name)
+        contents = dict(starter.files)
     else:
         contents = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
     if project is not None:
@@ -126,10 +143,40 @@ def new(
     kept = _present(contents, folder)
     write = write_with_schema if schema else write_new
     written = write(contents, folder, force=force)
-    if urdf:
+    if urdf or starter is not None:
         terminal.note_warnings(api.lint(written[0], permissions=permissions), str(written[0]))
+    if starter is not None:
+        _note_places(starter)
+    has_schema = bool(schema or project)
+    commands = _next_commands(written[0], starter, has_schema=has_schema, as_json=as_json)
+    places = None if starter is None else starter.todos
+    _show(written, kept, commands, as_json=as_json, places=places)
+
+
+def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
+    """Require one option that says what to start from.
+
+    Raises:
+        UsageError: There is none, there are several, or --protos stands without --webots.
+    """
+    present = [option for option, value in starts.items() if value]
+    if len(present) > 1:
+        raise UsageError(f"{' and '.join(present)} cannot be combined; choose one of them")
+    if not present:
+        raise UsageError(
+            f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
+            " or --webots WORLD.wbt"
+        )
+    if has_protos and not starts["--webots"]:
+        raise UsageError("--protos goes with --webots")
+
+
+def _next_commands(scenario: Path, starter: Starter | None, *, has_schema: bool, as_json: bool) -> list[str]:
+    """Return the commands to go on with, the next one first."""
     commands = ["try", "inspect", "lint", "train"]
-    program = api.load(written[0]).program
+    if starter is not None and starter.todos:
+        commands = ["lint", "try", "inspect", "train"]
+    program = api.load(scenario).program
     if program is not None:
         if not as_json:
             _name_faster_engine(program)
@@ -137,9 +184,40 @@ def new(
             commands.append("compare")
         else:
             commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
-    if not (schema or project):
-        commands.append("schema --for")
-    _show(written, kept, commands, as_json=as_json)
+    return commands if has_schema else [*commands, "schema --for"]
+
+
+def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
+    """Return the scenario for a world of Webots.
+
+    Raises:
+        UsageError: There is no such file or folder, or no valid scenario comes out.
+    """
+    if world.suffix != ".wbt" or not world.is_file():
+        raise UsageError(f"{world} is no world; name a file that ends in .wbt")
+    for folder in library:
+        if not folder.is_dir():
+            raise UsageError(f"--protos {folder}: there is no such folder")
+    from deepbots_cli.cli.starters.webots import from_webots
+    from deepbots_cli.webots.findings import WorldError
+
+    try:
+        return from_webots(world, library, name, _title(name))
+    except WorldError as error:
+        for finding in error.findings:
+            terminal.note(str(finding))
+        raise typer.Exit(1) from error
+
+
+def _note_places(starter: Starter) -> None:
+    """Print what the world has that the scenario lacks, and how many places are left."""
+    for warning in starter.warnings:
+        terminal.note(warning)
+    if starter.todos:
+        places = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
+        terminal.note(f"{places} left to you; each begins with `# TODO` and names the Python it comes from")
+    else:
+        terminal.note("no place is left to you")
 
 
 def _name_faster_engine(program: Program) -> None:
@@ -333,7 +411,14 @@ def _present(files: Files, folder: Path) -> set[Path]:
     }
 
 
-def _show(written: Sequence[Path], kept: set[Path], commands: Sequence[str], *, as_json: bool) -> None:
+def _show(
+    written: Sequence[Path],
+    kept: set[Path],
+    commands: Sequence[str],
+    *,
+    as_json: bool,
+    places: int | None = None,
+) -> None:
     """Print the paths, with a mark at files that were there before with the same content, and the commands to
     go on with."""
     scenario, schema = quote(str(written[0])), quote(str(written[0].with_suffix(".schema.json")))
@@ -342,7 +427,10 @@ def _show(written: Sequence[Path], kept: set[Path], commands: Sequence[str], *, 
         f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]
-    terminal.show({"scenario": written[0], "files": written}, *lines, as_json=as_json, next_commands=further)
+    facts: dict[str, object] = {"scenario": written[0], "files": written}
+    if places is not None:
+        facts["places"] = places
+    terminal.show(facts, *lines, as_json=as_json, next_commands=further)
 
 
 def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:

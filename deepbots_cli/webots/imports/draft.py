@@ -1,0 +1,293 @@
+"""A project of Webots as one record: what `cli/starters/webots.py` writes as a scenario."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.robots.model import RobotModel, to_urdf
+from deepbots_cli.webots.imports.calls import Calls
+from deepbots_cli.webots.imports.code import BOTH_BASES, ROBOT_BASES, SUPERVISOR_BASES, Code, read_code
+from deepbots_cli.webots.imports.names import Names
+from deepbots_cli.webots.imports.robots import Built, RobotParts, build, robot_parts
+from deepbots_cli.webots.imports.sensors import SensorEntry, sensor_entry
+from deepbots_cli.webots.imports.task import (
+    Controller,
+    Entry,
+    Task,
+    add_placeholder,
+    read_action,
+    read_endings,
+    read_limits,
+    read_messages,
+    read_observation,
+    read_overridden,
+    read_reward,
+    read_solved,
+)
+from deepbots_cli.webots.imports.world import Surroundings, pose_text, surroundings
+from deepbots_cli.webots.nodes import real, text, walk
+from deepbots_cli.webots.project import controller, read_world
+from deepbots_cli.webots.scene import build_scene
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.findings import WorldFindings
+    from deepbots_cli.webots.imports.code import ClassCode
+    from deepbots_cli.webots.project import World
+    from deepbots_cli.webots.scene import Body, Robot, Scene
+    from deepbots_cli.webots.syntax import Node
+
+
+@dataclass
+class DraftRobot:
+    """A robot of the scenario: its model, and the entries of its section."""
+
+    name: str
+    parts: RobotParts
+    robot: Robot | None
+    built: Built
+    sensors: dict[str, str] = field(default_factory=dict)
+    unused_sensors: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def is_fixed(self) -> bool:
+        return not self.parts.root.is_free
+
+    @property
+    def pose(self) -> str:
+        return pose_text(self.parts.root.frame)
+
+    @property
+    def model(self) -> RobotModel:
+        return self.built.model
+
+    def urdf(self) -> str:
+        return to_urdf(self.built.model)
+
+
+@dataclass
+class Draft:
+    """A scenario in parts. `agent` is the robot that the policy drives."""
+
+    world_file: str
+    surroundings: Surroundings
+    robots: list[DraftRobot]
+    agent: DraftRobot
+    task: Task
+    findings: WorldFindings
+
+
+@dataclass
+class _Roles:
+    """The robot that acts, and the classes of its controller and of the supervisor."""
+
+    robot: Robot
+    acting: ClassCode | None = None
+    acting_code: Code | None = None
+    judging: ClassCode | None = None
+    judging_code: Code | None = None
+    supervisor: Robot | None = None
+    has_messages: bool = True
+
+
+def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
+    """Read a world and its controllers; no code runs.
+
+    Raises:
+        WorldError: The world has errors.
+        UsageError: A file cannot be read, or no robot of the world has a motor.
+    """
+    world = read_world(path, library)
+    scene = build_scene(world)
+    world.findings.require_none()
+    roots = _roots(scene)
+    codes = {robot.index: _code(world, robot) for robot in scene.robots}
+    roles = _roles(scene, roots, codes, path)
+    names = Names()
+    parts = _named_parts(scene, roots, names)
+    objects = _named_objects(scene, names)
+    expressions = _expressions(parts, objects, scene)
+    agent_parts = parts[roots[roles.robot.index].index]
+    task, used = _task(scene, roles, agent_parts, expressions, names)
+    robots = []
+    for root_index, part in parts.items():
+        built = build(part, scene, [node for node in used if node in part.links], world.findings)
+        robot = scene.bodies[root_index].robot
+        robots.append(DraftRobot(part.name, part, robot, built))
+    world.findings.require_none()
+    agent = next(one for one in robots if one.robot is roles.robot)
+    _add_sensors(agent, task)
+    around = surroundings(world, scene, objects, used, scene.basic_step)
+    return Draft(path.name, around, robots, agent, task, world.findings)
+
+
+def _roots(scene: Scene) -> dict[int, Body]:
+    """Return the root body of each robot by the index of the robot."""
+    roots: dict[int, Body] = {}
+    for body in scene.bodies:
+        if body.robot is not None and body.parent is None:
+            roots.setdefault(body.robot.index, body)
+    return roots
+
+
+def _code(world: World, robot: Robot) -> Code | None:
+    program = controller(world.files, robot.controller)
+    if program is None:
+        return None
+    if program.path is None:
+        world.findings.warning(
+            robot.node.span, f"the controller '{program.name}' of '{robot.name}' {program.problem}"
+        )
+        return None
+    return read_code(world.files, program.path, robot.node.span, world.findings)
+
+
+def _roles(scene: Scene, roots: dict[int, Body], codes: dict[int, Code | None], path: Path) -> _Roles:
+    """Return which robot acts and which class judges."""
+    with_motors = [
+        robot
+        for robot in scene.robots
+        if robot.index in roots and any(one.type.endswith("Motor") for one in robot.devices.values())
+    ]
+    if not with_motors:
+        raise UsageError(f"no robot of {path} has a motor, so a policy could not control it")
+    for robot in with_motors:
+        code = codes[robot.index]
+        if code is not None and (classes := code.classes(BOTH_BASES)):
+            return _Roles(robot, classes[0], code, classes[0], code, robot, has_messages=False)
+    roles = _Roles(with_motors[0])
+    for robot in with_motors:
+        code = codes[robot.index]
+        if code is not None and (classes := code.classes(ROBOT_BASES)):
+            roles.robot, roles.acting, roles.acting_code = robot, classes[0], code
+            break
+    for robot in scene.robots:
+        code = codes[robot.index]
+        if code is not None and (classes := code.classes(SUPERVISOR_BASES)):
+            roles.judging, roles.judging_code, roles.supervisor = classes[0], code, robot
+            break
+    return roles
+
+
+def _named_parts(scene: Scene, roots: dict[int, Body], names: Names) -> dict[int, RobotParts]:
+    """Return the robots that have shapes or joints, by the index of their root; a supervisor has neither."""
+    result = {}
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    for index, root in roots.items():
+        moves = [body for body in scene.bodies if body.parent is root]
+        if not root.geometries and not moves:
+            continue
+        label = labels.get(root.node) or scene.robots[index].name
+        result[root.index] = robot_parts(scene, root, names.new(label, "robot"))
+    return result
+
+
+def _named_objects(scene: Scene, names: Names) -> dict[int, str]:
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    return {
+        body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
+        for body in scene.bodies
+        if body.robot is None and body.parent is None
+    }
+
+
+def _expressions(parts: dict[int, RobotParts], objects: dict[int, str], scene: Scene) -> dict[Node, str]:
+    """Return how expressions name the nodes of the world."""
+    result: dict[Node, str] = {}
+    for part in parts.values():
+        for node, link in part.links.items():
+            result[node] = part.name if node is part.root.node else f"{part.name}.{link}"
+    for index, name in objects.items():
+        result[scene.bodies[index].node] = name
+    return result
+
+
+# The task
+
+
+def _task(
+    scene: Scene, roles: _Roles, parts: RobotParts, expressions: dict[Node, str], names: Names
+) -> tuple[Task, list[Node]]:
+    task = Task()
+    entries, labels = _sensors(roles.robot, parts)
+    task.sensors = {labels[device]: entry.text for device, entry in entries.items()}
+    used: list[Node] = []
+    acting = judging = None
+    if roles.acting is not None and roles.acting_code is not None:
+        readings = (
+            labels
+            if roles.has_messages
+            else {device: f"{parts.name}.{one}" for device, one in labels.items()}
+        )
+        calls = Calls(scene, roles.robot, expressions, entries, readings, scene.basic_step)
+        acting = Controller(roles.acting_code, roles.acting, calls)
+    message = None
+    if not roles.has_messages:
+        task.format = "none"
+        judging = acting
+    else:
+        task.timing = "delayed"
+        if acting is not None:
+            message = read_messages(task, acting, parts.name, labels)
+        if roles.judging is not None and roles.judging_code is not None and roles.supervisor is not None:
+            calls = Calls(scene, roles.supervisor, expressions, {}, {}, scene.basic_step, message)
+            judging = Controller(roles.judging_code, roles.judging, calls)
+    reader = judging.reader() if judging is not None else None
+    space = reader.attributes.get("action_space") if reader is not None else None
+    _read_action(task, acting, roles, space, parts, names)
+    if judging is not None and reader is not None:
+        read_observation(task, reader, reader.attributes.get("observation_space"), names)
+        read_reward(task, reader)
+        read_endings(task, reader, names)
+        read_limits(task, judging.code, reader)
+        read_solved(task, judging.cls, reader)
+        read_overridden(task, judging.cls)
+        used = [node for node in walk(scene.nodes) if node in judging.calls.used]
+    return task, used
+
+
+def _read_action(
+    task: Task,
+    acting: Controller | None,
+    roles: _Roles,
+    space: object,
+    parts: RobotParts,
+    names: Names,
+) -> None:
+    if acting is not None:
+        method = "use_message_data" if roles.has_messages else "apply_action"
+        read_action(task, acting, method, space, parts, names)
+        return
+    motors = [one for one in roles.robot.devices.values() if one.type.endswith("Motor")]
+    add_placeholder(task, motors, parts, names)
+
+
+def _sensors(robot: Robot, parts: RobotParts) -> tuple[dict[str, SensorEntry], dict[str, str]]:
+    """Return the sensors of a robot by device, and their names in the scenario."""
+    names = Names()
+    entries, labels = {}, {}
+    for device in robot.devices.values():
+        entry = sensor_entry(device, parts)
+        if entry is not None:
+            entries[device.name] = entry
+            labels[device.name] = names.new(device.name, "sensor")
+    return entries, labels
+
+
+def _add_sensors(agent: DraftRobot, task: Task) -> None:
+    """Divide the sensors into those that the scenario uses, and the others."""
+    texts = [
+        one.key + " " + one.value
+        for section in (task.augment, task.observation, task.reward, task.success, task.failure)
+        for one in section
+        if isinstance(one, Entry)
+    ]
+    emitted = " ".join(one.value for one in task.emit if isinstance(one, Entry))
+    joined = " ".join(texts)
+    for name, entry in task.sensors.items():
+        is_read = re.search(rf"\b{agent.name}\.{name}\b", joined) or re.search(rf"\b{name}\b", emitted)
+        (agent.sensors if is_read else agent.unused_sensors)[name] = entry

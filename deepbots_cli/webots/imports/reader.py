@@ -1,0 +1,802 @@
+"""Follows the statements of a controller without running them.
+
+Numbers are computed, quantities of the world become expressions of the scenario language, and both branches
+of an `if` on a quantity are followed: what differs between them becomes `a if condition else b`. A value
+without a plain form is `Unknown`, and keeps its place. Statements, calls and loops have limits.
+"""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.webots.imports.values import (
+    MAX_TEXT,
+    Callable,
+    Condition,
+    External,
+    Instance,
+    Method,
+    Normalized,
+    Otherwise,
+    Parent,
+    Part,
+    Place,
+    Project,
+    Quantity,
+    Unknown,
+    Value,
+    WorldNode,
+    is_number,
+    number_text,
+)
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.imports.calls import Calls
+    from deepbots_cli.webots.imports.code import ClassCode, Code, ModuleCode
+
+MAX_STEPS = 40_000
+MAX_CALLS = 12
+MAX_ITEMS = 1000
+_COMPARISONS: dict[type, str] = {
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+}
+
+
+State = tuple[dict[str, Value], dict[str, Value], dict[tuple[str, str], Value]]
+"""Local names, attributes of `self`, and what the code set."""
+
+_LEAVES: dict[type[ast.stmt], str] = {ast.Raise: "return", ast.Break: "break", ast.Continue: "continue"}
+"""How a statement leaves."""
+
+
+class TooLongError(Exception):
+    """The code has more statements than are followed."""
+
+
+@dataclass
+class Returned:
+    """A `return`: the conditions of the branches around it, and the value."""
+
+    path: tuple[Condition | Unknown, ...]
+    value: Value
+    place: Place
+
+
+@dataclass
+class Frame:
+    """A call of a function: its module and local names, and what it returned so far."""
+
+    module: ModuleCode
+    local: dict[str, Value]
+    self_: Instance | None = None
+    path: tuple[Condition | Unknown, ...] = ()
+    returned: list[Returned] = field(default_factory=list)
+    depth: int = 0
+
+
+class Reader:
+    """Follows the methods of one class. `attributes` are those of `self`; `outputs` maps (device, command) to
+    the value that the code sets."""
+
+    def __init__(self, code: Code, cls: ClassCode, calls: Calls) -> None:
+        self.code, self.cls, self.calls = code, cls, calls
+        self.attributes: dict[str, Value] = {}
+        self.outputs: dict[tuple[str, str], Value] = {}
+        self.followed: set[int] = set()
+        """The functions that were followed, by `id`."""
+        self._steps = 0
+        self._constants: dict[tuple[str, str], Value] = {}
+
+    # Calls
+
+    def call(self, name: str, arguments: list[Value]) -> tuple[list[Returned], Value] | None:
+        """Follow a method of the class; None if the project does not define it."""
+        if name not in self.cls.methods:
+            return None
+        module, function = self.cls.methods[name]
+        callable_ = Callable(module, function, Instance(self.cls))
+        self._steps = 0
+        frame = self._enter(callable_, arguments, {}, 0)
+        try:
+            self._block(frame, function.body)
+        except (TooLongError, RecursionError):
+            frame.returned.append(Returned((), Unknown(module.place(function)), module.place(function)))
+        return frame.returned, self._result(frame, module.place(function))
+
+    def _enter(self, called: Callable, arguments: list[Value], named: dict[str, Value], depth: int) -> Frame:
+        function = called.function
+        self.followed.add(id(function))
+        owner = called.owner if isinstance(called.owner, Instance) else None
+        values = [owner, *arguments] if owner is not None else list(arguments)
+        frame = Frame(called.module, {}, owner, depth=depth)
+        parameters = [*function.args.posonlyargs, *function.args.args]
+        defaults = function.args.defaults
+        first = len(parameters) - len(defaults)
+        for position, parameter in enumerate(parameters):
+            if position < len(values):
+                frame.local[parameter.arg] = values[position]
+            elif parameter.arg in named:
+                frame.local[parameter.arg] = named[parameter.arg]
+            elif position >= first:
+                frame.local[parameter.arg] = self.evaluate(frame, defaults[position - first])
+            else:
+                frame.local[parameter.arg] = Unknown(called.module.place(parameter))
+        return frame
+
+    def follow(
+        self, frame: Frame, called: Callable, arguments: list[Value], named: dict[str, Value]
+    ) -> Value:
+        """Return what a function of the project returns."""
+        place = called.module.place(called.function)
+        if frame.depth >= MAX_CALLS:
+            return Unknown(place)
+        inner = self._enter(called, arguments, named, frame.depth + 1)
+        self._block(inner, called.function.body)
+        return self._result(inner, place)
+
+    def _result(self, frame: Frame, place: Place) -> Value:
+        """Return the value of a call: of one `return`, or of several under their conditions."""
+        if not frame.returned:
+            return None
+        value: Value = None
+        for returned in reversed(frame.returned):
+            value = self._under(returned.path, returned.value, value, returned.place)
+        return value
+
+    def _under(
+        self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place
+    ) -> Value:
+        conditions = [one for one in path if not isinstance(one, Otherwise)]
+        return merged(_several(conditions, place, is_or=False), value, other, place) if conditions else value
+
+    # Statements
+
+    def _block(self, frame: Frame, body: list[ast.stmt]) -> str:
+        """Follow statements; returns how they always leave: "return", "break", "continue", or "" if not."""
+        for statement in body:
+            if leaves := self._statement(frame, statement):
+                return leaves
+        return ""
+
+    def _count(self) -> None:
+        self._steps += 1
+        if self._steps > MAX_STEPS:
+            raise TooLongError
+
+    def _statement(self, frame: Frame, statement: ast.stmt) -> str:
+        self._count()
+        match statement:
+            case ast.Return(value=value):
+                result = self.evaluate(frame, value) if value is not None else None
+                frame.returned.append(Returned(frame.path, result, frame.module.place(statement)))
+                return "return"
+            case ast.Raise() | ast.Break() | ast.Continue():
+                return _LEAVES[type(statement)]
+            case ast.Assign() | ast.AnnAssign() | ast.AugAssign():
+                self._assignment(frame, statement)
+            case ast.Expr(value=value):
+                self.evaluate(frame, value)
+            case ast.If(test=test, body=body, orelse=orelse):
+                return self._if(frame, test, body, orelse)
+            case ast.For(target=target, iter=iterated, body=body):
+                return self._for(frame, target, iterated, body, statement)
+            case ast.While(body=body):
+                self._forget(frame, body, Unknown(frame.module.place(statement)))
+            case ast.With(body=body):
+                return self._block(frame, body)
+            case ast.Try(body=body, orelse=orelse, finalbody=final):
+                return self._block(frame, [*body, *orelse, *final])
+            case ast.FunctionDef(name=name):
+                frame.local[name] = Callable(frame.module, statement)
+            case ast.Pass() | ast.Assert() | ast.Delete() | ast.Global() | ast.Import() | ast.ImportFrom():
+                pass
+            case _:
+                self._forget(frame, [statement], Unknown(frame.module.place(statement)))
+        return ""
+
+    def _assignment(self, frame: Frame, statement: ast.stmt) -> None:
+        match statement:
+            case ast.Assign(targets=targets, value=value):
+                result = self.evaluate(frame, value)
+                for target in targets:
+                    self._assign(frame, target, result)
+            case ast.AnnAssign(target=target, value=value) if value is not None:
+                self._assign(frame, target, self.evaluate(frame, value))
+            case ast.AugAssign(target=target, op=op, value=value):
+                before = self.evaluate(frame, _loaded(target))
+                if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
+                    return  # the counter of the project, which the language counts itself
+                result = self._binary(op, before, self.evaluate(frame, value), frame, statement)
+                self._assign(frame, target, result)
+
+    def _if(self, frame: Frame, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt]) -> str:
+        condition = self.truth(self.evaluate(frame, test), frame, test)
+        if isinstance(condition, bool):
+            return self._block(frame, body if condition else orelse)
+        place = frame.module.place(test)
+        if _jumps([*body, *orelse]):
+            self._forget(frame, [*body, *orelse], Unknown(place))
+            frame.returned.append(Returned((Unknown(place),), Unknown(place), place))
+            return ""
+        path = frame.path
+        before = (frame.local, self.attributes, self.outputs)
+        frame.path = (*path, condition)
+        leaves, ours = self._branch(frame, body, before)
+        opposite = negated(condition, place)
+        if leaves:
+            opposite = Otherwise(opposite.parts if isinstance(opposite, Condition) else (Part("", place),))
+        frame.path = (*path, opposite)
+        else_leaves, others = self._branch(frame, orelse, before)
+        frame.path = path
+        if leaves or else_leaves:
+            frame.local, self.attributes, self.outputs = others if leaves else ours
+            return "return" if leaves and else_leaves else ""
+        frame.local = _merged_names(condition, ours[0], others[0], place)
+        self.attributes = _merged_names(condition, ours[1], others[1], place)
+        self.outputs = _merged_names(condition, ours[2], others[2], place)
+        return ""
+
+    def _branch(self, frame: Frame, body: list[ast.stmt], before: State) -> tuple[str, State]:
+        """Follow a branch from a state; returns how it leaves, and the state after it."""
+        frame.local, self.attributes, self.outputs = _copied(before)
+        leaves = self._block(frame, body)
+        return leaves, (frame.local, self.attributes, self.outputs)
+
+    def _for(
+        self, frame: Frame, target: ast.expr, iterated: ast.expr, body: list[ast.stmt], node: ast.AST
+    ) -> str:
+        items = self.evaluate(frame, iterated)
+        if not isinstance(items, list) or len(items) > MAX_ITEMS:
+            self._forget(frame, body, Unknown(frame.module.place(node)))
+            return ""
+        for item in items:
+            self._assign(frame, target, item)
+            leaves = self._block(frame, body)
+            if leaves in ("return", "break"):
+                return leaves.replace("break", "")
+        return ""
+
+    def _forget(self, frame: Frame, body: list[ast.stmt], value: Unknown) -> None:
+        """Let what a loop changes be unknown."""
+        for statement in body:
+            for node in ast.walk(statement):
+                if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
+                    self._assign(frame, node, value)
+                elif isinstance(node, ast.Return):
+                    frame.returned.append(Returned((value,), value, value.place))
+
+    def _assign(self, frame: Frame, target: ast.expr, value: Value) -> None:
+        match target:
+            case ast.Name(id=name):
+                frame.local[name] = value
+            case ast.Attribute(value=owner, attr=name):
+                if isinstance(self.evaluate(frame, owner), Instance):
+                    self.attributes[name] = value
+            case ast.Subscript(value=owner, slice=key):
+                self._assign_item(frame, owner, key, value)
+            case ast.Tuple(elts=elements) | ast.List(elts=elements):
+                values = value if isinstance(value, list) and len(value) == len(elements) else None
+                for position, element in enumerate(elements):
+                    unknown = Unknown(frame.module.place(target))
+                    self._assign(frame, element, unknown if values is None else values[position])
+
+    def _assign_item(self, frame: Frame, owner: ast.expr, key: ast.expr, value: Value) -> None:
+        container, index = self.evaluate(frame, owner), self.evaluate(frame, key)
+        if (
+            isinstance(container, list)
+            and isinstance(index, int)
+            and -len(container) <= index < len(container)
+        ):
+            container[index] = value
+            return
+        if isinstance(container, dict) and isinstance(index, str | int):
+            container[index] = value
+        elif isinstance(container, list | dict):
+            self._assign(frame, owner, Unknown(frame.module.place(owner)))
+
+    # Expressions
+
+    def evaluate(self, frame: Frame, node: ast.expr) -> Value:
+        """Return what an expression stands for."""
+        self._count()
+        match node:
+            case ast.Constant(value=value):
+                ok = isinstance(value, bool | int | float | str | None)
+                return value if ok else Unknown(frame.module.place(node))
+            case ast.Name(id=name):
+                return self._name(frame, name, node)
+            case ast.Attribute(value=owner, attr=name):
+                return self._attribute(frame, self.evaluate(frame, owner), name, node)
+            case ast.Subscript(value=owner, slice=key):
+                return self._item(frame, owner, key, node)
+            case ast.List(elts=elements) | ast.Tuple(elts=elements):
+                return [self.evaluate(frame, element) for element in elements]
+            case ast.Dict(keys=keys, values=values):
+                return self._dict(frame, keys, values, node)
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                condition = self.truth(self.evaluate(frame, test), frame, test)
+                if isinstance(condition, bool):
+                    return self.evaluate(frame, body if condition else orelse)
+                one, other = self.evaluate(frame, body), self.evaluate(frame, orelse)
+                return merged(condition, one, other, frame.module.place(node))
+            case (
+                ast.ListComp(elt=element, generators=[one]) | ast.GeneratorExp(elt=element, generators=[one])
+            ):
+                return self._comprehension(frame, element, one, node)
+            case ast.Call():
+                return self._call(frame, node)
+        return self._operation(frame, node)
+
+    def _operation(self, frame: Frame, node: ast.expr) -> Value:
+        """Return the result of an operator."""
+        match node:
+            case ast.UnaryOp(op=op, operand=operand):
+                return self._unary(op, self.evaluate(frame, operand), frame, node)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self._binary(op, self.evaluate(frame, left), self.evaluate(frame, right), frame, node)
+            case ast.BoolOp(op=op, values=values):
+                return self._boolean(frame, values, node, is_or=isinstance(op, ast.Or))
+            case ast.Compare(left=left, ops=ops, comparators=others):
+                return self._compare(frame, [left, *others], ops, node)
+        return Unknown(frame.module.place(node))
+
+    def _name(self, frame: Frame, name: str, node: ast.expr) -> Value:
+        if name in frame.local:
+            return frame.local[name]
+        return self.constant(frame.module, name, node)
+
+    def constant(self, module: ModuleCode, name: str, node: ast.AST) -> Value:
+        """Return a name at the top of a module."""
+        key = module.name, name
+        if key in self._constants:
+            return self._constants[key]
+        if name in module.functions:
+            return Callable(module, module.functions[name])
+        if name in module.assigned:
+            self._constants[key] = Unknown(
+                module.place(module.assigned[name])
+            )  # for a name that names itself
+            self._constants[key] = self.evaluate(Frame(module, {}), module.assigned[name])
+            return self._constants[key]
+        target = module.imported.get(name)
+        if target is None:
+            return External(name)
+        return self._import(target, node)
+
+    def _import(self, target: str, node: ast.AST) -> Value:
+        first, _, last = target.rpartition(".")
+        if target.rpartition(".")[2] in self.code.modules and not first:
+            return Project(self.code.modules[target])
+        source = first.rpartition(".")[2]
+        if source in self.code.modules:
+            return self.constant(self.code.modules[source], last, node)
+        if last in self.code.modules and (not first or first.startswith(".")):
+            return Project(self.code.modules[last])
+        return External(target)
+
+    def _attribute(self, frame: Frame, owner: Value, name: str, node: ast.expr) -> Value:
+        match owner:
+            case Instance(code):
+                if name in self.attributes:
+                    return self.attributes[name]
+                if name in code.methods:
+                    module, function = code.methods[name]
+                    return Callable(module, function, owner)
+                return self.calls.attribute(self, name, frame, node)
+            case Project(module):
+                return self.constant(module, name, node)
+            case External(full):
+                return self.calls.external_constant(f"{full}.{name}")
+            case Unknown():
+                return Unknown(frame.module.place(node))
+        return Method(owner, name)
+
+    def _item(self, frame: Frame, owner: ast.expr, key: ast.expr, node: ast.expr) -> Value:
+        container = self.evaluate(frame, owner)
+        if isinstance(key, ast.Slice):
+            return self._slice(frame, container, key, node)
+        index = self.evaluate(frame, key)
+        if (
+            isinstance(container, list)
+            and isinstance(index, int)
+            and -len(container) <= index < len(container)
+        ):
+            return container[index]
+        if isinstance(container, dict) and isinstance(index, str | int) and index in container:
+            return container[index]
+        return Unknown(frame.module.place(node))
+
+    def _slice(self, frame: Frame, container: Value, key: ast.Slice, node: ast.expr) -> Value:
+        bounds = [None if part is None else self.evaluate(frame, part) for part in (key.lower, key.upper)]
+        plain = all(bound is None or isinstance(bound, int) for bound in bounds)
+        if isinstance(container, list) and plain and key.step is None:
+            return container[slice(*bounds)]
+        return Unknown(frame.module.place(node))
+
+    def _dict(
+        self, frame: Frame, keys: list[ast.expr | None], values: list[ast.expr], node: ast.expr
+    ) -> Value:
+        names = [None if key is None else self.evaluate(frame, key) for key in keys]
+        if not all(isinstance(name, str | int) for name in names):
+            return Unknown(frame.module.place(node))
+        return dict(zip(names, (self.evaluate(frame, value) for value in values), strict=True))
+
+    def _comprehension(
+        self, frame: Frame, element: ast.expr, one: ast.comprehension, node: ast.expr
+    ) -> Value:
+        items = self.evaluate(frame, one.iter)
+        if not isinstance(items, list) or len(items) > MAX_ITEMS or one.ifs:
+            return Unknown(frame.module.place(node))
+        inner = Frame(frame.module, dict(frame.local), frame.self_, frame.path, depth=frame.depth)
+        values = []
+        for item in items:
+            self._assign(inner, one.target, item)
+            values.append(self.evaluate(inner, element))
+        return values
+
+    def _call(self, frame: Frame, node: ast.Call) -> Value:
+        called = self.evaluate(frame, node.func)
+        arguments: list[Value] = []
+        for argument in node.args:
+            if isinstance(argument, ast.Starred):
+                inner = self.evaluate(frame, argument.value)
+                arguments += inner if isinstance(inner, list) else [Unknown(frame.module.place(argument))]
+            else:
+                arguments.append(self.evaluate(frame, argument))
+        named = {one.arg: self.evaluate(frame, one.value) for one in node.keywords if one.arg}
+        return self.calls.call(self, frame, called, arguments, named, node)
+
+    # Operators
+
+    def _unary(self, op: ast.unaryop, value: Value, frame: Frame, node: ast.AST) -> Value:
+        place = frame.module.place(node)
+        if isinstance(op, ast.Not):
+            condition = self.truth(value, frame, node)
+            return (not condition) if isinstance(condition, bool) else negated(condition, place)
+        if is_number(value):
+            return -value if isinstance(op, ast.USub) else value
+        if isinstance(value, Quantity) and isinstance(op, ast.USub):
+            return Quantity(f"-{value.operand}", value.unit, False, value.note)
+        return Unknown(place)
+
+    def _binary(self, op: ast.operator, left: Value, right: Value, frame: Frame, node: ast.AST) -> Value:
+        return operated(op, left, right, frame.module.place(node))
+
+    def _boolean(self, frame: Frame, values: list[ast.expr], node: ast.expr, *, is_or: bool) -> Value:
+        """Return `or` or `and` of conditions; a value that decides alone ends them, as in Python."""
+        place = frame.module.place(node)
+        conditions: list[Condition | Unknown] = []
+        for value in values:
+            condition = self.truth(self.evaluate(frame, value), frame, value)
+            if condition is is_or:
+                return is_or
+            if not isinstance(condition, bool):
+                conditions.append(condition)
+        if not conditions:
+            return not is_or
+        return _several(conditions, place, is_or=is_or)
+
+    def _compare(self, frame: Frame, nodes: list[ast.expr], ops: list[ast.cmpop], node: ast.expr) -> Value:
+        values = [self.evaluate(frame, one) for one in nodes]
+        place = frame.module.place(node)
+        results: list[Condition | Unknown] = []
+        for position, op in enumerate(ops):
+            result = compared(op, values[position], values[position + 1], place)
+            if result is False:
+                return False
+            if result is not True:
+                results.append(result)
+        return _several(results, place, is_or=False) if results else True
+
+    def truth(self, value: Value, frame: Frame, node: ast.AST) -> bool | Condition | Unknown:
+        """Return whether a value counts as true in Python."""
+        match value:
+            case Condition() | Unknown():
+                return value
+            case None | bool() | int() | float() | str() | list() | dict():
+                return bool(value)
+            case WorldNode() | Instance() | Callable() | Parent():
+                return True
+        return Unknown(frame.module.place(node))
+
+
+def _jumps(body: list[ast.stmt]) -> bool:
+    """Return whether statements leave the loop around them, or a turn of it."""
+    waiting: list[ast.AST] = list(body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Break | ast.Continue):
+            return True
+        if not isinstance(node, ast.For | ast.While):
+            waiting += ast.iter_child_nodes(node)
+    return False
+
+
+def _loaded(target: ast.expr) -> ast.expr:
+    """Return the target of `+=` as an expression to read."""
+    match target:
+        case ast.Name(id=name):
+            result: ast.expr = ast.Name(id=name, ctx=ast.Load())
+        case ast.Attribute(value=owner, attr=name):
+            result = ast.Attribute(value=owner, attr=name, ctx=ast.Load())
+        case ast.Subscript(value=owner, slice=key):
+            result = ast.Subscript(value=owner, slice=key, ctx=ast.Load())
+        case _:
+            return target
+    return ast.copy_location(result, target)
+
+
+# Values under conditions
+
+
+def merged(condition: Condition | Unknown, one: Value, other: Value, place: Place) -> Value:
+    """Return `one if condition else other`."""
+    if _is_same(one, other):
+        return one
+    if isinstance(condition, Condition) and condition.unknown is not None:
+        condition = Unknown(condition.unknown.place)
+    if isinstance(condition, Unknown):
+        return _merged_unknown(condition, one, other)
+    if isinstance(one, Unknown) or isinstance(other, Unknown):
+        return one if isinstance(one, Unknown) else other
+    if isinstance(one, bool | Condition) and isinstance(other, bool | Condition):
+        return _merged_truth(condition, one, other, place)
+    first, second = _amount(one, other), _amount(other, one)
+    if first is None or second is None or first.unit != second.unit:
+        return Unknown(place)
+    return _short(
+        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), place
+    )
+
+
+def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
+    """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
+    if one is True and isinstance(other, Condition):
+        return Condition((*other.parts, Part("", condition.place)))
+    if one is True and other is False:
+        return Condition((Part("", condition.place),))
+    return condition
+
+
+def _merged_truth(condition: Condition, one: Value, other: Value, place: Place) -> Value:
+    """Return the same for truth values and conditions."""
+    if one is True:
+        return condition if other is False else _several([condition, other], place, is_or=True)
+    if one is False:
+        opposite = negated(condition, place)
+        return opposite if other is True else _several([opposite, other], place, is_or=False)
+    both = _several([condition, one], place, is_or=False)
+    if other is False:
+        return both
+    rest = [negated(condition, place)] if other is True else [negated(condition, place), other]
+    return _several([both, _several(rest, place, is_or=False)], place, is_or=True)
+
+
+def _amount(value: Value, beside: Value) -> Quantity | None:
+    """Return a number or quantity as a quantity; a number has the unit of the quantity beside it."""
+    if isinstance(value, Quantity):
+        return value
+    if not is_number(value) or not isfinite(value):
+        return None
+    unit = beside.unit if isinstance(beside, Quantity) else ""
+    return Quantity(number_text(value, unit), unit)
+
+
+def _is_same(one: Value, other: Value) -> bool:
+    if one is other:
+        return True
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    return type(one) is type(other) and not isinstance(one, dict) and one == other
+
+
+def _merged_names(
+    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], place: Place
+) -> dict[Any, Value]:
+    result = {}
+    for name in [*ours, *(name for name in others if name not in ours)]:
+        if name in ours and name in others:
+            result[name] = merged(condition, ours[name], others[name], place)
+        else:
+            result[name] = Unknown(place)
+    return result
+
+
+def _copied(state: State) -> State:
+    """Return dicts with their lists copied; two names of one list keep one list."""
+    copies: dict[int, Value] = {}
+
+    def copy(value: Value) -> Value:
+        if not isinstance(value, list | dict):
+            return value
+        if id(value) not in copies:
+            empty: Value = [] if isinstance(value, list) else {}
+            copies[id(value)] = empty
+            if isinstance(value, list):
+                empty.extend(map(copy, value))
+            else:
+                empty.update((key, copy(item)) for key, item in value.items())
+        return copies[id(value)]
+
+    local, attributes, outputs = state
+    return (
+        {name: copy(value) for name, value in local.items()},
+        {name: copy(value) for name, value in attributes.items()},
+        {key: copy(value) for key, value in outputs.items()},
+    )
+
+
+# Conditions
+
+
+def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown:
+    if isinstance(condition, Unknown):
+        return condition
+    if condition.unknown is not None:
+        return Unknown(condition.unknown.place)
+    return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
+
+
+def _several(conditions: list[Condition | Unknown], place: Place, *, is_or: bool) -> Condition | Unknown:
+    """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
+    if len(conditions) == 1:
+        return conditions[0]
+    stated = [condition for condition in conditions if isinstance(condition, Condition)]
+    if len(stated) < len(conditions):
+        return Unknown(place)
+    if is_or:
+        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), place)
+    if any(condition.unknown for condition in stated):
+        return Unknown(place)
+    text = " and ".join(f"({condition.text})" for condition in stated)
+    notes = [part.note for condition in stated for part in condition.parts if part.note]
+    return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)
+
+
+def _checked(condition: Condition, place: Place) -> Condition | Unknown:
+    return condition if len(condition.text) <= MAX_TEXT else Unknown(place)
+
+
+def _short(value: Quantity, place: Place) -> Quantity | Unknown:
+    return value if len(value.text) <= MAX_TEXT else Unknown(place)
+
+
+def compared(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Condition | Unknown:
+    """Return the result of a comparison."""
+    if isinstance(op, ast.Is | ast.IsNot) or right is None or left is None:
+        return _compared_none(op, left, right, place)
+    if isinstance(op, ast.In | ast.NotIn):
+        plain = isinstance(right, list) and all(isinstance(item, bool | int | float | str) for item in right)
+        if plain and isinstance(left, bool | int | float | str):
+            return (left in right) is isinstance(op, ast.In)
+        return Unknown(place)
+    if isinstance(left, bool | int | float | str) and isinstance(right, bool | int | float | str):
+        return _compared_plain(op, left, right, place)
+    symbol = _COMPARISONS[type(op)]
+    one, other = _amount(left, right), _amount(right, left)
+    if one is None or other is None or one.unit != other.unit:
+        return Unknown(place)
+    note = one.note or other.note
+    return _checked(Condition((Part(f"{one.operand} {symbol} {other.operand}", place, note),)), place)
+
+
+def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+    if isinstance(left, Unknown) or isinstance(right, Unknown) or not (left is None or right is None):
+        return Unknown(place)
+    is_same = left is right
+    if isinstance(op, ast.Is | ast.Eq):
+        return is_same
+    return not is_same if isinstance(op, ast.IsNot | ast.NotEq) else Unknown(place)
+
+
+def _compared_plain(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+    if isinstance(op, ast.Eq):
+        return bool(left == right)
+    if isinstance(op, ast.NotEq):
+        return bool(left != right)
+    if isinstance(left, str) is not isinstance(right, str):
+        return Unknown(place)
+    match op:
+        case ast.Lt():
+            return bool(left < right)
+        case ast.LtE():
+            return bool(left <= right)
+        case ast.Gt():
+            return bool(left > right)
+    return bool(left >= right)
+
+
+# Arithmetic
+
+_LARGEST = 1e15
+
+
+def operated(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    """Return the result of an arithmetic operator."""
+    if is_number(left) and is_number(right):
+        return _computed(op, left, right, place)
+    if isinstance(left, list) and isinstance(right, list) and isinstance(op, ast.Add):
+        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, list) and isinstance(right, int) and isinstance(op, ast.Mult):
+        return left * right if len(left) * max(right, 0) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, str) and isinstance(right, str) and isinstance(op, ast.Add):
+        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, Unknown | Normalized) or isinstance(right, Unknown | Normalized):
+        return Unknown(place)
+    match op:
+        case ast.Add() | ast.Sub():
+            return _sum(op, left, right, place)
+        case ast.Mult() | ast.Div():
+            return _product(op, left, right, place)
+        case ast.Pow() if isinstance(left, Quantity) and right == 2 and left.unit in ("", "m"):
+            unit = f"{left.unit}^2" if left.unit else ""
+            return _short(Quantity(f"{left.operand}^2", unit, False), place)
+    return Unknown(place)
+
+
+def _computed(op: ast.operator, left: float, right: float, place: Place) -> Value:
+    try:
+        match op:
+            case ast.Add():
+                result: float = left + right
+            case ast.Sub():
+                result = left - right
+            case ast.Mult():
+                result = left * right
+            case ast.Div():
+                result = left / right
+            case ast.FloorDiv():
+                result = left // right
+            case ast.Mod():
+                result = left % right
+            case ast.Pow():
+                result = float(left) ** float(right)
+                result = int(result) if isinstance(left, int) and result.is_integer() else result
+            case _:
+                return Unknown(place)
+    except (ArithmeticError, TypeError, ValueError):
+        return Unknown(place)
+    if isinstance(result, complex) or (isinstance(result, int) and abs(result) > _LARGEST):
+        return Unknown(place)
+    return result
+
+
+def _sum(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    if isinstance(op, ast.Sub) and right == 0 and is_number(right):
+        return left
+    one, other = _amount(left, right), _amount(right, left)
+    if one is None or other is None or one.unit != other.unit:
+        return Unknown(place)
+    symbol = "+" if isinstance(op, ast.Add) else "-"
+    note = one.note or other.note
+    return _short(Quantity(f"{one.operand} {symbol} {other.operand}", one.unit, False, note), place)
+
+
+def _product(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    if isinstance(left, Quantity) and is_number(right) and isfinite(right):
+        symbol = "*" if isinstance(op, ast.Mult) else "/"
+        text = f"{left.operand} {symbol} {number_text(right)}"
+        return _short(Quantity(text, left.unit, False, left.note), place)
+    if is_number(left) and isfinite(left) and isinstance(right, Quantity) and isinstance(op, ast.Mult):
+        return _short(
+            Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), place
+        )
+    if not (isinstance(left, Quantity) and isinstance(right, Quantity)):
+        return Unknown(place)
+    if isinstance(op, ast.Div) and left.unit == right.unit:
+        return _short(Quantity(f"{left.operand} / {right.operand}", "", False), place)
+    if isinstance(op, ast.Mult) and left.unit == right.unit and left.unit in ("", "m"):
+        unit = f"{left.unit}^2" if left.unit else ""
+        product = f"{left.operand}^2" if left.text == right.text else f"{left.operand} * {right.operand}"
+        return _short(Quantity(product, unit, False), place)
+    if isinstance(op, ast.Mult) and "" in (left.unit, right.unit):
+        return _short(Quantity(f"{left.operand} * {right.operand}", left.unit or right.unit, False), place)
+    return Unknown(place)

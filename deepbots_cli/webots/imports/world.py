@@ -1,0 +1,172 @@
+"""The surroundings of robots as entries of a scenario: timestep, gravity, arena, terrain, objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import hypot
+from typing import TYPE_CHECKING
+
+from deepbots_cli import frames
+from deepbots_cli.webots.imports.robots import pose_of
+from deepbots_cli.webots.nodes import number, numbers, real, rotation, text, vector, walk
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.webots.project import World
+    from deepbots_cli.webots.scene import Body, Geometry, Scene
+    from deepbots_cli.webots.shapes import Shape
+    from deepbots_cli.webots.syntax import Node
+
+_PIT_RADIUS_PER_WIDTH = 1.1774100225154747  # sqrt(2 ln 2): the radius of the rim over the width of the bell
+MAX_OBJECTS = 60
+LARGEST_SUBSTEP = 8  # ms; the largest at which physics is within 1 % of its closed forms
+
+
+@dataclass
+class Surroundings:
+    """Entries of `world` and `objects` as pairs of key and YAML text, and what has no counterpart."""
+
+    world: list[tuple[str, str]] = field(default_factory=list)
+    objects: dict[str, str] = field(default_factory=dict)
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    """Places and sentences about parts of the world without a counterpart."""
+
+
+def surroundings(
+    world: World, scene: Scene, objects: Mapping[int, str], used: Iterable[Node], step: int
+) -> Surroundings:
+    """Return the entries of a world; `objects` are names of bodies by their index, `used` the nodes that the
+    code reads, and `step` the control step (ms)."""
+    result = Surroundings()
+    entries = result.world
+    entries.append(("timestep", f"{step} ms"))
+    substeps = -(-step // LARGEST_SUBSTEP)
+    if substeps > 1:
+        entries.append(("substeps", str(substeps)))
+    if scene.gravity != (0.0, 0.0, -9.81):
+        entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
+    done = _arena(scene, result) | _terrain(scene, result)
+    needed = set(used)
+    for body in scene.bodies:
+        if body.robot is None and body.node not in done and body.index in objects:
+            _object(body, scene, objects[body.index], body.node in needed, result)
+    return result
+
+
+def plain(*values: float) -> str:
+    """Return numbers with up to nine digits, separated by spaces."""
+    return " ".join(f"{value + 0.0:.9g}" for value in values)
+
+
+# Arena and terrain
+
+
+def _written(scene: Scene, kind: str) -> list[Node]:
+    return [node for node in walk(scene.nodes) if node.type == kind and node.body is not None]
+
+
+def _is_at_origin(node: Node) -> bool:
+    return hypot(*vector(node, "translation")) < 1e-6 and abs(rotation(node, "rotation")[3]) > 1 - 1e-9
+
+
+def _arena(scene: Scene, result: Surroundings) -> set[Node]:
+    for node in _written(scene, "RectangleArena"):
+        if not _is_at_origin(node):
+            continue
+        x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
+        parts = [f"size: {plain(x, y)} m"]
+        if (height := number(node, "wallHeight")) != 0.1:
+            parts.append(f"wall_height: {plain(height)} m")
+        if (thickness := number(node, "wallThickness")) != 0.01:
+            parts.append(f"wall_thickness: {plain(thickness)} m")
+        result.world.append(("arena", f"{{{', '.join(parts)}}}"))
+        return {real(node)}
+    return set()
+
+
+def _terrain(scene: Scene, result: Surroundings) -> set[Node]:
+    for node in _written(scene, "Pit"):
+        if not _is_at_origin(node):
+            continue
+        height = numbers(node, "size")[2]
+        radius = number(node, "pitRadius") * _PIT_RADIUS_PER_WIDTH
+        parts = ["type: pit", f"height: {plain(height)} m", f"radius: {radius:.4g} m"]
+        if noise := number(node, "noiseAmplitude"):
+            parts.append(f"noise: {plain(min(noise, 1.0))}")
+        result.world.append(("terrain", f"{{{', '.join(parts)}}}"))
+        return {real(node)}
+    return set()
+
+
+# Objects
+
+
+def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surroundings) -> None:
+    label = text(body.node, "name") or body.node.type
+    solid = [geometry for geometry in body.geometries if not _is_ground(geometry, body)]
+    if not solid:
+        if is_used:
+            pose = _pose_text(body.frame)
+            result.objects[name] = f"{{shape: sphere, radius: 1 cm, solid: false, fixed: true, pose: {pose}}}"
+        return
+    if len(result.objects) + len(solid) > MAX_OBJECTS:
+        _leave_out(body, f"'{label}', because the world has more than {MAX_OBJECTS} objects", result)
+        return
+    if body.parent is not None or any(child.parent is body for child in scene.bodies):
+        _leave_out(body, f"'{label}', which has joints: write a robot file for it", result)
+        return
+    if body.is_free and len(solid) > 1:
+        _leave_out(body, f"'{label}', a body of {len(solid)} shapes: write a robot file for it", result)
+        return
+    for position, geometry in enumerate(solid):
+        shape = _shape_text(geometry.shape)
+        if shape is None:
+            _leave_out(body, f"the {geometry.shape.kind} of '{label}'", result)
+            continue
+        parts = [shape]
+        mass = geometry.mass + sum(inertia.mass for inertia in body.inertias)
+        parts.append(f"mass: {plain(mass)} kg" if body.is_free and mass > 0 else "fixed: true")
+        friction = scene.contact(geometry.material, "default").friction
+        if friction != 1.0:
+            parts.append(f"friction: {plain(friction)}")
+        parts.append(f"pose: {_pose_text(frames.compose(body.frame, geometry.frame))}")
+        result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
+
+
+def _leave_out(body: Body, sentence: str, result: Surroundings) -> None:
+    result.left_out.append((body.node.span.location, sentence))
+
+
+def _is_ground(geometry: Geometry, body: Body) -> bool:
+    """Return whether a plane is the ground of a scenario: level, at the height 0."""
+    if geometry.shape.kind != "plane" or body.is_free:
+        return False
+    place, turned = frames.compose(body.frame, geometry.frame)
+    return abs(place[2]) < 1e-3 and frames.rotate(turned, (0.0, 0.0, 1.0))[2] > 0.9999
+
+
+def _shape_text(shape: Shape) -> str | None:
+    match shape.kind:
+        case "box":
+            return f"shape: box, size: {plain(*shape.size)} m"
+        case "sphere":
+            return f"shape: sphere, radius: {plain(*shape.size)} m"
+        case "cylinder" | "capsule":
+            radius, height = shape.size
+            return f"shape: {shape.kind}, radius: {plain(radius)} m, height: {plain(height)} m"
+    return None
+
+
+def _pose_text(frame: Frame) -> str:
+    pose = pose_of(frame)
+    parts = [f"xyz: {plain(*pose.xyz)} m"]
+    if hypot(*pose.rpy) > 1e-9:
+        parts.append(f"rpy: {plain(*pose.rpy)} rad")
+    return f"{{{', '.join(parts)}}}"
+
+
+def pose_text(frame: Frame) -> str:
+    """Return a frame as the value of `pose`."""
+    return _pose_text(frame)
