@@ -121,11 +121,10 @@ class PlantEngine(MirrorEngine):
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Any:
         devices = self._robots[robot].devices
         motors = [device_object(self._simulation, devices[joint]) for joint in joints]
-        for motor in motors:
-            motor.setPosition(inf)
 
         def write(targets: Sequence[float]) -> None:
             for motor, target in zip(motors, targets, strict=True):
+                motor.setPosition(inf)
                 motor.setVelocity(target)
 
         return write

@@ -44,7 +44,15 @@ class MirrorEngine(EngineProxy):
         self.is_starting = True
         self.engine.reset()
         self.plant.reset(self.timestep_ms)
-        self.follow()
+        self._bring_back()
+
+    def _bring_back(self) -> None:
+        """Set the world to the state after a reset: its physics steps within the timestep of the reset."""
+        for body in self.plant.moving_bodies:
+            self.plant.place(body, *self.engine.pose(body)(), ZERO_VECTOR, ZERO_VECTOR)
+        for robot, joint in self.plant.joints:
+            ((position, _),) = self.engine.joint_states(robot, (joint.name,))()
+            self.plant.set_joint(robot, joint.name, position)
 
     def step(self, substeps: int) -> None:
         """Let the world run, in whole timesteps, and follow it."""

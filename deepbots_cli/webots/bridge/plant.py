@@ -69,10 +69,10 @@ class Plant:
         return self._nodes[name]
 
     def reset(self, timestep: int) -> None:
-        """Bring the world back to its begin; this takes a step of `timestep` ms."""
+        """Bring the world back to its begin, at rest; this takes a step of `timestep` ms."""
         self.supervisor.simulationReset()
-        self.supervisor.simulationResetPhysics()
         self.step(timestep)
+        self.supervisor.simulationResetPhysics()
 
     def step(self, timestep: int) -> None:
         """Let the world run for some ms.

@@ -115,12 +115,10 @@ class RobotDevices:
 
     def velocity_motor(self, _robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
         motors = self._motors(joints, max_torque)
-        for motor in motors:
-            motor.setPosition(inf)
-            motor.setVelocity(0.0)
 
         def write(targets: Sequence[float]) -> None:
             for motor, target in zip(motors, targets, strict=True):
+                motor.setPosition(inf)  # a reset of the world lets motors keep their position
                 motor.setVelocity(target)
 
         return write
