@@ -260,10 +260,11 @@ class WebotsRobot:
         time = self._robot.getTime()
         if time < self._time:
             self._has_begun = False
-            self.controller.hold()
         self._time = time
         self.devices.sample()
-        if self._has_begun:
+        if not self._has_begun:
+            self.controller.hold()
+        else:
             self.controller.observe()
             self._message = self._emitted.encode(self.controller.create_message()).split(",")
 
