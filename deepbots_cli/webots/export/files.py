@@ -1,0 +1,215 @@
+"""The files of a project of Webots."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import deepbots_cli
+from deepbots_cli import api
+from deepbots_cli.codegen.text import class_name
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.webots.bridge import names
+from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
+from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static_gaps
+from deepbots_cli.webots.export.nodes import world_text
+
+if TYPE_CHECKING:
+    from deepbots_cli.program import Program
+    from deepbots_cli.rollout.source import Source
+    from deepbots_cli.webots.bridge.task import RemoteRobot
+
+OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
+"""What a scenario is in Webots: messages there take a timestep, and those of deepbots are texts."""
+_LEARNERS = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
+_SETTINGS = (
+    *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "learning_rate", "ent_coef"),
+    *("buffer_size", "learning_starts", "train_freq", "gradient_steps"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class WebotsProject:
+    """A scenario that fits Webots, and what differs there."""
+
+    compiled: api.Compiled
+    project: Project
+    remotes: dict[str, RemoteRobot]
+    gaps: Gaps
+
+
+def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
+    """Compile a scenario, or that of a run, for Webots.
+
+    Raises:
+        ScenarioError: The scenario has errors.
+        UsageError: Webots cannot hold the scenario; the message has a sentence for each reason.
+        MissingExtraError: MuJoCo is not installed.
+    """
+    from deepbots_cli import engines
+
+    compiled = api.compile(source, overrides=[*overrides, *OVERRIDES])
+    gaps = static_gaps(compiled.program)
+    _require_none(compiled.program, gaps)
+    project = project_of(compiled)
+    recorder = Recorder(engines.create("mujoco", project.world))
+    task = project.supervisor(recorder)
+    dynamic_gaps(recorder, task, gaps)
+    task.close()
+    _require_none(compiled.program, gaps)
+    return WebotsProject(compiled, project, _remotes(project, task), gaps)
+
+
+def _require_none(program: Program, gaps: Gaps) -> None:
+    if gaps.missing:
+        sentences = "\n".join(f"  {sentence}" for sentence in gaps.missing)
+        raise UsageError(f"{program.name} cannot be exported to Webots:\n{sentences}")
+
+
+def _remotes(project: Project, task: Any) -> dict[str, RemoteRobot]:
+    """Return the bound controllers by the names of robots in the world."""
+    copies = project.program.agent.copies
+    remotes: dict[str, RemoteRobot] = {}
+    for copy, agent in task.agents.items():
+        for name, remote in agent.controllers.items():
+            remotes.setdefault(copy if copies is not None and name == copies.robot else name, remote)
+    return remotes
+
+
+def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[PurePosixPath, bytes]:
+    """Return the files of the project.
+
+    Args:
+        policy: The policy as a graph of ONNX, for the supervisor.
+    """
+    from deepbots_cli.webots.export.world import WorldWriter
+
+    compiled, project = prepared.compiled, prepared.project
+    program = compiled.program
+    world = re.sub(r"\W+", "_", program.name).lower()
+    texts = _texts(prepared, world, policy)
+    for controller, suffix in (("supervisor", ""), ("train", "_train")):
+        writer = WorldWriter(
+            project.world,
+            project.robots,
+            prepared.remotes,
+            program.name,
+            f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}",
+        )
+        texts[f"worlds/{world}{suffix}.wbt"] = world_text(writer.nodes(controller))
+    texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, compiled.code
+    files = {PurePosixPath(path): text.encode() for path, text in texts.items()}
+    if policy is not None:
+        files[PurePosixPath("controllers/supervisor/policy.onnx")] = policy
+    for path, content in compiled.inputs.items():
+        files[PurePosixPath("scenario", INPUTS_FOLDER, path)] = content
+    return files
+
+
+def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[str, str]:
+    """Return the texts of README, requirements and controllers."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    templates = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "project"),
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        autoescape=False,
+    )
+    project, program = prepared.project, prepared.compiled.program
+    controllers = {names.controller_name(name): spec for name, spec in project.robots.items()}
+    words = {
+        "name": program.name,
+        "summary": _one_line(program.summary),
+        "class_name": class_name(program.name),
+        "version": deepbots_cli.__version__,
+        "digest": prepared.compiled.digest[:12],
+        "world": world,
+        "timestep": project.timestep_ms,
+        "channels": {name: names.to_robot_channel(index) for index, name in enumerate(project.robots)},
+        "is_batch": program.agent.copies is not None,
+        "has_policy": policy is not None,
+        "controllers": list(controllers),
+        "differs": prepared.gaps.differs,
+        **_learner(program),
+    }
+    texts = {
+        path: templates.get_template(template).render(words)
+        for path, template in (
+            ("README.md", "README.md.j2"),
+            ("controllers/supervisor/webots_environment.py", "webots_environment.py.j2"),
+            ("controllers/supervisor/supervisor.py", "supervisor.py.j2"),
+            ("controllers/train/train.py", "train.py.j2"),
+        )
+    }
+    for name, spec in controllers.items():
+        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(
+            {
+                **words,
+                "class_name": class_name(name),
+                "robots": f"the robot {spec.name}",
+                "sent": _fields(spec.from_robot.fields),
+                "received": _fields(spec.to_robot.fields),
+            }
+        )
+    texts["requirements.txt"] = _requirements()
+    return texts
+
+
+def _fields(fields: Sequence[Any]) -> str:
+    return ", ".join(field.name for field in fields) or "nothing"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split()).replace("\\", "\\\\").replace('"', "'")
+
+
+def _learner(program: Program) -> dict[str, Any]:
+    """Return the algorithm, and those of its settings that are plain numbers of Stable-Baselines3."""
+    training = program.agent.training
+    name = training.algorithm if training is not None else ""
+    known = name in _LEARNERS
+    given = {entry.name: entry.value for entry in training.hyperparameters} if training and known else {}
+    settings = [
+        (key, given[key])
+        for key in _SETTINGS
+        if isinstance(given.get(key), (int, float)) and not isinstance(given.get(key), bool)
+    ]
+    default = "PPO" if program.agent.choices else "SAC"
+    return {
+        "algorithm": name if known else default,
+        "settings": settings,
+        "total": getattr(training, "total_timesteps", None) or 100_000,
+        "policy": "MultiInputPolicy" if program.agent.goal is not None else "MlpPolicy",
+    }
+
+
+def _requirements() -> str:
+    return (
+        f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
+        "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
+        "mujoco\nonnxruntime\nstable-baselines3\n"
+    )
+
+
+def policy_of_run(run: Any, model: Any) -> bytes:
+    """Return the policy of a run as a graph of ONNX from observations to actions.
+
+    Raises:
+        MissingExtraError: onnx is not installed.
+        UsageError: The policy remembers, or cannot be exported.
+    """
+    try:
+        from deepbots_cli.insight.export.network import policy_graph
+        from deepbots_cli.learning import policy
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("export", "exporting a policy") from error
+    learner = policy.loaded(run, model)
+    if learner.network().memory is not None:
+        raise UsageError("the policy of this run remembers, which the export to Webots does not")
+    return policy_graph(learner, run.program)

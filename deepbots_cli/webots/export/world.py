@@ -1,0 +1,449 @@
+"""The world of a scenario as nodes of Webots.
+
+All masses, inertias, friction and sizes are those of the scenario. Each robot is a Robot node whose links are
+Solid nodes, with the devices that its generated controller binds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from math import inf, pi
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.objects import arena_walls, as_robot, is_movable, with_explicit_masses
+from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
+from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
+from deepbots_cli.program.robots import Motor
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Mesh, Sphere
+from deepbots_cli.webots.bridge import names
+from deepbots_cli.webots.bridge.plant import axis_angle
+from deepbots_cli.webots.export.nodes import NodeText, Verbatim, node, numbers
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.program.robots import Robot
+    from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
+    from deepbots_cli.robots.model import Joint, Link, RobotModel, Shape
+    from deepbots_cli.webots.bridge.task import RemoteRobot
+
+GROUND_COLOR = (0.83, 0.85, 0.87, 1.0)
+LINK_COLOR = (0.6, 0.62, 0.66, 1.0)
+MAX_SPEED = 1000.0
+"""The limit of a motor without one, rad/s or m/s."""
+MAX_TORQUE = 1e6
+BOUNCE_VELOCITY = 0.01
+
+
+@dataclass
+class RobotDevicesNeeded:
+    """The devices that a generated controller binds: joints with sensors, driven joints with their limit (N m
+    or N), links with sensors of motion, and rays by their link."""
+
+    joints: set[str] = field(default_factory=set)
+    motors: dict[str, float] = field(default_factory=dict)
+    links: set[str] = field(default_factory=set)
+    rays: list[tuple[str, Frame, float]] = field(default_factory=list)
+
+
+def devices_needed(remote: RemoteRobot, model: RobotModel) -> RobotDevicesNeeded:
+    """Return the devices that a controller binds, by the calls of its engine."""
+    needed = RobotDevicesNeeded()
+    for method, arguments, named in remote.log.calls:
+        if method == "joint_states":
+            needed.joints |= set(arguments[1])
+        elif method == "joint_torques":
+            needed.motors |= {joint: needed.motors.get(joint, 0.0) for joint in arguments[1]}
+        elif method.endswith("_motor"):
+            limits = arguments[2] if len(arguments) > 2 else named["max_torque"]
+            for joint, limit in zip(arguments[1], limits, strict=True):
+                needed.motors[joint] = max(needed.motors.get(joint, 0.0), limit)
+        elif method in ("pose", "velocity", "motion"):
+            needed.links.add((arguments[1] if len(arguments) > 1 else named.get("link")) or "")
+        elif method == "rays":
+            (_, link), rays, reach = arguments
+            needed.rays += [(link or model.root, ray, reach) for ray in rays]
+    return needed
+
+
+class WorldWriter:
+    """Writes the nodes of a world."""
+
+    def __init__(
+        self,
+        world: WorldModel,
+        robots: dict[str, Robot],
+        remotes: dict[str, RemoteRobot],
+        title: str,
+        info: str,
+    ) -> None:
+        """Prepare the world.
+
+        Args:
+            world: The world of the scenario, with the copies of a robot.
+            robots: The robots by their names in the world, in the order of their channels.
+            remotes: The bound controllers, by the same names.
+            title: The title of the world.
+            info: What the world says about itself.
+        """
+        self._world, self._robots, self._remotes = world, robots, remotes
+        self._title, self._info = title, info
+        self._materials: dict[tuple[float, float, float, float], str] = {}
+        self.period_ms = round(world.timestep * 1000)
+
+    def nodes(self, supervisor: str) -> Iterator[NodeText]:
+        """Yield the nodes of the world; `supervisor` is the controller of the supervisor."""
+        bodies = [*self._bodies()]
+        yield self._world_info()
+        yield self._viewpoint()
+        yield node("Background", skyColor=[(0.7, 0.8, 0.9)], luminosity=0.8)
+        yield node("DirectionalLight", direction=(0.3, -0.4, -0.87), intensity=2.0, castShadows=True)
+        yield from bodies
+        yield self._supervisor(supervisor)
+
+    def basic_step_ms(self) -> int:
+        """Return the basic time step: that of the physics, as far as it is a whole number of ms."""
+        step = self.period_ms / self._world.substeps
+        return round(step) if step >= 1 and abs(step - round(step)) < 1e-9 else _divisor(self.period_ms, step)
+
+    def _bodies(self) -> Iterator[NodeText]:
+        yield from self._ground()
+        walls = arena_walls(self._world.arena) if self._world.arena is not None else ()
+        for thing in (*walls, *self._world.objects):
+            yield self._object(thing)
+        for index, (name, spec) in enumerate(self._robots.items()):
+            body = next(robot for robot in self._world.robots if robot.name == name)
+            yield self._robot(body, spec, index)
+
+    # The world itself
+
+    def _world_info(self) -> NodeText:
+        return node(
+            "WorldInfo",
+            "WORLD_INFO",
+            info=[self._info],
+            title=self._title,
+            basicTimeStep=float(self.basic_step_ms()),
+            gravity=tuple(self._world.gravity),
+            contactProperties=list(self._contacts()),
+        )
+
+    def _contacts(self) -> Iterator[NodeText]:
+        """Yield the properties of each pair of surfaces: products of friction and restitution, as engines of
+        deepbots combine them."""
+        surfaces = list(self._materials.items())
+        for at, (one, first) in enumerate(surfaces):
+            for other, second in surfaces[at:]:
+                spinning, rolling = (one[kind] * other[0] + other[kind] * one[0] for kind in (1, 2))
+                yield node(
+                    "ContactProperties",
+                    material1=first,
+                    material2=second,
+                    coulombFriction=[one[0] * other[0]],
+                    rollingFriction=(rolling, rolling, spinning),
+                    bounce=one[3] * other[3],
+                    bounceVelocity=BOUNCE_VELOCITY,
+                )
+
+    def material(self, friction: Friction) -> str:
+        """Return the name of a surface."""
+        lateral = 1.0 if friction.lateral is None else friction.lateral
+        key = (lateral, friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
+        return self._materials.setdefault(key, f"surface {len(self._materials) + 1}")
+
+    def _viewpoint(self) -> NodeText:
+        """Return a view from behind and above, at the distance of the size of the world."""
+        size = max(self._world.arena.size) if self._world.arena is not None else 4.0
+        turned = frames.quaternion(0.0, 0.6, 0.0)
+        return node(
+            "Viewpoint",
+            orientation=tuple(axis_angle(turned)),
+            position=(-1.6 * size, 0.0, 1.2 * size),
+        )
+
+    def _ground(self) -> Iterator[NodeText]:
+        world = self._world
+        if world.terrain is not None:
+            yield self._relief(world.terrain)
+        elif world.ground is not None:
+            ground = world.ground
+            size = max(20.0, 2 * max(world.arena.size)) if world.arena is not None else 20.0
+            plane = node("Plane", size=(size, size))
+            yield node(
+                "Solid",
+                "GROUND",
+                name="ground",
+                contactMaterial=self.material(
+                    Friction(lateral=ground.friction, restitution=ground.restitution)
+                ),
+                children=[_shape(plane, ground.color or GROUND_COLOR)],
+                boundingObject=node("Plane", size=(size, size)),
+            )
+
+    def _relief(self, terrain: Terrain) -> NodeText:
+        grid = height_grid(terrain.shape)
+        if grid is None:
+            raise ValueError("a terrain of triangles")
+        rows, columns = grid.heights.shape
+        along_x, along_y = grid.cell
+        heights = [numbers(row) for row in grid.heights.tolist()]
+
+        def relief() -> NodeText:
+            return node(
+                "ElevationGrid",
+                height=[Verbatim(row) for row in heights],
+                xDimension=columns,
+                yDimension=rows,
+                xSpacing=along_x,
+                ySpacing=along_y,
+            )
+
+        return node(
+            "Solid",
+            "GROUND",
+            translation=(-grid.size[0] / 2, -grid.size[1] / 2, 0.0),
+            name="ground",
+            contactMaterial=self.material(Friction(lateral=terrain.friction)),
+            children=[_shape(relief(), terrain.color or GROUND_COLOR)],
+            boundingObject=relief(),
+        )
+
+    def _supervisor(self, controller: str) -> NodeText:
+        receivers = [
+            node("Receiver", name=names.receiver_of(name), channel=names.from_robot_channel(index))
+            for index, name in enumerate(self._robots)
+        ]
+        return node(
+            "Robot",
+            "SUPERVISOR",
+            name="supervisor",
+            controller=controller,
+            supervisor=True,
+            children=[node("Emitter", name=names.EMITTER), *receivers],
+        )
+
+    # Bodies
+
+    def _object(self, thing: ObjectBody) -> NodeText:
+        (link,) = as_robot(thing).links
+        return node(
+            "Solid",
+            names.def_name(thing.name),
+            **_placed(frames.frame(thing.pose)),
+            name=thing.name,
+            contactMaterial=self.material(link.friction),
+            children=[_drawn(shape) for shape in link.visuals],
+            boundingObject=_bounding(link.collisions),
+            physics=_physics(link) if is_movable(thing) else None,
+        )
+
+    def _robot(self, body: RobotBody, spec: Robot, index: int) -> NodeText:
+        model = with_explicit_masses(body.name, with_masses(body.model), body.fixed_base)
+        writer = _RobotWriter(self, model, body, spec, devices_needed(self._remotes[body.name], model))
+        fields = writer.solid_fields(model.root)
+        devices = [
+            node("Emitter", name=names.EMITTER, channel=names.from_robot_channel(index)),
+            node("Receiver", name=names.RECEIVER, channel=names.to_robot_channel(index)),
+        ]
+        fields |= {
+            "name": body.name,
+            "children": [*devices, *fields["children"]],
+            "physics": None if body.fixed_base else fields["physics"],
+            "controller": names.controller_name(body.name),
+            "selfCollision": True if body.self_collision else None,
+        }
+        return NodeText("Robot", names.def_name(body.name), _placed(frames.frame(body.pose)) | fields)
+
+
+class _RobotWriter:
+    """Writes the links of a robot."""
+
+    def __init__(
+        self,
+        world: WorldWriter,
+        model: RobotModel,
+        body: RobotBody,
+        spec: Robot,
+        needed: RobotDevicesNeeded,
+    ) -> None:
+        self._world, self._model, self._robot, self._needed = world, model, body.name, needed
+        self._speeds = {
+            joint: speed
+            for actuator in spec.actuators
+            if isinstance(actuator, Motor)
+            for joint, speed in zip(actuator.joints, actuator.max_velocity, strict=True)
+        }
+
+    def solid_fields(self, name: str) -> dict[str, Any]:
+        """Return the fields of the node of a link, without its place."""
+        link = self._model.link(name)
+        children = [_drawn(shape) for shape in link.visuals]
+        children += self._sensors(name)
+        for joint in self._model.joints:
+            if joint.parent == name:
+                children.append(self._solid(joint) if joint.type == "fixed" else self._joint(joint))
+        return {
+            "name": name,
+            "contactMaterial": self._world.material(link.friction),
+            "children": children,
+            "boundingObject": _bounding(link.collisions),
+            "physics": _physics(link),
+        }
+
+    def _solid(self, joint: Joint) -> NodeText:
+        """Return the node of the child link of a joint."""
+        place = _placed(frames.frame(joint.origin))
+        name = names.def_name(self._robot, joint.child)
+        return NodeText("Solid", name, place | self.solid_fields(joint.child))
+
+    def _joint(self, joint: Joint) -> NodeText:
+        slides = joint.type == "prismatic"
+        low, high = joint.ends(0.0)
+        is_limited = low < high and (slides or max(-low, high) <= pi)
+        parameters = node(
+            "JointParameters" if slides else "HingeJointParameters",
+            axis=frames.rotate(frames.frame(joint.origin)[1], joint.axis),
+            anchor=None if slides else joint.origin.xyz,
+            minStop=low if is_limited else None,
+            maxStop=high if is_limited else None,
+            dampingConstant=joint.damping or None,
+            staticFriction=joint.friction or None,
+        )
+        devices = []
+        if joint.name in self._needed.motors:
+            devices.append(self._motor(joint))
+        if joint.name in self._needed.joints:
+            devices.append(node("PositionSensor", name=names.position_sensor(joint.name)))
+        return node(
+            "SliderJoint" if slides else "HingeJoint",
+            names.joint_def(self._robot, joint.name),
+            jointParameters=parameters,
+            device=devices or None,
+            endPoint=self._solid(joint),
+        )
+
+    def _motor(self, joint: Joint) -> NodeText:
+        slides = joint.type == "prismatic"
+        torque = min(self._needed.motors[joint.name] or inf, MAX_TORQUE)
+        speed = self._speeds.get(joint.name) or joint.limit.velocity or MAX_SPEED
+        return node(
+            "LinearMotor" if slides else "RotationalMotor",
+            name=joint.name,
+            maxVelocity=float(speed),
+            **{"maxForce" if slides else "maxTorque": torque},
+        )
+
+    def _sensors(self, link: str) -> list[NodeText]:
+        sensors = []
+        for name in self._needed.links:
+            if (name or self._model.root) == link:
+                sensors += [
+                    node("GPS", name=names.gps(name)),
+                    node("InertialUnit", name=names.inertial_unit(name)),
+                    node("Gyro", name=names.gyro(name)),
+                ]
+        for number, (owner, ray, reach) in enumerate(self._needed.rays):
+            if owner == link:
+                sensors.append(
+                    node(
+                        "DistanceSensor",
+                        **_placed(ray),
+                        name=names.distance_sensor(number),
+                        lookupTable=[(0.0, 0.0, 0.0), (reach, reach, 0.0)],
+                        numberOfRays=1,
+                        aperture=0.0,
+                    )
+                )
+        return sensors
+
+
+# Shapes and masses
+
+
+def _divisor(period: int, step: float) -> int:
+    """Return the largest divisor of a timestep (ms) that is no longer than a physics step, at least 1 ms."""
+    return max((part for part in range(1, period + 1) if period % part == 0 and part <= step), default=1)
+
+
+def _placed(frame: Frame) -> dict[str, Any]:
+    """Return the fields of a frame; those of no shift and no rotation are left out."""
+    place, turned = frame
+    return {
+        "translation": place if any(place) else None,
+        "rotation": tuple(axis_angle(turned)) if turned != IDENTITY_ROTATION else None,
+    }
+
+
+def _physics(link: Link) -> NodeText | None:
+    inertial = link.inertial
+    if inertial is None or inertial.mass <= 0.0:
+        return None
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = rotate_tensor(
+        inertial.matrix, rotation_matrix(inertial.origin.rpy)
+    )
+    return node(
+        "Physics",
+        density=-1.0,
+        mass=inertial.mass,
+        centerOfMass=[inertial.origin.xyz],
+        inertiaMatrix=[(xx, yy, zz), (xy, xz, yz)] if inertial.is_stated else None,
+    )
+
+
+def _bounding(shapes: Sequence[Geometry]) -> NodeText | None:
+    placed = [_in_place(_geometry(shape.shape), shape) for shape in shapes]
+    if len(placed) < 2:
+        return placed[0] if placed else None
+    return node("Group", children=placed)
+
+
+def _in_place(shape: NodeText, geometry: Geometry) -> NodeText:
+    place = _placed(frames.frame(geometry.origin))
+    if not any(place.values()):
+        return shape
+    return NodeText("Pose", "", place | {"children": [shape]})
+
+
+def _drawn(geometry: Geometry) -> NodeText:
+    return _in_place(_shape(_geometry(geometry.shape), geometry.color or LINK_COLOR), geometry)
+
+
+def _shape(geometry: NodeText, color: Sequence[float]) -> NodeText:
+    red, green, blue, opacity = color
+    appearance = node(
+        "PBRAppearance",
+        baseColor=(red, green, blue),
+        roughness=1.0,
+        metalness=0.0,
+        transparency=1.0 - opacity if opacity < 1.0 else None,
+    )
+    return node("Shape", appearance=appearance, geometry=geometry)
+
+
+def _geometry(shape: Shape) -> NodeText:
+    match shape:
+        case Box(size):
+            return node("Box", size=size)
+        case Sphere(radius):
+            return node("Sphere", radius=radius, subdivision=3)
+        case Cylinder(radius, length):
+            return node("Cylinder", radius=radius, height=length)
+        case Capsule(radius, length):
+            return node("Capsule", radius=radius, height=length)
+        case Mesh():
+            return _faces(shape)
+
+
+def _faces(mesh: Mesh) -> NodeText:
+    """Return a mesh as faces, whose corners are shared."""
+    corners = mesh_triangles(mesh)
+    points, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    faces = [f"{a} {b} {c} -1" for a, b, c in index.reshape(-1, 3).tolist()]
+    return node(
+        "IndexedFaceSet",
+        coord=node("Coordinate", point=[tuple(point) for point in points.tolist()]),
+        coordIndex=[Verbatim(face) for face in faces],
+    )

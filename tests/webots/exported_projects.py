@@ -1,0 +1,189 @@
+"""Exported projects, and their scenarios in the same world, for tests.
+
+The scenario runs in its own environment, without controllers and without the package `deepbots`, over the
+physics of the exported world. So a difference is one of the export, and not of physics.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli import api
+from deepbots_cli.cli.commands.new import write_new
+from deepbots_cli.document import Permissions
+from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.runtime.copies import copy_name
+from deepbots_cli.webots import supervisor
+from deepbots_cli.webots.bridge.mirror import MirrorEngine
+from deepbots_cli.webots.bridge.plant import Plant
+from deepbots_cli.webots.devices import device_object
+from deepbots_cli.webots.export.files import WebotsProject, prepare, project_files
+from deepbots_cli.webots.project import read_world
+from deepbots_cli.webots.runner import SITE
+from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.simulation import Simulation
+
+ROOT = Path(__file__).parents[2]
+TEXTS = "texts"
+
+REPLAY = '''
+import json, sys
+from pathlib import Path
+from webots_environment import {name}Environment
+
+class Replay({name}Environment):
+    """Notes all messages."""
+    texts = []
+    def handle_emitter(self, cells):
+        self.texts.append([self.robot, "to", ",".join(map(str, cells))])
+        super().handle_emitter(cells)
+    def send_to(self, robot, cells):
+        self.robot = robot
+        super().send_to(robot, cells)
+    def receive_from(self, robot):
+        cells = super().receive_from(robot)
+        if cells is not None:
+            self.texts.append([robot, "from", ",".join(cells)])
+        return cells
+
+import numpy as np
+def plain(value):
+    return np.asarray(value).tolist()
+
+work = json.loads(Path({actions!r}).read_text())
+environment, log = Replay(), []
+for seed, actions in work:
+    observation, first = environment.reset(seed=seed), len(log)
+    environment.texts.clear()
+    log.append([plain(observation), None, False, None, []])
+    for action in actions:
+        observation, reward, done, info = environment.step(
+            np.asarray(action, environment.action_space.dtype) if isinstance(action, list) else action
+        )
+        log.append([plain(observation), reward, done, info["ended_by"], list(environment.texts)])
+        environment.texts.clear()
+        if done:
+            break
+Path({log!r}).write_text(json.dumps(log))
+'''
+
+
+def exported(name: str, folder: Path, *overrides: str) -> WebotsProject:
+    """Write the project of a scenario to a folder."""
+    prepared = prepare(Source.open(name, Permissions(), SourceKind.SCENARIO), overrides)
+    write_new(project_files(prepared), folder, force=True)
+    return prepared
+
+
+def run_exported(
+    prepared: WebotsProject, folder: Path, episodes: Sequence[Any], packages: Sequence[Path]
+) -> list[Any]:
+    """Run episodes, each a seed and its actions, by `deepbots webots` with the controllers of the project.
+
+    Returns:
+        A row for each reset and step: observation, reward, whether it ended, by what, and the messages.
+    """
+    actions, log = folder / "actions.json", folder / "log.json"
+    actions.write_text(json.dumps(episodes))
+    program = prepared.compiled.program
+    code = REPLAY.format(name=program.name, actions=str(actions), log=str(log))
+    (folder / "controllers/supervisor/supervisor.py").write_text(code)
+    (world,) = (path for path in (folder / "worlds").iterdir() if not path.stem.endswith("_train"))
+    ran = subprocess.run(
+        [sys.executable, "-m", "deepbots_cli", "webots", str(world), "--allow-code"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *packages)))},
+        timeout=600,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    return json.loads(log.read_text())
+
+
+class PlantEngine(MirrorEngine):
+    """The physics of an exported world as an engine of its scenario, motors included."""
+
+    def __init__(self, engine: Any, simulation: Simulation, world: Any) -> None:
+        simulation.current = next(robot for robot in simulation.scene.robots if robot.is_supervisor)
+        supervisor.activate(simulation)
+        super().__init__(engine, Plant(supervisor.Supervisor(), world), world)
+        self._robots = {robot.name: robot for robot in simulation.scene.robots}
+        self._simulation = simulation
+
+    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Any:
+        devices = self._robots[robot].devices
+        motors = [device_object(self._simulation, devices[joint]) for joint in joints]
+
+        def write(targets: Sequence[float]) -> None:
+            for motor, target in zip(motors, targets, strict=True):
+                motor.setPosition(inf)
+                motor.setVelocity(target)
+
+        return write
+
+
+def run_scenario(prepared: WebotsProject, folder: Path, episodes: Sequence[Any]) -> list[Any]:
+    """Run the same episodes in the environment of the scenario; the rows are those of `run_exported`."""
+    (world,) = (path for path in (folder / "worlds").iterdir() if not path.stem.endswith("_train"))
+    read = read_world(world)
+    scene = build_scene(read)
+    read.findings.require_none()
+    simulation = Simulation(scene, read.span)
+    if str(SITE) not in sys.path:
+        sys.path.insert(0, str(SITE))
+    try:
+        environment = api.build(
+            prepared.compiled.program,
+            engine="mujoco",
+            wrap=lambda engine: PlantEngine(engine, simulation, prepared.project.world),
+        )
+        return play(environment, episodes)
+    finally:
+        supervisor.deactivate()
+        sys.path.remove(str(SITE))
+
+
+def play(environment: Any, episodes: Sequence[Any]) -> list[Any]:
+    """Run episodes in an environment of a scenario."""
+    import numpy as np
+
+    texts: list[Any] = []
+    _note_messages(environment, texts)
+    rows: list[Any] = []
+    engine = environment.engine
+    for seed, actions in episodes:
+        observation, _ = environment.reset(seed=seed)
+        if isinstance(engine, MirrorEngine):
+            engine.is_starting = False
+        rows.append([np.asarray(observation).tolist(), None, False, None, list(texts)])
+        texts.clear()
+        for action in actions:
+            given = np.asarray(action, environment.action_space.dtype) if isinstance(action, list) else action
+            observation, reward, terminated, truncated, info = environment.step(given)
+            done = terminated or truncated
+            rows.append([np.asarray(observation).tolist(), reward, done, info["ended_by"], list(texts)])
+            texts.clear()
+            if done:
+                break
+    return rows
+
+
+def _note_messages(environment: Any, texts: list[Any]) -> None:
+    copies = environment.scenario.agent.copies
+    for number, agent in enumerate(environment.agents.values()):
+        for (robot, direction), channel in agent.channels.items():
+            name = robot if copies is None or robot != copies.robot else copy_name(copies, number + 1)
+
+            def transmit(text: str, send=channel.transmit, name=name, way=direction.split("_")[0]) -> None:
+                texts.append([name, way, text])
+                send(text)
+
+            channel.transmit = transmit
