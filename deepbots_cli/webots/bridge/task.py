@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 START = "start"
 """The first cell of the message that begins an episode."""
+
+
 class Host(Protocol):
     """The environment of deepbots in Webots that sends and receives."""
 
@@ -36,7 +38,6 @@ class Host(Protocol):
 
     def receive_from(self, robot: str) -> list[str] | None:
         """Return the next message of a robot, None without one."""
-
 
 
 class ReaderLog(EngineProxy):

@@ -101,7 +101,9 @@ def static_gaps(program: Program) -> Gaps:
         gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
     for thing in program.world.objects:
         if thing.pooled or thing.variants:
-            gaps.miss(f"The object {thing.name}, which some episodes leave out or change, cannot be exported.")
+            gaps.miss(
+                f"The object {thing.name}, which some episodes leave out or change, cannot be exported."
+            )
     if program.world.lines:
         gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
     for robot in program.robots:
