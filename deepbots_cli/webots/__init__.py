@@ -21,6 +21,8 @@ runner.py       controllers as threads of one process, one at a time
 project.py      the files of a project: worlds, controllers, PROTOs
 site/           the folder with the module `controller`, on the path of controllers
 findings.py     findings about the files of a project
+export/         a scenario as a project of Webots
+bridge/         what the controllers of an exported project use
 
 A controller imports `controller` as in Webots; `deepbots webots` runs it.
 """

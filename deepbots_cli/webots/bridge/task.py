@@ -23,11 +23,13 @@ from deepbots_cli.webots.bridge.mirror import MirrorEngine
 if TYPE_CHECKING:
     from deepbots_cli.port import Engine
     from deepbots_cli.program.robots import Direction
-    from deepbots_cli.runtime import RobotController, Supervisor
+    from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.streams import Streams
 
 START = "start"
 """The first cell of the message that begins an episode."""
+
+
 class Host(Protocol):
     """The environment of deepbots in Webots that sends and receives."""
 
@@ -36,7 +38,6 @@ class Host(Protocol):
 
     def receive_from(self, robot: str) -> list[str] | None:
         """Return the next message of a robot, None without one."""
-
 
 
 class ReaderLog(EngineProxy):
@@ -80,8 +81,9 @@ class RemoteRobot:
     The first message of an episode is made here, with the readings that the engine of the supervisor has.
     """
 
-    def __init__(self, controller: RobotController, log: ReaderLog, name: str) -> None:
-        self.controller, self.log, self.name = controller, log, name
+    def __init__(self, controller: Any, log: ReaderLog) -> None:
+        """Take the generated controller, which is bound to the log."""
+        self.controller, self.log = controller, log
         self.start: list[object] | None = None
         """The message that begins an episode, until it is sent."""
         self._is_first = False
@@ -188,7 +190,7 @@ class HasWebotsRobots(SupervisedRobots):
     def robot(self, name: str, controller: type[Any]) -> Any:
         log = ReaderLog(self.engine)
         spec = self._spec(name)
-        remote = RemoteRobot(controller(spec, self.scenario, log), log, name)
+        remote = RemoteRobot(controller(spec, self.scenario, log), log)
         self.controllers[name] = remote  # type: ignore[assignment]
         return remote
 

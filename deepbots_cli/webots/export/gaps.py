@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 SEEDS = range(3)
 """The seeds of the episodes that are begun to see what they vary."""
 _OF_ROBOTS = frozenset(
-    ["joint_states", "joint_torques", "pose", "velocity", "motion"]
-    + ["rays", "velocity_motor", "position_motor", "torque_motor"]
+    (
+        *("joint_states", "joint_torques", "pose", "velocity", "motion", "rays"),
+        *("velocity_motor", "position_motor", "torque_motor"),
+    )
 )
 _MISSING = {
     "contact": "touch sensors of robots",
@@ -74,7 +76,7 @@ class Recorder(EngineProxy):
         self.methods.add(method)
         return super()._pass(method, parts, *given, **named)
 
-    def pusher(self, part: Any, frame: Any = "world") -> Any:  # type: ignore[override]
+    def pusher(self, part: Any, frame: Any = "world") -> Any:
         self.methods.add("pusher")
         return self.engine.pusher(part, frame)
 
@@ -101,7 +103,9 @@ def static_gaps(program: Program) -> Gaps:
         gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
     for thing in program.world.objects:
         if thing.pooled or thing.variants:
-            gaps.miss(f"The object {thing.name}, which some episodes leave out or change, cannot be exported.")
+            gaps.miss(
+                f"The object {thing.name}, which some episodes leave out or change, cannot be exported."
+            )
     if program.world.lines:
         gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
     for robot in program.robots:
