@@ -22,6 +22,8 @@ project.py      the files of a project: worlds, controllers, PROTOs
 site/           the folder with the module `controller`, on the path of controllers
 imports/        a project as a scenario: `deepbots new --webots`
 findings.py     findings about the files of a project
+export/         a scenario as a project of Webots
+bridge/         what the controllers of an exported project use
 
 A controller imports `controller` as in Webots; `deepbots webots` runs it.
 """

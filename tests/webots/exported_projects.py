@@ -6,6 +6,7 @@ physics of the exported world. So a difference is one of the export, and not of 
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import subprocess
@@ -31,7 +32,8 @@ from deepbots_cli.webots.scene import build_scene
 from deepbots_cli.webots.simulation import Simulation
 
 ROOT = Path(__file__).parents[2]
-TEXTS = "texts"
+STAND_IN = Path(__file__).parent / "stand_in"
+"""Two classes in place of the package `deepbots`, where it is not installed."""
 
 REPLAY = '''
 import json, sys
@@ -83,7 +85,7 @@ def exported(name: str, folder: Path, *overrides: str) -> WebotsProject:
 
 
 def run_exported(
-    prepared: WebotsProject, folder: Path, episodes: Sequence[Any], packages: Sequence[Path]
+    prepared: WebotsProject, folder: Path, episodes: Sequence[Any], packages: Sequence[Path] = ()
 ) -> list[Any]:
     """Run episodes, each a seed and its actions, by `deepbots webots` with the controllers of the project.
 
@@ -100,12 +102,16 @@ def run_exported(
         [sys.executable, "-m", "deepbots_cli", "webots", str(world), "--allow-code"],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *packages)))},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *(packages or _packages()))))},
         timeout=600,
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     return json.loads(log.read_text())
+
+
+def _packages() -> list[Path]:
+    return [] if importlib.util.find_spec("deepbots") else [STAND_IN]
 
 
 class PlantEngine(MirrorEngine):
@@ -182,8 +188,12 @@ def _note_messages(environment: Any, texts: list[Any]) -> None:
         for (robot, direction), channel in agent.channels.items():
             name = robot if copies is None or robot != copies.robot else copy_name(copies, number + 1)
 
-            def transmit(text: str, send=channel.transmit, name=name, way=direction.split("_")[0]) -> None:
-                texts.append([name, way, text])
-                send(text)
+            channel.transmit = _noting(texts, name, direction.partition("_")[0], channel.transmit)
 
-            channel.transmit = transmit
+
+def _noting(texts: list[Any], robot: str, way: str, send: Any) -> Any:
+    def transmit(text: str) -> None:
+        texts.append([robot, way, text])
+        send(text)
+
+    return transmit

@@ -28,14 +28,16 @@ class Form(StrEnum):
     isaac_lab = "isaac-lab"
     lerobot = "lerobot"
     leapp = "leapp"
+    webots = "webots"
 
 
 def command(
     source: Annotated[
         Path | None,
         typer.Argument(
-            metavar="RUN|MODEL|BUNDLE",
-            help="A run directory, a model in it, or with --check a folder that `export` wrote.",
+            metavar="RUN|MODEL|BUNDLE|SCENARIO",
+            help="A run directory, a model in it, with --check a folder that `export` wrote, or with --to webots"
+            " a scenario.",
             show_default=False,
         ),
     ] = None,
@@ -44,7 +46,11 @@ def command(
     ] = None,
     to: Annotated[
         Form,
-        option("--to", "A bundle, or the files that runners of Isaac Lab, LeRobot or LEAPP read.", ADVANCED),
+        option(
+            "--to",
+            "A bundle, the files that runners of Isaac Lab, LeRobot or LEAPP read, or a project of Webots.",
+            ADVANCED,
+        ),
     ] = Form.bundle,
     force: Force = False,
     agent: Annotated[
@@ -90,6 +96,11 @@ def command(
             writes=out is not None or last or to is not Form.bundle,
         )
         return
+    if to is Form.webots:
+        _write_webots(
+            source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json
+        )
+        return
     if overrides or allow_paths:
         raise UsageError(
             "--set and --allow-path need --check SCENARIO; a run is always exported as it was trained"
@@ -119,6 +130,51 @@ def command(
         return
     write_new(files, folder, force=force)
     _show_bundle(folder, files, ref.name, source, as_json=as_json)
+
+
+def _write_webots(
+    source: Path,
+    out: Path | None,
+    overrides: list[str] | tuple[()],
+    permissions: Permissions,
+    agent: str | None,
+    last: bool,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write a scenario, or a run with its policy, as a project of Webots; list first what differs there."""
+    from deepbots_cli.webots.export import files as webots
+
+    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT)
+    is_run = opened.kind is not SourceKind.SCENARIO
+    if not is_run and (agent is not None or last):
+        raise UsageError("--agent and --last name a policy of a run; leave them out for a scenario")
+    if is_run and overrides:
+        raise UsageError("a run is always exported as it was trained; leave out --set")
+    folder = out or Path(f"{opened.path.resolve().name.removesuffix('.yaml')}-webots")
+    check_new_folder(folder, force=force)
+    refuse_links_within(folder)
+    policy = None
+    if is_run:
+        ref = ModelRef.open(opened, model="last" if last else "best")
+        run = _run_of(ref.run, agent)
+        prepared = webots.prepare(Source.open(run.path, permissions, SourceKind.RUN))
+        webots.note_training(prepared, run.program)
+    else:
+        prepared = webots.prepare(opened, overrides)
+    for sentence in () if as_json else prepared.gaps.differs:
+        terminal.note(f"differs in Webots: {sentence}")
+    if is_run:
+        policy = webots.policy_of_run(run, ref.name)
+    files = webots.project_files(prepared, policy)
+    write_new(files, folder, force=force)
+    world = next(path for path in files if path.suffix == ".wbt")
+    terminal.show(
+        {"folder": folder, "differs": prepared.gaps.differs, "files": [str(path) for path in files]},
+        f"{folder}: {len(files)} files; open {world} in Webots",
+        as_json=as_json,
+        next_commands=[f"deepbots webots {quote(str(folder / world))} --allow-code"],
+    )
 
 
 def _run_of(run: Run, agent: str | None) -> Run:

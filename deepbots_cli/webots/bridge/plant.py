@@ -80,7 +80,7 @@ class Plant:
         Raises:
             SystemExit: Webots ends the simulation.
         """
-        from controller import Robot
+        from controller import Robot  # type: ignore[import-not-found]
 
         if Robot.step(self.supervisor, timestep) == -1:
             raise SystemExit

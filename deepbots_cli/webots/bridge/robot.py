@@ -246,7 +246,8 @@ class WebotsRobot:
         self._name, self._robot = robot.getName(), robot
         spec = project.robots[self._name]
         self.devices = RobotDevices(robot, program.world.timestep, program.world.gravity)
-        self.controller = project.controller_class(spec)(spec, program, self.devices)  # type: ignore[arg-type]
+        kind: Any = project.controller_class(spec)
+        self.controller = kind(spec, program, self.devices)
         self.controller.hold()
         self._emitted = FieldCodec(spec.from_robot, program.format, self._rejected)
         self._received = FieldCodec(spec.to_robot, program.format, self._rejected)

@@ -23,7 +23,7 @@ from deepbots_cli.webots.bridge.mirror import MirrorEngine
 if TYPE_CHECKING:
     from deepbots_cli.port import Engine
     from deepbots_cli.program.robots import Direction
-    from deepbots_cli.runtime import RobotController, Supervisor
+    from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.streams import Streams
 
 START = "start"
@@ -81,8 +81,9 @@ class RemoteRobot:
     The first message of an episode is made here, with the readings that the engine of the supervisor has.
     """
 
-    def __init__(self, controller: RobotController, log: ReaderLog, name: str) -> None:
-        self.controller, self.log, self.name = controller, log, name
+    def __init__(self, controller: Any, log: ReaderLog) -> None:
+        """Take the generated controller, which is bound to the log."""
+        self.controller, self.log = controller, log
         self.start: list[object] | None = None
         """The message that begins an episode, until it is sent."""
         self._is_first = False
@@ -189,7 +190,7 @@ class HasWebotsRobots(SupervisedRobots):
     def robot(self, name: str, controller: type[Any]) -> Any:
         log = ReaderLog(self.engine)
         spec = self._spec(name)
-        remote = RemoteRobot(controller(spec, self.scenario, log), log, name)
+        remote = RemoteRobot(controller(spec, self.scenario, log), log)
         self.controllers[name] = remote  # type: ignore[assignment]
         return remote
 

@@ -64,6 +64,15 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     return WebotsProject(compiled, project, _remotes(project, task), gaps)
 
 
+def note_training(prepared: WebotsProject, trained: Program) -> None:
+    """Add what differs from the training of a policy."""
+    if trained.timing != "delayed":
+        prepared.gaps.differ(
+            "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
+            " returns."
+        )
+
+
 def _require_none(program: Program, gaps: Gaps) -> None:
     if gaps.missing:
         sentences = "\n".join(f"  {sentence}" for sentence in gaps.missing)
@@ -90,7 +99,7 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
 
     compiled, project = prepared.compiled, prepared.project
     program = compiled.program
-    world = re.sub(r"\W+", "_", program.name).lower()
+    world = re.sub(r"\W+|(?<=[a-z0-9])(?=[A-Z])", "_", program.name).lower()
     texts = _texts(prepared, world, policy)
     for controller, suffix in (("supervisor", ""), ("train", "_train")):
         writer = WorldWriter(
@@ -175,11 +184,13 @@ def _learner(program: Program) -> dict[str, Any]:
     name = training.algorithm if training is not None else ""
     known = name in _LEARNERS
     given = {entry.name: entry.value for entry in training.hyperparameters} if training and known else {}
-    settings = [
-        (key, given[key])
-        for key in _SETTINGS
-        if isinstance(given.get(key), (int, float)) and not isinstance(given.get(key), bool)
-    ]
+    # There is one world, and not as many as in a training of deepbots.
+    worlds = training.environments if training is not None else 1
+    settings = []
+    for key in _SETTINGS:
+        value = given.get(key)
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            settings.append((key, value * worlds if key == "n_steps" else value))
     default = "PPO" if program.agent.choices else "SAC"
     return {
         "algorithm": name if known else default,

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 SEEDS = range(3)
 """The seeds of the episodes that are begun to see what they vary."""
 _OF_ROBOTS = frozenset(
-    ["joint_states", "joint_torques", "pose", "velocity", "motion"]
-    + ["rays", "velocity_motor", "position_motor", "torque_motor"]
+    (
+        *("joint_states", "joint_torques", "pose", "velocity", "motion", "rays"),
+        *("velocity_motor", "position_motor", "torque_motor"),
+    )
 )
 _MISSING = {
     "contact": "touch sensors of robots",
@@ -74,7 +76,7 @@ class Recorder(EngineProxy):
         self.methods.add(method)
         return super()._pass(method, parts, *given, **named)
 
-    def pusher(self, part: Any, frame: Any = "world") -> Any:  # type: ignore[override]
+    def pusher(self, part: Any, frame: Any = "world") -> Any:
         self.methods.add("pusher")
         return self.engine.pusher(part, frame)
 

@@ -1,0 +1,18 @@
+from controller import Supervisor
+
+
+class CSVSupervisorEnv(Supervisor):
+    def __init__(self, emitter_name="emitter", receiver_name="receiver", timestep=None):
+        super().__init__()
+        self.timestep = int(self.getBasicTimeStep() if timestep is None else timestep)
+        self.emitter, self.receiver = self.initialize_comms(emitter_name, receiver_name)
+
+    def handle_emitter(self, action):
+        self.emitter.send(",".join(map(str, action)).encode())
+
+    def handle_receiver(self):
+        if self.receiver.getQueueLength() == 0:
+            return None
+        text = self.receiver.getString()
+        self.receiver.nextPacket()
+        return text.split(",")

@@ -1,0 +1,159 @@
+"""`deepbots export --to webots`: worlds, controllers, and the same episodes as in the scenario."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepbots_cli import api
+from deepbots_cli.errors import UsageError
+from deepbots_cli.webots.project import read_world
+from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.simulation import Simulation
+from tests.webots.exported_projects import ROOT, exported, run_exported, run_scenario
+
+FITTING = ("cartpole", "pit_escape", "find_ball", "multi_cartpole", "line_follower", "balancer")
+
+
+def messages(rows: list[Any], way: str) -> list[dict[str, list[str]]]:
+    """Return the texts of each robot in each episode, without those that begin one."""
+    episodes: list[dict[str, list[str]]] = []
+    for _, reward, _, _, texts in rows:
+        if reward is None:
+            episodes.append({})
+        for robot, direction, text in texts:
+            if direction == way and not text.startswith("start,"):
+                episodes[-1].setdefault(robot, []).append(text)
+    return episodes
+
+
+def differences(one: str, other: str) -> float:
+    """Return the largest difference of two messages, relative to 1 or the number."""
+    a, b = (np.array(text.split(","), float) for text in (one, other))
+    return float(np.max(np.abs(a - b) / np.maximum(np.abs(a), 1.0)))
+
+
+def same_episodes(name: str, folder: Path, steps: int, script: str | None = None) -> float:
+    """Compare the exported project with the scenario; return the largest difference of messages."""
+    prepared = exported(name, folder)
+    episodes = []
+    for seed in range(steps):
+        left = steps - sum(len(actions) for _, actions in episodes)
+        if left <= 0:
+            break
+        episodes.append([seed, _actions(prepared.compiled.program, seed, left, script)])
+        rows = run_scenario(prepared, folder, episodes[-1:])
+        episodes[-1][1] = episodes[-1][1][: len(rows) - 1]
+    wanted, exports = run_scenario(prepared, folder, episodes), run_exported(prepared, folder, episodes)
+    assert len(exports) == len(wanted) == steps + len(episodes)
+    for (seen, reward, *ends, _), (own, own_reward, *own_ends, _) in zip(exports, wanted, strict=True):
+        assert np.abs(np.subtract(seen, own)).max() <= 1e-6
+        assert reward == pytest.approx(own_reward, abs=1e-9)
+        assert ends == own_ends
+    assert messages(exports, "to") == messages(wanted, "to")
+    largest = 0.0
+    for of_export, of_scenario in zip(messages(exports, "from"), messages(wanted, "from"), strict=True):
+        for robot, texts in of_export.items():
+            # The first one was sent before the episode; the scenario has its first message instead.
+            for text, own in zip(texts[1:], of_scenario[robot][1:], strict=False):
+                largest = max(largest, differences(text, own))
+    return largest
+
+
+def _actions(program: Any, seed: int, count: int, script: str | None) -> list[Any]:
+    environment = api.build(program, engine="mujoco")
+    if script is None:
+        environment.action_space.seed(seed)
+        return [np.asarray(environment.action_space.sample()).tolist() for _ in range(count)]
+    environment.reset(seed=seed)
+    actions = []
+    for _ in range(count):
+        action = environment.script(script)
+        actions.append(np.asarray(action).tolist())
+        _, _, terminated, truncated, _ = environment.step(action)
+        if terminated or truncated:
+            break
+    return actions
+
+
+def test_cartpole_runs_as_its_scenario_for_300_steps(tmp_path: Path):
+    assert same_episodes("cartpole", tmp_path, 300) == 0.0
+
+
+@pytest.mark.parametrize(("name", "script"), [("multi_cartpole", None), ("find_ball", "around")])
+def test_other_scenarios_run_as_in_their_environment(name: str, script: str | None, tmp_path: Path):
+    assert same_episodes(name, tmp_path, 120, script) < 1e-9
+
+
+def test_motion_sensors_and_repeated_actions_run_as_in_their_environment(tmp_path: Path):
+    assert same_episodes("pit_escape", tmp_path, 60, "rocking") < 1e-9
+
+
+@pytest.mark.parametrize("name", FITTING)
+def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: str, tmp_path: Path):
+    prepared = exported(name, tmp_path)
+    worlds = sorted((tmp_path / "worlds").iterdir())
+    assert len(worlds) == 2
+    for path in worlds:
+        world = read_world(path)
+        scene = build_scene(world)
+        assert list(world.findings) == []
+        assert {robot.controller for robot in scene.robots} <= {
+            folder.name for folder in (tmp_path / "controllers").iterdir()
+        }
+    mass = sum(link.mass for robot in prepared.project.world.robots for link in robot.model.links)
+    model = Simulation(scene, world.span).physics.model
+    assert float(model.body_mass.sum()) == pytest.approx(mass, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("see_ball", "camera"),
+        ("biped", "stiffness"),
+        ("tag", "Several agents"),
+        ("cartpole_wireless", "each physics step"),
+        ("panda_reach", "panda_joint4"),
+    ],
+)
+def test_what_webots_cannot_hold_is_refused_before_anything_is_written(
+    name: str, reason: str, tmp_path: Path
+):
+    with pytest.raises(UsageError, match=reason):
+        exported(name, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_lists_differences_and_overwrites_nothing(tmp_path: Path):
+    folder = tmp_path / "out"
+
+    def export(*options: str) -> subprocess.CompletedProcess[str]:
+        words = ["-m", "deepbots_cli", "export", "cartpole", "--to", "webots", "-o", str(folder), *options]
+        return subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, cwd=ROOT, timeout=120, check=False
+        )
+
+    first = export("--set", "fall_angle=10 deg")
+    assert first.returncode == 0, first.stderr
+    assert "differs in Webots: Messages take one timestep" in first.stderr
+    assert "Messages take one timestep" in (folder / "README.md").read_text()
+    assert "0.17453292519943295" in (folder / "scenario/environment.py").read_text()
+    (folder / "README.md").write_text("mine")
+    assert export().returncode != 0
+    assert (folder / "README.md").read_text() == "mine"
+    assert export("--force").returncode == 0
+    assert "Messages take one timestep" in (folder / "README.md").read_text()
+
+
+def test_a_robot_reports_a_message_of_another_layout(tmp_path: Path):
+    prepared = exported("cartpole", tmp_path)
+    path = tmp_path / "scenario/environment.py"
+    text = path.read_text()
+    path.write_text(text.replace("return (cart_joints[0][0],)", "return (cart_joints[0][0], 1.0)"))
+    with pytest.raises(AssertionError, match="too many values"):
+        run_exported(prepared, tmp_path, [[0, [0, 0, 0]]])
