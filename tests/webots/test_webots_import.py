@@ -396,7 +396,7 @@ def test_code_without_end_is_left_to_a_person(tmp_path: Path, body: str) -> None
 
 def test_a_world_without_motors_is_one_sentence(tmp_path: Path) -> None:
     world = project(tmp_path, world='WorldInfo { } DEF JUDGE Robot { supervisor TRUE controller "judge" }')
-    with pytest.raises(DeepbotsError, match="no robot of .* has a motor"):
+    with pytest.raises(DeepbotsError, match=r"no robot of .* has a motor"):
         from_webots(world, (), "cart", "Cart")
 
 

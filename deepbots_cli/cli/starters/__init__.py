@@ -4,6 +4,7 @@ task.
 for_robots/  one Jinja template per task; parts.yaml holds the parts that they share
 build.py     the build of a robot: wheels, limbs, rotors; first_scenario.py chooses among the tasks.py for it;
              draft.py the entries that a task adds to a robot; text.py numbers, names and comments in the text
+webots.py    the scenario of a project of Webots, from its draft (`webots/imports`)
 *.yaml       the scenarios of `deepbots new --template`; arm.urdf is the robot of arm.yaml
 """
 
