@@ -396,7 +396,7 @@ def test_code_without_end_is_left_to_a_person(tmp_path: Path, body: str) -> None
 
 def test_a_world_without_motors_is_one_sentence(tmp_path: Path) -> None:
     world = project(tmp_path, world='WorldInfo { } DEF JUDGE Robot { supervisor TRUE controller "judge" }')
-    with pytest.raises(DeepbotsError, match="no robot of .* has a motor"):
+    with pytest.raises(DeepbotsError, match=r"no robot of .* has a motor"):
         from_webots(world, (), "cart", "Cart")
 
 
@@ -430,8 +430,7 @@ def test_damaged_python_and_worlds_end_in_a_scenario_or_one_sentence(
         text = text[:at] + piece + text[at + size :]
     try:
         starter, _ = imported(tmp_path, **{which: text})
-    except DeepbotsError as error:
-        assert str(error)
-        return
+    except DeepbotsError:
+        return  # with a sentence; anything else fails this test
     assert starter.todos >= 0
     assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
