@@ -215,7 +215,9 @@ def _note_places(starter: Starter) -> None:
         terminal.note(warning)
     if starter.todos:
         places = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
-        terminal.note(f"{places} left to you; each begins with `# TODO` and names the Python it comes from")
+        terminal.note(
+            f"{places} left to you; each begins with `# FILL IN` and names the Python it comes from"
+        )
     else:
         terminal.note("no place is left to you")
 

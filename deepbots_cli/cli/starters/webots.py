@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
     from deepbots_cli.webots.imports.task import Item
 
-TODO = "# TODO"
+TODO = "# FILL IN"
 """How a comment about a place begins that is left to a person."""
 _MAX_PASSES = 20
 _LONGEST = 140  # characters of a line of Python
@@ -63,7 +63,7 @@ def _todo_text(todos: int) -> str:
     if not todos:
         return "No place is left to you."
     places = "One place is" if todos == 1 else f"{todos} places are"
-    return f"{places} left to you: search for TODO."
+    return f"{places} left to you: search for FILL IN."
 
 
 def _robot_file(name: str, robot: DraftRobot) -> str:

@@ -9,7 +9,7 @@ values.py    what an expression of a controller stands for: numbers, quantities,
 reader.py    follows the statements of a controller without running them
 calls.py     functions that controllers call: of Webots, deepbots, numpy and Python
 task.py      actions, messages, observations, rewards and endings of a project
-draft.py     all of it as one record, which `cli/starters/webots.py` writes as YAML
+draft.py     all of it as one record, which the starters of `new` write as YAML
 
 No code of the project runs. What has no counterpart in the language keeps its place in the Python file.
 """
