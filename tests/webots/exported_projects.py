@@ -124,6 +124,11 @@ class PlantEngine(MirrorEngine):
         self._robots = {robot.name: robot for robot in simulation.scene.robots}
         self._simulation = simulation
 
+    def torque_motor(self, *_of: Any, **_limits: Any) -> Any:
+        raise NotImplementedError("a test with torque motors needs them here")
+
+    position_motor = torque_motor
+
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Any:
         devices = self._robots[robot].devices
         motors = [device_object(self._simulation, devices[joint]) for joint in joints]
