@@ -342,9 +342,8 @@ def test_a_schema_that_is_there_already_is_not_written_over(deepbots, tmp_path):
 def test_without_a_schema_a_new_scenario_names_none_and_the_way_to_one_is_said(deepbots, tmp_path):
     ran = deepbots("new", "mine", "--template", "pit")
     assert "yaml-language-server" not in (tmp_path / "mine.yaml").read_text(encoding="utf-8")
-    command = next(line for line in ran.err.splitlines() if "deepbots schema" in line).partition("deepbots ")[
-        2
-    ]
+    shown = next(line for line in ran.err.splitlines() if "--schema" in line)
+    command = shown.partition("deepbots ")[2]
     assert deepbots(*command.split()).code == 0
     assert (tmp_path / "mine.schema.json").exists()
 

@@ -184,7 +184,7 @@ def _next_commands(scenario: Path, starter: Starter | None, *, has_schema: bool,
             commands.append("compare")
         else:
             commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
-    return commands if has_schema else [*commands, "schema --for"]
+    return commands if has_schema else [*commands, "lsp --schema --for"]
 
 
 def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
