@@ -693,10 +693,9 @@ def _sum_lines(local: str, names: Sequence[str], attribute: str = "") -> list[st
     parts = [" + ".join(names[i : i + _SUMMANDS]) for i in range(0, len(names), _SUMMANDS)]
     lines = []
     for index, part in enumerate(parts):
-        is_last = index == len(parts) - 1 and attribute
-        lines.append(
-            f"{f'{attribute} = {local}' if is_last else local} = {f'{local} + ' if index else ''}{part}"
-        )
+        targets = [attribute, local] if attribute and index == len(parts) - 1 else [local]
+        so_far = [local] if index else []
+        lines.append(" = ".join([*targets, " + ".join([*so_far, part])]))
     return lines
 
 

@@ -844,6 +844,21 @@ NAME_PATTERN = r"[a-z_][a-z0-9_]*"
 MAX_NAME_LENGTH = 64
 
 
+RESERVED_NAMES: Mapping[str, Collection[str]] = {
+    "a unit": UNITS,
+    "built in": BUILT_IN_NAMES,
+    "a word of the language": GRAMMAR_WORDS,
+}
+"""Names that no shared name may have, by what they are."""
+
+
+def suggested_name(text: str) -> str:
+    """Return a text with the letters of a name, `polePosSensor` as `pole_pos_sensor`; it may begin with a
+    digit, be empty or reserved."""
+    humps = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", text[:MAX_NAME_LENGTH])
+    return re.sub(r"[^a-z0-9_]+", "_", humps.lower()).strip("_")
+
+
 @dataclass(frozen=True)
 class Name(FieldType):
     """A name in lower case; a `shared` name is in the flat namespace of the scenario, with units and built-in
@@ -855,9 +870,7 @@ class Name(FieldType):
 
     def check(self, value: Any) -> None:
         if not re.fullmatch(NAME_PATTERN, value):
-            suggestion = re.sub(
-                r"[^a-z0-9_]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", value[:MAX_NAME_LENGTH]).lower()
-            ).strip("_")
+            suggestion = suggested_name(value)
             help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
             if re.fullmatch(NAME_PATTERN, suggestion):
                 help = f"write `{suggestion}`: {help}"
@@ -865,8 +878,7 @@ class Name(FieldType):
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
         if self.shared:
-            taken = {"a unit": UNITS, "built in": BUILT_IN_NAMES, "a word of the language": GRAMMAR_WORDS}
-            for what, names in taken.items():
+            for what, names in RESERVED_NAMES.items():
                 if value in names:
                     raise error(
                         "DB202",

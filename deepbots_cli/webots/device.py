@@ -6,6 +6,7 @@ A sensor returns NaN until its first sampling period has passed.
 from __future__ import annotations
 
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from itertools import pairwise
 from math import nan
@@ -52,7 +53,7 @@ class Device:
         return round(value / resolution) * resolution if resolution > 0 else value
 
 
-class Sensor(Device):
+class Sensor(Device, ABC):
     """A device that measures once in each sampling period (ms)."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
@@ -76,8 +77,9 @@ class Sensor(Device):
     def _begin(self) -> None:
         """Prepare the first measurement."""
 
+    @abstractmethod
     def sample(self) -> None:
-        raise NotImplementedError
+        """Measure."""
 
     def forget(self) -> None:
         """Do what a reset of the world needs."""
@@ -109,8 +111,9 @@ class VectorSensor(Sensor):
     def getLookupTable(self) -> list[float]:
         return [part for row in self._table for part in row]
 
+    @abstractmethod
     def _measure(self) -> Triple:
-        raise NotImplementedError
+        """Return the three numbers of now."""
 
     def sample(self) -> None:
         x, y, z = (

@@ -9,6 +9,7 @@ from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.webots.api import missing_attribute
 from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.nodes import text, texts, walk
+from deepbots_cli.webots.scene import DEVICES
 from deepbots_cli.webots.syntax import Node as Written
 from deepbots_cli.webots.tree import Node, number_of
 
@@ -115,33 +116,9 @@ class Robot:
         return self.keyboard
 
 
-_DEVICE_CLASSES = frozenset(
-    [
-        "Accelerometer",
-        "Altimeter",
-        "Brake",
-        "Camera",
-        "Compass",
-        "Connector",
-        "Display",
-        "DistanceSensor",
-        "Emitter",
-        "GPS",
-        "Gyro",
-        "InertialUnit",
-        "LED",
-        "Lidar",
-        "LightSensor",
-        "Motor",
-        "Pen",
-        "PositionSensor",
-        "Radar",
-        "RangeFinder",
-        "Receiver",
-        "Speaker",
-        "TouchSensor",
-    ]
-)
+_LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])
+"""Devices without a function such as `getGyro`, which releases before R2022 have."""
+_DEVICE_CLASSES = DEVICES - _LATER_DEVICES | {"Motor"}
 
 
 class Supervisor(Robot):

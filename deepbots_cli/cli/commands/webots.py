@@ -165,7 +165,9 @@ def _run(
     if outcome.is_stuck:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(outcome.exit_code)  # a thread that heeds nothing ends with the process only
+        os._exit(
+            outcome.exit_code
+        )  # a controller that never steps is a thread, which only the end of the process ends
     if outcome.exit_code:
         raise typer.Exit(outcome.exit_code)
 

@@ -182,18 +182,19 @@ def _learner(program: Program) -> dict[str, Any]:
     """Return the algorithm, and those of its settings that are plain numbers of Stable-Baselines3."""
     training = program.agent.training
     name = training.algorithm if training is not None else ""
-    known = name in _LEARNERS
-    given = {entry.name: entry.value for entry in training.hyperparameters} if training and known else {}
+    hyperparameters = {}
+    if training is not None and name in _LEARNERS:
+        hyperparameters = {entry.name: entry.value for entry in training.hyperparameters}
     # There is one world, and not as many as in a training of deepbots.
     worlds = training.environments if training is not None else 1
     settings = []
     for key in _SETTINGS:
-        value = given.get(key)
+        value = hyperparameters.get(key)
         if isinstance(value, (int, float)) and not isinstance(value, bool):
             settings.append((key, value * worlds if key == "n_steps" else value))
     default = "PPO" if program.agent.choices else "SAC"
     return {
-        "algorithm": name if known else default,
+        "algorithm": name if name in _LEARNERS else default,
         "settings": settings,
         "total": getattr(training, "total_timesteps", None) or 100_000,
         "policy": "MultiInputPolicy" if program.agent.goal is not None else "MlpPolicy",

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.webots.imports.values import (
-    Callable,
     Condition,
     External,
     Instance,
@@ -17,6 +16,7 @@ from deepbots_cli.webots.imports.values import (
     Parent,
     Part,
     Place,
+    ProjectFunction,
     Quantity,
     RobotDevice,
     Space,
@@ -105,7 +105,7 @@ class Calls:
         if name.lower().replace("_", "") == "normalizetorange":
             return _normalized(arguments, named, place)
         match called:
-            case Callable():
+            case ProjectFunction():
                 return reader.follow(frame, called, arguments, named)
             case Method(owner=Instance()):
                 return self._of_self(called.name, arguments, place)
@@ -124,8 +124,8 @@ class Calls:
         if name == "getBasicTimeStep":
             return float(self.scene.basic_step)
         if name == "getFromDef" and isinstance(first, str):
-            found = next((one for one in walk(self.scene.nodes) if one.name == first), None)
-            return None if found is None else WorldNode(found)
+            node = next((one for one in walk(self.scene.nodes) if one.name == first), None)
+            return None if node is None else WorldNode(node)
         if name in ("handle_receiver", "handleReceiver"):
             return Unknown(place) if self.message is None else list(self.message)
         if name.startswith("get") and isinstance(first, str) and first in self.robot.devices:

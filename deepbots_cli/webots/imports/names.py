@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import re
 
-_HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_OTHER = re.compile(r"[^a-z0-9]+")
-_RESERVED_WORDS = (
-    "and or not if else when true false null yes no on off time step ground arena any each every over from urdf"
-    " terminated truncated ended goal_reached achieved desired previous_action previous_reward episode_return"
-    " m mm cm km s ms us min h kg g rad deg rpm hz n j w pa max abs sum mean norm sqrt x y z"
-)
-_RESERVED = frozenset(_RESERVED_WORDS.split())
-MAX_LENGTH = 40
+from deepbots_cli.scenario.fields import RESERVED_NAMES, suggested_name
+
+_WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
+_RESERVED = _WORDS_OF_YAML.union(*RESERVED_NAMES.values())
+_COMPONENTS = frozenset("xyz")
+_MAX_LENGTH = 40
 
 
 def scenario_name(text: str, fallback: str = "part") -> str:
     """Return a name of the scenario language for a name of Webots or Python: `polePosSensor` becomes
     `pole_pos_sensor`."""
-    name = _OTHER.sub("_", _HUMP.sub("_", text).lower()).strip("_")[:MAX_LENGTH].strip("_")
-    if not name:
-        name = fallback
-    return f"{fallback}_{name}" if name[0].isdigit() or name in _RESERVED else name
+    name = re.sub("__+", "_", suggested_name(text))[:_MAX_LENGTH].strip("_") or fallback
+    is_taken = name in _RESERVED or name in _COMPONENTS
+    return f"{fallback}_{name}" if is_taken or name[0].isdigit() else name
 
 
 class Names:

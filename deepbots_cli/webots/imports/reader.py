@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.webots.imports.values import (
     MAX_TEXT,
-    Callable,
     Condition,
     External,
     Instance,
@@ -24,7 +23,8 @@ from deepbots_cli.webots.imports.values import (
     Parent,
     Part,
     Place,
-    Project,
+    ProjectFunction,
+    ProjectModule,
     Quantity,
     Unknown,
     Value,
@@ -102,7 +102,7 @@ class Reader:
         if name not in self.cls.methods:
             return None
         module, function = self.cls.methods[name]
-        callable_ = Callable(module, function, Instance(self.cls))
+        callable_ = ProjectFunction(module, function, Instance(self.cls))
         self._steps = 0
         frame = self._enter(callable_, arguments, {}, 0)
         try:
@@ -111,7 +111,9 @@ class Reader:
             frame.returned.append(Returned((), Unknown(module.place(function)), module.place(function)))
         return frame.returned, self._result(frame, module.place(function))
 
-    def _enter(self, called: Callable, arguments: list[Value], named: dict[str, Value], depth: int) -> Frame:
+    def _enter(
+        self, called: ProjectFunction, arguments: list[Value], named: dict[str, Value], depth: int
+    ) -> Frame:
         function = called.function
         self.followed.add(id(function))
         owner = called.owner if isinstance(called.owner, Instance) else None
@@ -132,7 +134,7 @@ class Reader:
         return frame
 
     def follow(
-        self, frame: Frame, called: Callable, arguments: list[Value], named: dict[str, Value]
+        self, frame: Frame, called: ProjectFunction, arguments: list[Value], named: dict[str, Value]
     ) -> Value:
         """Return what a function of the project returns."""
         place = called.module.place(called.function)
@@ -195,7 +197,7 @@ class Reader:
             case ast.Try(body=body, orelse=orelse, finalbody=final):
                 return self._block(frame, [*body, *orelse, *final])
             case ast.FunctionDef(name=name):
-                frame.local[name] = Callable(frame.module, statement)
+                frame.local[name] = ProjectFunction(frame.module, statement)
             case ast.Pass() | ast.Assert() | ast.Delete() | ast.Global() | ast.Import() | ast.ImportFrom():
                 pass
             case _:
@@ -359,7 +361,7 @@ class Reader:
         if key in self._constants:
             return self._constants[key]
         if name in module.functions:
-            return Callable(module, module.functions[name])
+            return ProjectFunction(module, module.functions[name])
         if name in module.assigned:
             self._constants[key] = Unknown(
                 module.place(module.assigned[name])
@@ -374,12 +376,12 @@ class Reader:
     def _import(self, target: str, node: ast.AST) -> Value:
         first, _, last = target.rpartition(".")
         if target.rpartition(".")[2] in self.code.modules and not first:
-            return Project(self.code.modules[target])
+            return ProjectModule(self.code.modules[target])
         source = first.rpartition(".")[2]
         if source in self.code.modules:
             return self.constant(self.code.modules[source], last, node)
         if last in self.code.modules and (not first or first.startswith(".")):
-            return Project(self.code.modules[last])
+            return ProjectModule(self.code.modules[last])
         return External(target)
 
     def _attribute(self, frame: Frame, owner: Value, name: str, node: ast.expr) -> Value:
@@ -389,9 +391,9 @@ class Reader:
                     return self.attributes[name]
                 if name in code.methods:
                     module, function = code.methods[name]
-                    return Callable(module, function, owner)
+                    return ProjectFunction(module, function, owner)
                 return self.calls.attribute(self, name, frame, node)
-            case Project(module):
+            case ProjectModule(module):
                 return self.constant(module, name, node)
             case External(full):
                 return self.calls.external_constant(f"{full}.{name}")
@@ -503,7 +505,7 @@ class Reader:
                 return value
             case None | bool() | int() | float() | str() | list() | dict():
                 return bool(value)
-            case WorldNode() | Instance() | Callable() | Parent():
+            case WorldNode() | Instance() | ProjectFunction() | Parent():
                 return True
         return Unknown(frame.module.place(node))
 

@@ -424,9 +424,11 @@ def read_observation(task: Task, reader: Reader, space: Value, names: Names) -> 
         return
     returned, value = result
     if not isinstance(value, list):
-        place = value.place if isinstance(value, Unknown) else returned[-1].place if returned else None
-        if place is not None:
-            task.observation.append(Todo(place, "the observation"))
+        places = [one.place for one in returned]
+        if isinstance(value, Unknown):
+            places.append(value.place)
+        if places:
+            task.observation.append(Todo(places[-1], "the observation"))
         return
     labels = _labels(reader)
     keys: set[str] = set()

@@ -138,7 +138,7 @@ class Parent:
 
 
 @dataclass(frozen=True)
-class Callable:
+class ProjectFunction:
     """A function or method of the project, with the object that it belongs to."""
 
     module: ModuleCode
@@ -155,7 +155,7 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Project:
+class ProjectModule:
     """A module of the project."""
 
     module: ModuleCode
