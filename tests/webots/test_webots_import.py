@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.cli.starters.webots import TODO, Starter, from_webots
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.scenario.fields import Name
+from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
 
 WORLD = """
@@ -434,3 +436,22 @@ def test_damaged_python_and_worlds_end_in_a_scenario_or_one_sentence(
         return  # with a sentence; anything else fails this test
     assert starter.todos >= 0
     assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("polePosSensor", "pole_pos_sensor"),
+        ("wheel 1", "wheel_1"),
+        ("1st", "part_1st"),
+        ("velocity", "velocity"),  # a function, whose name a value may have too
+        ("kg", "part_kg"),
+        ("when", "part_when"),
+        ("yes", "part_yes"),
+        ("x", "part_x"),
+        ("é", "part"),
+    ],
+)
+def test_names_of_webots_become_names_that_a_scenario_accepts(text: str, name: str) -> None:
+    assert scenario_name(text) == name
+    Name(shared=True).check(name)
