@@ -35,7 +35,7 @@ class MirrorEngine(EngineProxy):
         self._others = [robot.name for robot in world.robots] + [thing.name for thing in world.objects]
         if world.arena is not None:
             self._others += ARENA_WALLS
-        self.advance: Callable[[], None] = lambda: plant.step(self.timestep_ms)
+        self.let_timestep_pass: Callable[[], None] = lambda: plant.wait(self.timestep_ms)
         """The function that lets a timestep pass."""
         self.is_starting = False
         """Whether the world is being placed for a new episode."""
@@ -58,9 +58,9 @@ class MirrorEngine(EngineProxy):
         """Let the world run, in whole timesteps, and follow it."""
         for _ in range(max(1, round(substeps / self._substeps))):
             if self.is_starting:
-                self.plant.step(self.timestep_ms)
+                self.plant.wait(self.timestep_ms)
             else:
-                self.advance()
+                self.let_timestep_pass()
         self.follow()
 
     def follow(self) -> None:

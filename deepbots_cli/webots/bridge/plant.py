@@ -71,10 +71,10 @@ class Plant:
     def reset(self, timestep: int) -> None:
         """Bring the world back to its begin, at rest; this takes a step of `timestep` ms."""
         self.supervisor.simulationReset()
-        self.step(timestep)
+        self.wait(timestep)
         self.supervisor.simulationResetPhysics()
 
-    def step(self, timestep: int) -> None:
+    def wait(self, timestep: int) -> None:
         """Let the world run for some ms.
 
         Raises:

@@ -74,7 +74,7 @@ class Project:
         plant = Plant(supervisor, self.world)
         mirror = MirrorEngine(engine, plant, self.world)
         task = self.supervisor(mirror)
-        mirror.advance = exchange(supervisor, task, lambda: plant.step(self.timestep_ms))
+        mirror.let_timestep_pass = exchange(supervisor, task, lambda: plant.wait(self.timestep_ms))
         return task
 
 
