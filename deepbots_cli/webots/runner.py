@@ -42,7 +42,7 @@ MAX_STEPS_AFTER_END = 100
 _ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 """What controllers find in their environment, if it is not set: pictures need a window, and small networks
 lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy machine)."""
-GRACE_S = 5.0
+GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
 
 

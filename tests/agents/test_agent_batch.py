@@ -107,7 +107,7 @@ def test_scripts_of_shipped_scenarios_act_the_same_in_a_batch(case: str) -> None
     compare(api.compile(scenario, overrides=[f"role={role}"]).program, steps=40)
 
 
-@pytest.fixture(scope="module", params=["PPO", "RecurrentPPO"])
+@pytest.fixture(scope="module", params=["PPO", pytest.param("RecurrentPPO", marks=pytest.mark.slow)])
 def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which both agents have learned, beside its scenario."""
     if request.param == "RecurrentPPO":

@@ -128,7 +128,9 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
     assert json.loads(result.model_dump_json())["agents"]["left"]["episodes"] == 4
 
 
-@pytest.mark.parametrize("training", [PPO, SAC], ids=["PPO", "SAC"])
+@pytest.mark.parametrize(
+    "training", [pytest.param(PPO, id="PPO", marks=pytest.mark.slow), pytest.param(SAC, id="SAC")]
+)
 def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, training: str) -> None:
     scenario = written(tmp_path, SEVERAL.replace(OWN, training))
     whole, cut = tmp_path / "whole", tmp_path / "cut"

@@ -232,6 +232,7 @@ def test_a_number_about_all_agents_that_compete_is_refused(
     assert instead in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_robustness_is_that_of_one_agent(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (
         main(["robustness", str(trained), "--agent", "left", "--episodes", "2", "--min-return", "-1000"]) == 0

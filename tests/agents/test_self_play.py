@@ -79,7 +79,14 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
     assert [(number, ending.row) for number, ending in part.endings] == sorted(expected)
 
 
-@pytest.mark.parametrize(("text", "worlds"), [(PLAYED, 4), (SCRIPTED, 4), (SCRIPTED, 16)])
+@pytest.mark.parametrize(
+    ("text", "worlds"),
+    [
+        pytest.param(PLAYED, 4, id="past policies", marks=pytest.mark.slow),
+        pytest.param(SCRIPTED, 4, id="scripts too", marks=pytest.mark.slow),
+        pytest.param(SCRIPTED, 16, id="scripts in a batch"),
+    ],
+)
 def test_an_interrupted_training_with_self_play_becomes_the_same(
     tmp_path: Path, text: str, worlds: int
 ) -> None:

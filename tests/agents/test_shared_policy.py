@@ -92,6 +92,7 @@ def test_an_interrupted_training_of_a_shared_policy_becomes_the_same(carts: Path
     assert outcome(cut) == outcome(whole)
 
 
+@pytest.mark.slow
 def test_shards_give_the_same_weights_wherever_they_run(carts: Path, tmp_path: Path) -> None:
     carts.write_text(SHARED + PPO.replace("n_steps", "environments: 2, shards: 2, n_steps"))
     here = deepbots_cli.train(carts, run=tmp_path / "here", seed=3)

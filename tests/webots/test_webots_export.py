@@ -85,7 +85,10 @@ def test_cartpole_runs_as_its_scenario_for_300_steps(tmp_path: Path):
     assert same_episodes("cartpole", tmp_path, 300) == 0.0
 
 
-@pytest.mark.parametrize(("name", "script"), [("multi_cartpole", None), ("find_ball", "around")])
+@pytest.mark.parametrize(
+    ("name", "script"),
+    [pytest.param("multi_cartpole", None, marks=pytest.mark.slow), ("find_ball", "around")],
+)
 def test_other_scenarios_run_as_in_their_environment(name: str, script: str | None, tmp_path: Path):
     assert same_episodes(name, tmp_path, 120, script) < 1e-9
 
