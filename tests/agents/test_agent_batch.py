@@ -20,7 +20,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from tests.agents.test_agents import SEVERAL
 from tests.agents.test_joint_training import SHARED, written
-from tests.few import few
+from tests.few import every, few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
 WORLDS = 9
@@ -84,7 +84,7 @@ def compare(program: Program, steps: int = 80) -> int:
 
 
 @pytest.mark.parametrize("text", [SEVERAL, CHOOSING], ids=["ranges", "choices"])
-@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("role", every(3, ROLES))
 def test_an_agent_beside_others_sees_the_same_in_a_batch(tmp_path: Path, role: str, text: str) -> None:
     program = api.compile(written(tmp_path, text), overrides=[f"role={{{ROLES[role]}}}"]).program
     assert compare(program) > 0

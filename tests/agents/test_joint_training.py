@@ -129,7 +129,11 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "training", [pytest.param(PPO, id="PPO", marks=pytest.mark.slow), pytest.param(SAC, id="SAC")]
+    "training",
+    [
+        pytest.param(PPO, id="PPO", marks=pytest.mark.slow),
+        pytest.param(SAC, id="SAC", marks=pytest.mark.slow),
+    ],
 )
 def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, training: str) -> None:
     scenario = written(tmp_path, SEVERAL.replace(OWN, training))
@@ -140,6 +144,7 @@ def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, 
     assert outcome(cut) == outcome(whole)
 
 
+@pytest.mark.slow
 def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: Path) -> None:
     scenario = written(tmp_path, SHARED.replace("n_steps", "environments: 2, shards: 2, n_steps"))
     here = deepbots_cli.train(scenario, run=tmp_path / "here", seed=3)

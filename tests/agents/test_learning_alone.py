@@ -108,6 +108,7 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
     assert sum(size - part for _, part, size in seen) > 0
 
 
+@pytest.mark.slow
 def test_a_training_with_such_ends_resumes_exactly_and_is_evaluated(carts: Path, tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     deepbots_cli.train(carts, run=whole, seed=2)

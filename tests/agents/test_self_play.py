@@ -84,7 +84,7 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
     [
         pytest.param(PLAYED, 4, id="past policies", marks=pytest.mark.slow),
         pytest.param(SCRIPTED, 4, id="scripts too", marks=pytest.mark.slow),
-        pytest.param(SCRIPTED, 16, id="scripts in a batch"),
+        pytest.param(SCRIPTED, 16, id="scripts in a batch", marks=pytest.mark.slow),
     ],
 )
 def test_an_interrupted_training_with_self_play_becomes_the_same(
@@ -133,7 +133,7 @@ def test_past_policies_act_with_the_weights_of_their_time(
     assert len(set(digests.values())) == len(digests) == 5
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
 def test_scripts_of_the_scenario_play_the_other_side(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str
 ) -> None:

@@ -84,6 +84,7 @@ def test_both_agents_act_by_the_same_weights(carts: Path, tmp_path: Path) -> Non
     assert {*evaluate(tmp_path / "run", episodes=2).agents} == {"left", "right"}
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_of_a_shared_policy_becomes_the_same(carts: Path, tmp_path: Path) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     deepbots_cli.train(carts, run=whole, seed=2)

@@ -11,6 +11,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.runtime.agents import joint_action, seats_of
+from tests.few import few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
 Infos = dict[str, dict[str, Any]]
@@ -76,7 +77,7 @@ def test_a_hunter_that_chases_catches_the_prey_and_from_one_that_rests_it_escape
     assert not infos[loser]["is_success"]
 
 
-@pytest.mark.parametrize("scenario", ["tag", "carry", "sumo"])
+@pytest.mark.parametrize("scenario", few(["tag", "carry", "sumo"], ["tag"]))
 @pytest.mark.filterwarnings("ignore:We recommend agents to be named")
 def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
     pytest.importorskip("pettingzoo")

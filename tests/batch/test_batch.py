@@ -25,6 +25,7 @@ from deepbots_cli.errors import BatchError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import fitting_rows
 from deepbots_cli.runtime.vector import BatchEnvironment
+from tests.few import few
 from tests.worlds import SCENARIOS
 
 FAST = ("cartpole", "find_ball", "find_and_avoid", "pit_escape", "balancer")
@@ -34,6 +35,7 @@ SHORTER = {PUSHED: ("truncation.max_time=4 s",), "quadruped": ("truncation.max_t
 """Settings with which episodes end within 500 steps."""
 ENDLESS = ("find_and_avoid", "pit_escape", PUSHED, FEET)
 """Scenarios in which no episode ends within 40 steps."""
+LIVED = ("find_ball", "multi_cartpole", "pushed", "feet")
 OTHERS = (
     *(
         "cartpole_continuous",
@@ -126,7 +128,7 @@ def compare(
     return ended
 
 
-@pytest.mark.parametrize("name", [*FAST, "multi_cartpole", PUSHED, FEET], ids=stem)
+@pytest.mark.parametrize("name", few([*FAST, "multi_cartpole", PUSHED, FEET], LIVED, stem))
 def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
     overrides = ("truncation.max_time=0.6 s",) if name in ENDLESS else ()
     assert compare(name, worlds=3, steps=40, overrides=overrides) > 0
@@ -160,8 +162,13 @@ TORQUES = (
 
 @pytest.mark.parametrize(
     "motors",
-    [(), SPUN, CURVED[:1], CURVED[1:], TORQUES],
-    ids=["springs", "velocity motors", "weak curves", "drawn curves", "torques"],
+    [
+        pytest.param((), id="springs"),
+        pytest.param(SPUN, id="velocity motors", marks=pytest.mark.slow),
+        pytest.param(CURVED[:1], id="weak curves", marks=pytest.mark.slow),
+        pytest.param(CURVED[1:], id="drawn curves"),
+        pytest.param(TORQUES, id="torques", marks=pytest.mark.slow),
+    ],
 )
 def test_drawn_bodies_and_joints_move_in_a_batch_as_in_single_worlds(motors: tuple[str, ...]) -> None:
     assert compare(PUSHED, worlds=3, steps=30, overrides=(*BODIES, *motors)) > 0

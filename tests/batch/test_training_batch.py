@@ -180,8 +180,8 @@ def evaluated(
     ("name", "overrides"),
     [
         ("cartpole", ("action={drive: -1 .. 1}", "truncation.max_steps=20")),  # episodes of many lengths
-        ("cartpole", (*MASKED, "truncation.max_steps=20")),
-        ("multi_cartpole", ("truncation.max_steps=12",)),
+        pytest.param("cartpole", (*MASKED, "truncation.max_steps=20"), marks=pytest.mark.slow),
+        pytest.param("multi_cartpole", ("truncation.max_steps=12",), marks=pytest.mark.slow),
         ("multi_cartpole", (*MASKED, "robots.cart.count=3", "truncation.max_steps=12")),
         (
             "quadrotor",

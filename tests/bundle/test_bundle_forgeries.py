@@ -29,6 +29,7 @@ from deepbots_robot.serving import ServeError, inputs_of, mapped, outputs_of
 from tests.bundle.forged import Forged
 from tests.bundle.forged_graphs import fields, varint, written
 from tests.bundle.forgeries import QUICK, prepare
+from tests.few import every
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(
@@ -551,7 +552,7 @@ WAYS: dict[str, tuple[Callable[[Forged], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", WAYS)
+@pytest.mark.parametrize("name", every(3, WAYS))
 def test_a_way_by_hand_is_refused_or_loads_within_the_limits(bases: Path, tmp_path: Path, name: str) -> None:
     """Each ended in a traceback, took seconds or hundreds of megabytes, or passed; see its message."""
     change, message = WAYS[name]

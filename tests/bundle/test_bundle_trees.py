@@ -21,6 +21,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, State
 from deepbots_cli.insight.export.graph import Graph
 from deepbots_cli.insight.export.trees import Arithmetic, Item, MemoryFormulas, TreePrinter, Value
 from deepbots_cli.runtime import formulas
+from tests.few import every
 
 NAMES = ("a", "b", "c")
 TRUTHS = ("p", "q")
@@ -65,7 +66,7 @@ def _arguments(name: str) -> tuple[Scalar, ...]:
     return tuple(map(Name, NAMES[:count]))
 
 
-@pytest.mark.parametrize("name", PURE)
+@pytest.mark.parametrize("name", every(4, PURE))
 def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> None:
     session, function = _session([Op(name, _arguments(name))]), scalar_function(name)
 

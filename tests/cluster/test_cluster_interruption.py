@@ -19,6 +19,7 @@ from deepbots_cli.learning import resume, resume_group, train, train_group
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.group import Group
 from tests.cluster.calls import square
+from tests.few import few
 from tests.learning.interruption import At, outcome
 
 SCENARIO = (
@@ -61,6 +62,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
     return of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_in_this_process_after_ctrl_c(kind: str, whole: Any, tmp_path: Path) -> None:
     begun(kind, tmp_path / "parts", progress=At(200))
@@ -72,7 +74,7 @@ def test_in_this_process_after_ctrl_c(kind: str, whole: Any, tmp_path: Path) -> 
     assert outcomes(kind, tmp_path / "parts") == whole(kind)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("run", marks=pytest.mark.slow), "group"])
+@pytest.mark.parametrize("kind", few(KINDS, ["group"]))
 def test_on_workers_after_one_was_killed(
     kind: str, whole: Any, either: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

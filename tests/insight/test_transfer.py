@@ -299,7 +299,7 @@ ERRORS = {
     ),
 }
 """Errors of a world: the scenario, its change, and what must be named first."""
-FEW = ["sign of a sensor", "amount between levels: mass"]
+FEW = ["amount between levels: mass"]
 
 
 @pytest.mark.parametrize("error", few(list(ERRORS), FEW))

@@ -26,7 +26,10 @@ def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_t
     assert unknown[:3, 0].tolist() == [0.125, 0.25, 0.5]
 
 
-@pytest.mark.parametrize(("scenario", "algorithm"), [("cartpole_continuous", "TD3"), ("cartpole", "DQN")])
+@pytest.mark.parametrize(
+    ("scenario", "algorithm"),
+    [("cartpole_continuous", "TD3"), pytest.param("cartpole", "DQN", marks=pytest.mark.slow)],
+)
 def test_a_training_logs_both(tmp_path, scenario, algorithm):
     settings = (
         "total_timesteps: 500, environments: 4, learning_starts: 100, batch_size: 32, gamma: 0.9,"

@@ -23,6 +23,7 @@ from deepbots_cli.learning.curriculum import LevelSpread
 from deepbots_cli.learning.shards import make_worlds, outcomes_of
 from deepbots_cli.program.levels import SUCCESS, Levels
 from deepbots_cli.rollout import Episode
+from tests.few import few
 from tests.learning.interruption import At, monitor_rows, outcome
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
@@ -193,10 +194,10 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
 @pytest.mark.parametrize(
     ("engine", "shards"),
     [
-        pytest.param("mujoco", 1, id="batch"),
+        pytest.param("mujoco", 1, id="batch", marks=pytest.mark.slow),
         pytest.param("mujoco", 2, id="batches", marks=pytest.mark.slow),
         pytest.param("pybullet", 1, id="single worlds", marks=pytest.mark.slow),
-        pytest.param("pybullet", 2, id="shards of single worlds"),
+        pytest.param("pybullet", 2, id="shards of single worlds", marks=pytest.mark.slow),
     ],
 )
 def test_a_resumed_training_is_one_without_interruption_to_the_bit(
@@ -245,7 +246,7 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(
     assert json.loads(capsys.readouterr().out)["mean_level"] == result.levels.mean
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", few(ENGINES, ["mujoco"]))
 def test_a_world_with_copies_of_a_robot_has_one_level(tmp_path: Path, engine: str) -> None:
     task = api.compile(
         "multi_cartpole",

@@ -209,7 +209,7 @@ AGENTS = {
     "Carry": ("carry", f"{_SMALL_PPO}, total_timesteps: 3200"),
     "Sumo, self-play": (
         "sumo",
-        f"{_SMALL_PPO}, total_timesteps: 6400, self_play: {{every: 512, pool: 3, newest: 50 %}}",
+        f"{_SMALL_PPO}, total_timesteps: 3200, self_play: {{every: 512, pool: 3, newest: 50 %}}",
     ),
 }
 """Shipped scenarios with several agents: the scenario, and its section `train`."""
@@ -268,9 +268,12 @@ def test_a_training_that_is_killed_becomes_the_same_as_one_that_is_not(tmp_path:
     survives(name, tmp_path, 1)
 
 
-@pytest.mark.parametrize("name", AGENTS)
-def test_so_does_every_agent_of_several(tmp_path: Path, name: str) -> None:
-    survives(name, tmp_path, 5)
+@pytest.mark.parametrize(
+    ("name", "kills"),
+    [("Sumo, self-play", 1), *(pytest.param(name, 5, marks=pytest.mark.slow) for name in AGENTS)],
+)
+def test_so_does_every_agent_of_several(tmp_path: Path, name: str, kills: int) -> None:
+    survives(name, tmp_path, kills)
 
 
 @pytest.mark.slow

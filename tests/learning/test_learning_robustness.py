@@ -28,6 +28,7 @@ from deepbots_cli.learning.robustness import (
 from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import Source
+from tests.few import few
 
 
 def changes(
@@ -49,7 +50,9 @@ def masses(program: Program) -> list[float]:
     ]
 
 
-@pytest.mark.parametrize("name", ["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"])
+@pytest.mark.parametrize(
+    "name", few(["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"], ["find_ball_random"])
+)
 def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(name: str) -> None:
     base, found = changes(name)
     plain = api.compile(name)
@@ -94,7 +97,8 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "case", "stage"), [("quadruped", "rough", None), ("find_ball_random", None, "crowded")]
+    ("name", "case", "stage"),
+    [("find_ball_random", None, "crowded"), pytest.param("quadruped", "rough", None, marks=pytest.mark.slow)],
 )
 def test_in_a_case_or_stage_its_settings_apply_before_the_changes(
     name: str, case: str | None, stage: str | None

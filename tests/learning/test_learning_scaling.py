@@ -18,7 +18,13 @@ def timings(*rates: float) -> list[ShardTiming]:
 
 
 @pytest.mark.parametrize(
-    "changes", [["train.n_steps=16"], ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"]]
+    "changes",
+    [
+        ["train.n_steps=16"],
+        pytest.param(
+            ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"], marks=pytest.mark.slow
+        ),
+    ],
 )
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
     found = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)

@@ -62,6 +62,7 @@ def test_a_policy_imitates_one_that_sees_more(teacher: TrainingResult, tmp_path:
     assert [seen.name for seen in load_policy(result.run).observation] == ["x"] + 3 * ["cart.pole_angle"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_continues_without_the_run_of_its_teacher(
     teacher: TrainingResult, tmp_path: Path
 ) -> None:

@@ -96,7 +96,7 @@ def test_a_training_changes_the_weights_and_its_policy_is_evaluated(tmp_path: Pa
 @pytest.mark.parametrize(
     "training",
     [
-        pytest.param(SHORT, id="usual"),
+        pytest.param(SHORT, id="usual", marks=pytest.mark.slow),
         pytest.param(EVERYTHING, id="everything", marks=pytest.mark.slow),
         pytest.param(replace(SHORT, shards=2), id="shards", marks=pytest.mark.slow),
         pytest.param(replace(EVERYTHING, shards=2, staleness=1), id="stale shards of everything"),

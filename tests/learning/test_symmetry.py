@@ -170,6 +170,7 @@ def test_an_update_has_each_sample_and_its_mirror_image() -> None:
     assert (model.rollout_buffer, model.batch_size) == (buffer, 4)
 
 
+@pytest.mark.slow
 def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> None:
     path = tmp_path / "cart.yaml"
     path.write_text(CART)

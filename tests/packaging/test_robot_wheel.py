@@ -18,6 +18,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli.scenario.scenario import ROS_TYPES
 from deepbots_robot.topics import PARTS
+from tests.few import few
 from tools.packaging import clean
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -187,8 +188,16 @@ def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]
 
 @pytest.mark.parametrize(
     "words",
-    [("lint", "cartpole"), ("inspect", "cartpole"), ("try", "cartpole", "--steps", "5"), ("lsp", "--schema")],
-    ids=lambda words: words[0],
+    few(
+        [
+            ("lint", "cartpole"),
+            ("inspect", "cartpole"),
+            ("try", "cartpole", "--steps", "5"),
+            ("lsp", "--schema"),
+        ],
+        ["lint", "try"],
+        lambda words: words[0],
+    ),
 )
 def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:
     done = without_robot(tmp_path, *words)
@@ -199,10 +208,10 @@ def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp
     ("words", "what"),
     [
         (("lint", "named.yaml"), "the section `ros`"),
-        (("inspect", "cartpole", "--ros"), "--ros"),
+        pytest.param(("inspect", "cartpole", "--ros"), "--ros", marks=pytest.mark.slow),
         (("serve", "bundle"), "serving a policy"),
-        (("export", "--new-key", "key"), "making a key"),
-        (("export", "--check", "cartpole", "bundle"), "reading a bundle"),
+        pytest.param(("export", "--new-key", "key"), "making a key", marks=pytest.mark.slow),
+        pytest.param(("export", "--check", "cartpole", "bundle"), "reading a bundle", marks=pytest.mark.slow),
     ],
     ids=["a section", "topics", "serving", "a key", "a bundle"],
 )

@@ -65,7 +65,15 @@ def test_a_goal_makes_the_observation_a_dict(small: Make) -> None:
 
 
 @pytest.mark.parametrize(
-    "sections", [GOAL + SPARSE, GOAL + DENSE, PLANE, NOISY + SPARSE, NOISY + DENSE, MEASURED + DENSE]
+    "sections",
+    [
+        GOAL + SPARSE,
+        pytest.param(GOAL + DENSE, marks=pytest.mark.slow),
+        PLANE,
+        pytest.param(NOISY + SPARSE, marks=pytest.mark.slow),
+        NOISY + DENSE,
+        pytest.param(MEASURED + DENSE, marks=pytest.mark.slow),
+    ],
 )
 def test_the_reward_of_a_step_is_what_compute_reward_says(small: Make, sections: str) -> None:
     environment = small(sections, "world.timestep=100 ms")

@@ -63,7 +63,7 @@ print(json.dumps({{"modules": sorted(sys.modules), "memory": int(re.search(r"VmH
 """
 
 
-@pytest.mark.parametrize("module", ["deepbots_robot", "deepbots_cli"])
+@pytest.mark.parametrize("module", ["deepbots_robot", pytest.param("deepbots_cli", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("link", [("--ros", "--domain", 72), ("--zmq", "tcp://127.0.0.1:58731")])
 def test_a_server_imports_no_simulator_and_takes_little_memory(
     bundle: Path, tmp_path: Path, module: str, link: tuple[object, ...]

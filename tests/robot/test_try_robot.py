@@ -49,8 +49,8 @@ def simulated(
     [
         ("cartpole", "backward*3,forward*2"),
         ("find_ball", "around"),
-        ("panda_reach", "zero"),
-        ("quadruped", "zero"),
+        pytest.param("panda_reach", "zero", marks=pytest.mark.slow),
+        pytest.param("quadruped", "zero", marks=pytest.mark.slow),
     ],
 )
 def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(

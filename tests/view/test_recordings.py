@@ -66,8 +66,8 @@ def _same(one, other) -> bool:
     ("name", "engine"),
     [
         ("cartpole_wireless", None),
-        ("multi_cartpole", None),
-        ("cartpole_continuous", "mujoco"),
+        pytest.param("multi_cartpole", None, marks=pytest.mark.slow),
+        pytest.param("cartpole_continuous", "mujoco", marks=pytest.mark.slow),
         pytest.param("see_ball", None, marks=pytest.mark.slow),
     ],
 )

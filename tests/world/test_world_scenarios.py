@@ -91,7 +91,7 @@ truncation: {{max_steps: 1000}}
 """
 
 
-@pytest.mark.parametrize("file", every(3, ROBOTS))
+@pytest.mark.parametrize("file", every(7, ROBOTS))
 def test_a_robot_of_a_package_runs_with_sensors_on_any_link(tmp_path: Path, file: str) -> None:
     robot, findings = open_robot(f"package://pybullet_data/{file}")
     assert {finding.severity for finding in findings} <= {"warning"}
