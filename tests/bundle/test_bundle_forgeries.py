@@ -58,7 +58,7 @@ def _run(bases: Path, *words: object) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize(
     ("count", "seed"),
-    [pytest.param(64, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)],
+    [pytest.param(40, 1, id="some"), pytest.param(500, 2, id="many", marks=pytest.mark.slow)],
 )
 def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(
     bases: Path, tmp_path: Path, count: int, seed: int

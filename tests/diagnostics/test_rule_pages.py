@@ -74,8 +74,8 @@ def named(page: RulePage) -> str:
 
 
 EXAMPLES = [page for page in every_page() if page.example]
-QUICK = {named(page) for page in EXAMPLES if not page.deep} | {"DB310-deep"}
-"""All but one of those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each
+QUICK = {named(page) for page in EXAMPLES if not page.deep}
+"""All but those that are simulated, which take 1 to 4 s each; `tests/golden/deep` has a case of each
 of them."""
 
 

@@ -169,7 +169,7 @@ def test_the_policy_that_is_kept_succeeds_although_another_one_has_a_higher_retu
         lambda number: (9.0, False) if number == 0 else (0.1, number == 1),
         choice=lambda number: (0.1, number == 0),
     )
-    result = learned(tmp_path, build, total=2_000)
+    result = learned(tmp_path, build, total=1_200)
     first, second, *_ = evaluated_steps(result)
     assert first < second < result.steps
     assert result.best is not None
@@ -196,7 +196,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     # The first evaluation is the best by luck; on new starts only the model of the third one succeeds.
     build = Worlds(lambda number: (1.0, number < 3), choice=lambda number: (1.0, number == 0))
     notes = Notes()
-    result = learned(tmp_path, build, total=4_000, solved=None, progress=notes)
+    result = learned(tmp_path, build, total=2_400, solved=None, progress=notes)
     *_, third = evaluated_steps(result)[:3]
     assert result.best is not None
     assert (result.best.chosen_by, result.best.steps) == (
@@ -219,7 +219,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
 
 
 def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
-    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=2_600, solved=None)
+    result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=1_600, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
     assert 2 <= len(files) <= 5
     assert steps_of(result, files[0].stem) == int(files[0].stem.removeprefix("candidate-"))
@@ -401,7 +401,7 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
 def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(
     tmp_path: Path,
 ) -> None:
-    result = learned(tmp_path, Worlds(poor), total=4_000, n_steps=500, batch_size=500)
+    result = learned(tmp_path, Worlds(poor), total=3_000, n_steps=500, batch_size=500)
     # The last evaluation follows the last update.
     rollouts = [(steps - 1) // 1_000 for steps in evaluated_steps(result)[:-1]]
     assert len(rollouts) >= 2
