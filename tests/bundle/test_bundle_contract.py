@@ -34,7 +34,7 @@ FURTHER: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("pushed", ()),
     ("../../bundle/readings", ()),
 )
-FAST = (*WORLDS, "balancer", "cartpole_wireless", "find_and_avoid", "panda_push")
+FAST = (*WORLDS, "find_and_avoid")
 
 
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))

@@ -98,7 +98,7 @@ def scenario(folder: Path, awkward: str = "plain", name: str = "Odd", summary: s
     return file
 
 
-@pytest.mark.parametrize("awkward", AWKWARD)
+@pytest.mark.parametrize("awkward", every(3, AWKWARD))
 def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) -> None:
     expected, found = [], []
     for name, rows in (("plain", expected), (awkward, found)):

@@ -11,6 +11,7 @@ from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.synonyms import synonyms, word_for
 from deepbots_cli.scenario.world import OBJECTS
 from tests.compile.conftest import shipped_text
+from tests.few import every
 
 
 @pytest.fixture
@@ -156,7 +157,7 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", every(3, PLACES))
 def test_a_share_may_be_written_in_percent(workshop, head, place):
     text = f"{head}{PLACES[place]}\n"
     plain, percent, other = (

@@ -40,7 +40,7 @@ def odd(name: str) -> Compiled:
 
 
 @pytest.mark.parametrize(("name", "field"), [("reward", "`odd = "), ("observation", "growth")])
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
 def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(
     tmp_path: Path, name: str, field: str, engine: str
 ) -> None:

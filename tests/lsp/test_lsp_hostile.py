@@ -20,7 +20,7 @@ from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting
 from deepbots_cli.lsp.workspace import Document, Workspace, analyze, uri_of
-from tests.few import few
+from tests.few import LIGHT, few
 from tests.lsp.client import Client, position
 from tools.benchmarks.lsp_cost import heavy_imports
 
@@ -47,7 +47,7 @@ def answer_all(workspace: Workspace, document: Document, position: Position) -> 
     CodeActions(workspace, document, versioned=True).at(Range(position, position))
 
 
-@pytest.mark.parametrize("path", few(SCENARIOS, name=lambda path: path.stem))
+@pytest.mark.parametrize("path", few(SCENARIOS, LIGHT, lambda path: path.stem))
 def test_a_scenario_cut_off_anywhere_is_answered_for(path):
     text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
     whole = Document(uri, 1, text, path)

@@ -60,7 +60,7 @@ def test_what_lies_inside_of_a_character_or_beyond_a_line_is_taken_to_the_neares
     assert Lines("a😀b\nc").offset(position) == offset
 
 
-@pytest.mark.parametrize("file", every(5, FILES, lambda file: file.name))
+@pytest.mark.parametrize("file", every(12, FILES, lambda file: file.name))
 def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     text = file.read_text(encoding="utf-8")
     root = parse(Source(file.name, text), Findings())

@@ -81,7 +81,7 @@ def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
     return [np.asarray(part, float) for part in parts]
 
 
-@pytest.mark.parametrize("scenario", few(SINGLE, (*WORLDS, "balancer", "find_and_avoid", "panda_push")))
+@pytest.mark.parametrize("scenario", few(SINGLE, WORLDS))
 def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_path: Path) -> None:
     step, learner, _ = made(scenario)
     count = SENSITIVE_AFTER.get(scenario, STEPS)
