@@ -34,7 +34,7 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_
     model = panda.scenario.world.robots[0].model
     panda.reset(seed=0)
     rng = np.random.default_rng(3)
-    for _ in range(8):
+    for _ in range(4):
         x, y, z = (float(value) for value in rng.uniform(-1, 1, 3))
         act(panda, (x, y, z), ticks=60)
         position, orientation = read()

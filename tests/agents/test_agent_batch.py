@@ -131,6 +131,7 @@ def test_a_policy_beside_the_agent_acts_the_same_in_a_batch(trained: Path) -> No
     assert compare(beside(trained).program) > 0
 
 
+@pytest.mark.slow
 def test_a_policy_that_takes_masks_acts_the_same_in_a_batch(tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
     scenario = written(tmp_path, CHOOSING)

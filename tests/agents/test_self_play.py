@@ -188,6 +188,7 @@ def test_self_play_of_unequal_agents_is_refused(tmp_path: Path, old: str, new: s
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_damaged_pool_is_refused(tmp_path: Path) -> None:
     deepbots_cli.train(written(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
     folder = latest_checkpoint(Run.open(tmp_path / "run"))

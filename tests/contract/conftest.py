@@ -20,7 +20,7 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
-from tests.few import WORLDS, few
+from tests.few import few
 from tests.worlds import SCENARIOS
 
 MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -38,7 +38,7 @@ MADE_FOR_TESTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("pushed", ()),
 )
 
-FULL = (*(name for name in WORLDS if name != "quadruped"), "pushed", "rail-delayed", "radio")
+FULL = ("multi_cartpole", "see_ball", "panda_reach", "pushed", "rail-delayed", "radio")
 """`pushed` stands for the quadruped: it has pushes, latency, histories, strengths and touch sensors too."""
 
 

@@ -140,8 +140,8 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
     assert stopped.steps < 2_000
     assert stopped.solved_at is not None
     assert stopped.solved_at.cpu_seconds > 0
-    further = short(tmp_path, total=2_000, solved=easy, stop_when_solved=False, build=stand_in.build)
-    assert further.steps >= 2_000
+    further = short(tmp_path, total=600, solved=easy, stop_when_solved=False, build=stand_in.build)
+    assert further.steps >= 600
     assert further.solved_at is not None
 
 
@@ -379,9 +379,7 @@ LEARNERS: list[tuple[str, bool, dict[str, Any]]] = [
 """Algorithms, each with whether its actions are continuous, and hyperparameters."""
 
 
-@pytest.mark.parametrize(
-    "learner", few(LEARNERS, ["A2C-False", "SAC-True"], lambda learner: f"{learner[0]}-{learner[1]}")
-)
+@pytest.mark.parametrize("learner", few(LEARNERS, ["SAC-True"], lambda learner: f"{learner[0]}-{learner[1]}"))
 def test_every_algorithm_trains_resumes_and_is_evaluated(
     tmp_path: Path, learner: tuple[str, bool, dict[str, Any]]
 ) -> None:
