@@ -18,7 +18,8 @@ ends.py        causes in the end of episodes
 collapse.py    the cause of a training that falls apart
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    the evaluation of a policy in another world; world_comparison.py what differs between two worlds
-               of a scenario, such as two engines, and which of the world_changes.py explains it
+               of a scenario, such as two engines, and which of the world_changes.py explains it;
+               recorded_worlds.py the values of both
 inspection.py  the tables of `deepbots inspect`: a scenario, a run or a robot file; timing.py the ages of
                actions and observations
 speed.py       steps per second of engines and of batches, and where the time goes

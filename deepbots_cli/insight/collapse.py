@@ -1,6 +1,6 @@
 """The causes of a training that fell apart: the fall of its evaluations, and the settings that explain it.
 
-A setting is suspected by how far it is from its usual value, on a scale of its own where 1 means "often
+deepbots weighs each setting by its distance from the usual value, on a scale of its own where 1 means "often
 breaks a training that has learned", and by the scalars of the run: an update that changes the policy a lot
 has a large KL divergence, a weight of the entropy that is too large lets the entropy rise again, a critic
 that overestimates predicts more than the return that follows. `tests/insight/collapses.py` measures how often
@@ -25,7 +25,8 @@ from deepbots_cli.scenario.training import ALGORITHMS
 
 SUSPECTED = 0.5
 """The weight from which a setting is named; settings of shipped scenarios stay below."""
-_SHOWN = 2
+MAX_SUSPECTS = 2
+"""The largest number of settings that are named."""
 _LARGE_UPDATE = 0.03
 """The KL divergence of an update that changes the policy a lot. In a usual update it is 0.003 to 0.02; see
 `_of_scale`."""
@@ -109,7 +110,7 @@ def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
             " `lint --exploits` look for such payments.",
             "suspects": [],
         }
-    causes = suspects(evidence, fall)[:_SHOWN]
+    causes = suspects(evidence, fall)[:MAX_SUSPECTS]
     reasons = " ".join(
         f"{number}{suspect.reason}." for number, suspect in zip(("", "Or "), causes, strict=False)
     )

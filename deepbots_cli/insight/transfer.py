@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.insight.world_comparison import EPISODES, World, WorldComparison, compare_worlds
+from deepbots_cli.insight.recorded_worlds import EPISODES, World
+from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.evaluation import EvaluationResult, evaluate
 from deepbots_cli.learning.executor import SERIAL, Executor

@@ -16,21 +16,32 @@ of each kind is simulated in all episodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
-from math import ceil, exp, floor, inf, log
-from typing import Any, NamedTuple
+from math import ceil, exp, floor, log
+from typing import NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from deepbots_cli import api
 from deepbots_cli.document import Document, MappingNode, Permissions
-from deepbots_cli.errors import DeepbotsError, EvaluationError, UsageError, counted
-from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
+from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.insight.conditions import instrument_program
+from deepbots_cli.insight.recorded_worlds import (
+    EPISODES,
+    REWARD,
+    Difference,
+    Effect,
+    RecordedEpisode,
+    Recorder,
+    ValueComparison,
+    World,
+    columns_of,
+    record_episodes,
+    repeat_episodes,
+    repeat_episodes_in,
+)
 from deepbots_cli.insight.world_changes import (
     Act,
     Array,
@@ -49,84 +60,27 @@ from deepbots_cli.learning.robustness import (
     MASS,
     Plan,
     changed_program,
-    listed,
     masses,
     plans,
 )
 from deepbots_cli.learning.run import ModelName, Run
-from deepbots_cli.program import Program
-from deepbots_cli.rollout import Start, steps
-from deepbots_cli.rollout.drivers import sequence_driver
-from deepbots_cli.rollout.policies import PolicyDriver
 
-EPISODES, MAX_STEPS = 6, 100
-"""The number of compared episodes, and the largest number of steps of each: small differences grow, and late
-steps only show that they have grown."""
-_THRESHOLD = 0.01
-"""The share of the width that a number spans in the first world by which it must be off to differ."""
 _MEASURED = "order, sign, unit, offset and age of numbers"
 """The changes that are tried without a simulation."""
-_LATEST = 8
-"""The largest age of a number, in steps, that is tried."""
-_EXACT = 0.05
-"""The largest remaining share of the squared difference of a number that its order, sign, unit or age
-explains."""
 _LEAST_EXPLAINED = 0.3
 """The smallest share of the squared differences that a cause must explain."""
-_PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
-"""The number of episodes in which most changes are simulated, those with the largest differences, and the
-largest and smallest number of steps of each."""
 _REFINED = 8
 """The number of kinds of changes that are simulated with all amounts in these episodes, and with the best one
 in all episodes."""
-_GROWN, _FEW = 0.1, 5
-"""The share of the width from which a difference has grown, and the number of further moments that are
-counted as early ones."""
 _SEARCHED, _SEARCH_STEPS = 6, 7
 """The number of kinds whose amount is searched between the amounts beside the best one, and the number of
 simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
 """The share from which no better amount is searched."""
-_SAME = 1e-3
-"""The share of the squared difference of an effect, and of the two worlds, below which two changes have the
-same effect."""
 _MAX_LINKS = 12
 """The largest number of links whose mass is changed."""
-_REWARD = "reward."
-"""The prefix of the name of a reward term."""
 _MAX_JOINED = 3
 """The number of changes with the same effect that are named; more are counted."""
-_UNITS = {
-    57.29577951308232: "in degrees instead of radians",
-    0.017453292519943295: "in radians instead of degrees",
-    1000.0: "in thousandths of its unit",
-    100.0: "in hundredths of its unit",
-    0.001: "in thousands of its unit",
-    0.01: "in hundreds of its unit",
-}
-
-
-class Difference(NamedTuple):
-    """A number of the observation, or a reward term, that differs.
-
-    Attributes:
-        name: Its name; that of a reward term begins with `reward.`.
-        unit: Its unit; empty for a number without one.
-        episode: The episode in which it differs first.
-        step: The first step of this episode in which it differs; 0 is the reset.
-        here: The value in the first world, in SI units.
-        there: The value in the other one.
-        share: The root mean square of its differences, as a share of the width that it spans in the first
-            world.
-    """
-
-    name: str
-    unit: str
-    episode: int
-    step: int
-    here: float
-    there: float
-    share: float
 
 
 class Cause(NamedTuple):
@@ -153,22 +107,7 @@ class WorldComparison:
 
     @property
     def observation_differs(self) -> bool:
-        return any(not each.name.startswith(_REWARD) for each in self.differences)
-
-
-class World(NamedTuple):
-    """A scenario and the engine in which it runs."""
-
-    program: Program
-    engine: str | None
-
-
-class _Recorded(NamedTuple):
-    """An episode: its start, its actions, and its values, an array of the shape (moments, columns)."""
-
-    start: Start
-    actions: Sequence[Any]
-    values: Array
+        return any(not each.name.startswith(REWARD) for each in self.differences)
 
 
 def compare_worlds(
@@ -200,16 +139,16 @@ def compare_worlds(
         raise UsageError(
             f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step"
         )
-    columns = _columns(instrument_program(here.program, include_observation=True))
-    recorded = _recorded(run, here, model, seed, episodes, permissions)
-    comparison = _Comparison(columns, recorded, _repeated(there, recorded, permissions))
+    columns = columns_of(instrument_program(here.program, include_observation=True))
+    recorded = record_episodes(run, here, model, seed, episodes, permissions)
+    comparison = ValueComparison(columns, recorded, repeat_episodes(there, recorded, permissions))
     result = WorldComparison(
         len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ()
     )
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
-    with closing(_Recorder(here, permissions)) as unchanged:
+    with closing(Recorder(here, permissions)) as unchanged:
         kinds = [*_kinds(here, unchanged, document, permissions)]
         for row in _simulated_causes(comparison, kinds, on_world):
             same = next((other for other in rows if comparison.all_same([other.values], [row.values])), None)
@@ -230,16 +169,18 @@ def _either(texts: Sequence[str]) -> str:
     return " or ".join([*texts[:_MAX_JOINED], *([f"{more} more"] if more > 0 else [])])
 
 
-class _Row(NamedTuple):
-    """Changes with the same effect, and the values of all episodes with one of them."""
-
-    texts: list[str]
-    values: list[Array]
+def _simulated(comparison: ValueComparison, kind: _Kind, amount: float) -> list[Array] | None:
+    """Return the values with a change; None if the change does not fit this scenario."""
+    try:
+        values = kind.simulate(amount, comparison.recorded)
+    except DeepbotsError:
+        return None
+    return values if all(np.isfinite(each).all() for each in values) else None
 
 
 def _simulated_causes(
-    comparison: _Comparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
-) -> list[_Row]:
+    comparison: ValueComparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
+) -> list[Effect]:
     """Return the changes that explain most of a few short episodes, with the share that they explain of
     all."""
     probe = comparison.part()
@@ -247,7 +188,7 @@ def _simulated_causes(
 
     def score(kind: _Kind, amount: float) -> float:
         if (kind, amount) not in scores:
-            values = probe.simulated(kind, amount)
+            values = _simulated(probe, kind, amount)
             scores[kind, amount] = -1.0 if values is None else max(probe.explained(values), -1.0)
         return scores[kind, amount]
 
@@ -259,7 +200,9 @@ def _simulated_causes(
 
     groups: list[_Group] = []
     for number, kind in enumerate(kinds):
-        effects = [values for amount in kind.probes if (values := probe.simulated(kind, amount)) is not None]
+        effects = [
+            values for amount in kind.probes if (values := _simulated(probe, kind, amount)) is not None
+        ]
         on_world(number + 1, len(kinds))
         likeness = max(
             (probe.likeness(values) if kind.form else probe.explained(values) for values in effects),
@@ -291,9 +234,9 @@ def _simulated_causes(
     rows = []
     for number, group in enumerate(likely):
         amount = best(group.kinds[0])
-        values = comparison.simulated(group.kinds[0], amount)
+        values = _simulated(comparison, group.kinds[0], amount)
         if values is not None:
-            rows.append(_Row([kind.text(amount) for kind in group.kinds], values))
+            rows.append(Effect([kind.text(amount) for kind in group.kinds], values))
         on_world(number + 1, len(likely))
     return rows
 
@@ -337,340 +280,6 @@ class _Group:
     likeness: float
 
 
-class _Column(NamedTuple):
-    name: str
-    unit: str
-
-
-def _columns(watch: InstrumentedProgram) -> list[_Column]:
-    kept = _kept(watch)
-    return [
-        *(
-            _Column(each.full_name, each.unit.removeprefix("1"))
-            for each in watch.program.agent.numbers
-            if each.name in kept
-        ),
-        *(_Column(f"{_REWARD}{term.name}", "") for term in watch.program.agent.reward),
-    ]
-
-
-def _kept(watch: InstrumentedProgram) -> dict[str, str]:
-    """Return the kept value of each entry of the observation, without the previous action, which does not
-    describe a world."""
-    return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
-
-
-class _Recorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that records the actions of an episode, and its values: those of the observation in SI units,
-    and the reward terms."""
-
-    def __init__(self, world: World, permissions: Permissions) -> None:
-        self._watch = instrument_program(world.program, include_observation=True)
-        self._made = api.build(self._watch.program, engine=world.engine, permissions=permissions)
-        super().__init__(self._made)
-        self.actions: list[Any] = []
-        self._rows: list[list[float]] = []
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        self.actions, self._rows = [], []
-        try:
-            outcome = self.env.reset(seed=seed, options=options)
-        except EvaluationError:  # an ending is true already, such as by a wrong sensor
-            self._note()
-            raise
-        self._note()
-        return outcome
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        outcome = self.env.step(action)
-        self.actions.append(action)
-        self._note()
-        return outcome
-
-    def _note(self) -> None:
-        values = self._watch.read(self._made)
-        terms = self._made.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
-        self._rows.append(
-            [*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()]
-        )
-
-    @property
-    def _terms(self) -> list[str]:
-        return [term.name for term in self._watch.program.agent.reward]
-
-    @property
-    def values(self) -> Array:
-        """The values, of shape (moments, columns)."""
-        return np.array(self._rows, float)
-
-
-def _recorded(
-    run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
-) -> list[_Recorded]:
-    from deepbots_cli.learning.evaluation import load_model
-    from deepbots_cli.learning.sb3.algorithms import torch_settings
-
-    episodes_recorded = []
-    with torch_settings(), closing(_Recorder(here, permissions)) as world:
-        driver = PolicyDriver(load_model(run, model, world), world, deterministic=True)
-        for number in range(episodes):
-            start = Start.of_evaluation(seed, number)
-            for _ in islice(steps(world, driver, start), MAX_STEPS + 1):
-                pass
-            episodes_recorded.append(_Recorded(start, world.actions, world.values))
-    return episodes_recorded
-
-
-def _repeated(world: World, recorded: Sequence[_Recorded], permissions: Permissions) -> list[Array]:
-    """Return the values of each episode with its start and actions in a world."""
-    with closing(_Recorder(world, permissions)) as recorder:
-        return _repeated_in(recorder, recorded)
-
-
-def _repeated_in(
-    recorder: _Recorder, recorded: Sequence[_Recorded], act: Act = lambda action: action
-) -> list[Array]:
-    """Return the values of each episode with its start and actions in a world that exists; `act` changes the
-    actions."""
-    values = []
-    for episode in recorded:
-        driver = sequence_driver([act(action) for action in episode.actions])
-        with suppress(EvaluationError):  # an ending is true at the reset
-            for _ in islice(steps(recorder, driver, episode.start), len(episode.actions) + 1):
-                pass
-        values.append(recorder.values)
-    return values
-
-
-class _Comparison:
-    """The values of episodes in two worlds, up to the end of the shorter one of each pair.
-
-    `width` is the width that each column spans; by default that in these episodes of the first world.
-    """
-
-    def __init__(
-        self,
-        columns: Sequence[_Column],
-        recorded: Sequence[_Recorded],
-        found: Sequence[Array],
-        width: Array | None = None,
-    ) -> None:
-        self._columns, self._recorded = columns, recorded
-        self._here = [episode.values for episode in recorded]
-        self._there = [*found]
-        self._width = np.maximum(np.ptp(np.vstack(self._here), axis=0), 1e-9) if width is None else width
-        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith(_REWARD)]
-        self._base = self._errors(self._here)
-        self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
-
-    def _small_until(self, mine: Array, other: Array) -> int:
-        """Return the moments before the differences have grown, and a few more."""
-        length = min(len(mine), len(other))
-        large = (np.abs(mine[:length] - other[:length]) > _GROWN * self._width).any(axis=1)
-        return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
-
-    def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
-        """Return the mean squared difference of each column from the other world, in squared widths; 1 at
-        most, since errors grow without end.
-
-        `until` is the number of moments of each episode; by default all that both worlds have.
-        """
-        squares = []
-        for mine, other, usual, most in zip(
-            values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
-        ):
-            length = min(len(usual), len(other), most)
-            both = min(length, len(mine))
-            squares.append(np.minimum(((mine[:both] - other[:both]) / self._width) ** 2, 1.0))
-            squares.append(np.ones((length - both, len(self._width))))  # an episode that ended too early
-        return np.asarray(np.mean(np.vstack(squares), axis=0), float)
-
-    def explained(self, values: Sequence[Array]) -> float:
-        """Return the share of the squared differences of the observation that another world does not have;
-        below 0 if it has larger ones.
-
-        It is the mean of two shares: of all moments, and of those before the differences have grown. In
-        these, the difference is nearly linear in the change, so a mass that is too small shows as well as the
-        right one.
-        """
-        shares = []
-        for until in (None, self._early):
-            base, left = (self._errors(each, until)[self._numbers].sum() for each in (self._here, values))
-            shares.append(1.0 - left / base if base else 0.0)
-        return float(np.mean(shares))
-
-    def likeness(self, values: Sequence[Array]) -> float:
-        """Return the share of the difference that the change would explain with another amount if its effect
-        grew in proportion: the squared cosine.
-
-        It is 0 if the effect has the other direction.
-        """
-        effect, difference = (
-            np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there)
-        )
-        along = float((effect * difference).sum())
-        size = float((effect**2).sum() * (difference**2).sum())
-        return along**2 / size if along > 0.0 else 0.0
-
-    def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
-        """Return whether worlds have the same values, apart from differences that are small beside their
-        effects and beside the difference."""
-        if len(effects) != len(others):
-            return False
-        size = sum(
-            min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects
-        )
-        return sum(map(self._apart, effects, others)) <= _SAME * size
-
-    def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
-        return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
-
-    def _off(self, mine: Array, other: Array) -> Array:
-        """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
-        worlds has ended."""
-        both = min(len(mine), len(other))
-        off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
-        return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
-
-    def part(self) -> _Comparison:
-        """Return the comparison of a few episodes, those with the largest differences, until these have
-        grown, and of a few steps."""
-        apart = [
-            np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean()
-            for mine, other, early in self._pairs()
-        ]
-        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
-        recorded, repeated = [], []
-        for number in chosen:
-            length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
-            start, actions, values = self._recorded[number]
-            recorded.append(_Recorded(start, actions[: length - 1], values[:length]))
-            repeated.append(self._there[number][:length])
-        return _Comparison(self._columns, recorded, repeated, self._width)
-
-    def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
-        """Yield the values of each episode in both worlds, and the moments before the differences have
-        grown."""
-        yield from zip(self._here, self._there, self._early, strict=True)
-
-    def simulated(self, kind: _Kind, amount: float) -> list[Array] | None:
-        """Return the values with a change; None if the change does not fit this scenario."""
-        try:
-            values = kind.simulate(amount, self._recorded)
-        except DeepbotsError:
-            return None
-        return values if all(np.isfinite(each).all() for each in values) else None
-
-    def differences(self) -> list[Difference]:
-        rows = []
-        for place, column in enumerate(self._columns):
-            first: tuple[int, int] | None = None
-            for number, (mine, other) in enumerate(zip(self._here, self._there, strict=True)):
-                length = min(len(mine), len(other))
-                off = np.flatnonzero(
-                    np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place]
-                )
-                if len(off) and (first is None or off[0] < first[1]):
-                    first = number, int(off[0])
-            if first is not None:
-                here, there = (
-                    float(values[first[0]][first[1], place]) for values in (self._here, self._there)
-                )
-                rows.append(
-                    Difference(
-                        column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))
-                    )
-                )
-        return sorted(rows, key=lambda each: (each.step, -each.share))
-
-    def measured_causes(self) -> Iterator[_Row]:
-        """Yield errors of measured numbers: all that are exact, together, since each explains only its own
-        number."""
-        texts: list[str] = []
-        late: dict[int, list[str]] = {}
-        fixed = [values.copy() for values in self._here]
-        for place in self._numbers:
-            best = self._exact(place) if self._base[place] > _THRESHOLD**2 else None
-            if best is None:
-                continue
-            text, age, replaced = best
-            for values, column in zip(fixed, replaced, strict=True):
-                values[:, place] = column
-            if age:
-                late.setdefault(age, []).append(self._columns[place].name)
-            else:
-                texts.append(text)
-        texts += [
-            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {counted(age, 'step')} late"
-            for age, names in late.items()
-        ]
-        if texts:
-            yield _Row(["; ".join(texts)], fixed)
-
-    def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
-        """Return the change of a number after which hardly a difference is left: in words, its age in steps,
-        and the number."""
-        column, mine = self._columns[place], [values[:, place] for values in self._here]
-        pairs = [
-            (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
-            for a, b in zip(mine, self._there, strict=True)
-        ]
-        x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
-        tried: list[tuple[str, int, list[Array]]] = []
-        if x @ x > 0.0:
-            factor = float(x @ y / (x @ x))
-            exact = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
-            if abs(factor + 1.0) < 0.02:
-                words = "has the other sign"
-            elif exact:
-                words = f"is {exact}"
-            else:
-                words = f"is multiplied by {factor:.3g}"
-            tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
-            offset = float(np.mean(y - x))
-            tried.append(
-                (
-                    f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
-                    0,
-                    [values + offset for values in mine],
-                )
-            )
-        for other in self._numbers:
-            if other != place and self._columns[other].unit == column.unit:
-                tried.append(
-                    (
-                        f"{column.name} has the value of {self._columns[other].name}",
-                        0,
-                        [values[:, other] for values in self._here],
-                    )
-                )
-        for age in range(1, _LATEST + 1):
-            tried.append(
-                (
-                    "",
-                    age,
-                    [
-                        np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)]
-                        for values in mine
-                    ],
-                )
-            )
-        scored = [(self._left(place, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
-        left, number = min(scored, default=(inf, 0))
-        return tried[number] if left <= _EXACT * self._base[place] else None
-
-    def _left(self, place: int, replaced: Sequence[Array]) -> float:
-        squares = []
-        for mine, other in zip(replaced, self._there, strict=True):
-            length = min(len(mine), len(other))
-            squares.append(
-                np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0)
-            )
-        return float(np.mean(np.concatenate(squares)))
-
-
 # Changes of the first world
 
 _FACTORS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.25, 0.5, 0.8, 1.25, 2.0, 4.0, 8.0)
@@ -696,7 +305,7 @@ class _Kind:
 
     family: str
     name: str
-    simulate: Callable[[float, Sequence[_Recorded]], list[Array]]
+    simulate: Callable[[float, Sequence[RecordedEpisode]], list[Array]]
     amounts: tuple[float, ...] = (1.0,)
     probes: tuple[float, ...] = (1.0,)
     form: str = ""
@@ -711,16 +320,16 @@ class _Kind:
         return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
 
 
-def _kinds(
-    here: World, unchanged: _Recorder, document: Document, permissions: Permissions
-) -> Iterator[_Kind]:
+def _kinds(here: World, unchanged: Recorder, document: Document, permissions: Permissions) -> Iterator[_Kind]:
     """Yield the kinds of changes that are possible in a world. `unchanged` is `here`, for other actions."""
 
-    def with_actions(act: Callable[[float], Act]) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
-        return lambda amount, recorded: _repeated_in(unchanged, recorded, act(amount))
+    def with_actions(
+        act: Callable[[float], Act],
+    ) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
+        return lambda amount, recorded: repeat_episodes_in(unchanged, recorded, act(amount))
 
-    def with_plan(plan: Plan) -> Callable[[float, Sequence[_Recorded]], list[Array]]:
-        return lambda amount, recorded: _repeated(
+    def with_plan(plan: Plan) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
+        return lambda amount, recorded: repeat_episodes(
             World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions
         )
 

@@ -13,8 +13,9 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.insight.recorded_worlds import World
 from deepbots_cli.insight.transfer import Gate, Transfer, _names, _works, transfer
-from deepbots_cli.insight.world_comparison import World, WorldComparison, compare_worlds
+from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run

@@ -1,0 +1,440 @@
+"""The values of episodes in two worlds, and what differs between them.
+
+A world is recorded while the policy acts, or while it repeats the starts and actions of another one. The
+values are those of the observation, in SI units, and the reward terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
+from itertools import islice
+from math import inf
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from deepbots_cli import api
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import EvaluationError, counted
+from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
+from deepbots_cli.insight.world_changes import Act, Array
+from deepbots_cli.learning.robustness import listed
+from deepbots_cli.learning.run import ModelName, Run
+from deepbots_cli.program import Program
+from deepbots_cli.rollout import Start, steps
+from deepbots_cli.rollout.drivers import sequence_driver
+from deepbots_cli.rollout.policies import PolicyDriver
+
+EPISODES, MAX_STEPS = 6, 100
+"""The number of compared episodes, and the largest number of steps of each: small differences grow, and late
+steps only show that they have grown."""
+_THRESHOLD = 0.01
+"""The share of the width that a number spans in the first world by which it must be off to differ."""
+_LATEST = 8
+"""The largest age of a number, in steps, that is tried."""
+_EXACT = 0.05
+"""The largest remaining share of the squared difference of a number that its order, sign, unit or age
+explains."""
+_PROBED_EPISODES, _PROBED_STEPS, _LEAST_STEPS = 2, 50, 15
+"""The number of episodes in which most changes are simulated, those with the largest differences, and the
+largest and smallest number of steps of each."""
+_GROWN, _FEW = 0.1, 5
+"""The share of the width from which a difference has grown, and the number of further moments that are
+counted as early ones."""
+_SAME = 1e-3
+"""The share of the squared difference of an effect, and of the two worlds, below which two changes have the
+same effect."""
+REWARD = "reward."
+"""The prefix of the name of a reward term."""
+_UNITS = {
+    57.29577951308232: "in degrees instead of radians",
+    0.017453292519943295: "in radians instead of degrees",
+    1000.0: "in thousandths of its unit",
+    100.0: "in hundredths of its unit",
+    0.001: "in thousands of its unit",
+    0.01: "in hundreds of its unit",
+}
+
+
+class World(NamedTuple):
+    """A scenario and the engine in which it runs."""
+
+    program: Program
+    engine: str | None
+
+
+class Difference(NamedTuple):
+    """A number of the observation, or a reward term, that differs.
+
+    Attributes:
+        name: Its name; that of a reward term begins with `reward.`.
+        unit: Its unit; empty for a number without one.
+        episode: The episode in which it differs first.
+        step: The first step of this episode in which it differs; 0 is the reset.
+        here: The value in the first world, in SI units.
+        there: The value in the other one.
+        share: The root mean square of its differences, as a share of the width that it spans in the first
+            world.
+    """
+
+    name: str
+    unit: str
+    episode: int
+    step: int
+    here: float
+    there: float
+    share: float
+
+
+class RecordedEpisode(NamedTuple):
+    """An episode: its start, its actions, and its values, an array of the shape (moments, columns)."""
+
+    start: Start
+    actions: Sequence[Any]
+    values: Array
+
+
+class Effect(NamedTuple):
+    """Changes with the same effect, and the values of all episodes with one of them."""
+
+    texts: list[str]
+    values: list[Array]
+
+
+class Column(NamedTuple):
+    """A number of the observation, or a reward term, with its unit."""
+
+    name: str
+    unit: str
+
+
+def columns_of(watch: InstrumentedProgram) -> list[Column]:
+    """Return the columns of the values that `Recorder` keeps."""
+    kept = _kept(watch)
+    return [
+        *(
+            Column(each.full_name, each.unit.removeprefix("1"))
+            for each in watch.program.agent.numbers
+            if each.name in kept
+        ),
+        *(Column(f"{REWARD}{term.name}", "") for term in watch.program.agent.reward),
+    ]
+
+
+def _kept(watch: InstrumentedProgram) -> dict[str, str]:
+    """Return the kept value of each entry of the observation, without the previous action, which does not
+    describe a world."""
+    return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
+
+
+class Recorder(gym.Wrapper[Any, Any, Any, Any]):
+    """A world that records the actions of an episode, and its values: those of the observation in SI units,
+    and the reward terms."""
+
+    def __init__(self, world: World, permissions: Permissions) -> None:
+        self._watch = instrument_program(world.program, include_observation=True)
+        self._made = api.build(self._watch.program, engine=world.engine, permissions=permissions)
+        super().__init__(self._made)
+        self.actions: list[Any] = []
+        self._rows: list[list[float]] = []
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        self.actions, self._rows = [], []
+        try:
+            outcome = self.env.reset(seed=seed, options=options)
+        except EvaluationError:  # an ending is true already, such as by a wrong sensor
+            self._note()
+            raise
+        self._note()
+        return outcome
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        outcome = self.env.step(action)
+        self.actions.append(action)
+        self._note()
+        return outcome
+
+    def _note(self) -> None:
+        values = self._watch.read(self._made)
+        terms = self._made.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
+        self._rows.append(
+            [*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()]
+        )
+
+    @property
+    def _terms(self) -> list[str]:
+        return [term.name for term in self._watch.program.agent.reward]
+
+    @property
+    def values(self) -> Array:
+        """The values, of shape (moments, columns)."""
+        return np.array(self._rows, float)
+
+
+def record_episodes(
+    run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
+) -> list[RecordedEpisode]:
+    """Return episodes of the policy of a run in a world, from the starts of an evaluation with this seed."""
+    from deepbots_cli.learning.evaluation import load_model
+    from deepbots_cli.learning.sb3.algorithms import torch_settings
+
+    episodes_recorded = []
+    with torch_settings(), closing(Recorder(here, permissions)) as world:
+        driver = PolicyDriver(load_model(run, model, world), world, deterministic=True)
+        for number in range(episodes):
+            start = Start.of_evaluation(seed, number)
+            for _ in islice(steps(world, driver, start), MAX_STEPS + 1):
+                pass
+            episodes_recorded.append(RecordedEpisode(start, world.actions, world.values))
+    return episodes_recorded
+
+
+def repeat_episodes(
+    world: World, recorded: Sequence[RecordedEpisode], permissions: Permissions
+) -> list[Array]:
+    """Return the values of each episode with its start and actions in a world."""
+    with closing(Recorder(world, permissions)) as recorder:
+        return repeat_episodes_in(recorder, recorded)
+
+
+def repeat_episodes_in(
+    recorder: Recorder, recorded: Sequence[RecordedEpisode], act: Act = lambda action: action
+) -> list[Array]:
+    """Return the values of each episode with its start and actions in a world that exists; `act` changes the
+    actions."""
+    values = []
+    for episode in recorded:
+        driver = sequence_driver([act(action) for action in episode.actions])
+        with suppress(EvaluationError):  # an ending is true at the reset
+            for _ in islice(steps(recorder, driver, episode.start), len(episode.actions) + 1):
+                pass
+        values.append(recorder.values)
+    return values
+
+
+class ValueComparison:
+    """The values of episodes in two worlds, up to the end of the shorter one of each pair.
+
+    Attributes:
+        recorded: The episodes of the first world.
+
+    Args:
+        width: The width that each column spans; by default that in these episodes of the first world.
+    """
+
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        recorded: Sequence[RecordedEpisode],
+        found: Sequence[Array],
+        width: Array | None = None,
+    ) -> None:
+        self._columns, self.recorded = columns, recorded
+        self._here = [episode.values for episode in recorded]
+        self._there = [*found]
+        self._width = np.maximum(np.ptp(np.vstack(self._here), axis=0), 1e-9) if width is None else width
+        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith(REWARD)]
+        self._base = self._errors(self._here)
+        self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
+
+    def _small_until(self, mine: Array, other: Array) -> int:
+        """Return the moments before the differences have grown, and a few more."""
+        length = min(len(mine), len(other))
+        large = (np.abs(mine[:length] - other[:length]) > _GROWN * self._width).any(axis=1)
+        return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
+
+    def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
+        """Return the mean squared difference of each column from the other world, in squared widths; 1 at
+        most, since errors grow without end.
+
+        `until` is the number of moments of each episode; by default all that both worlds have.
+        """
+        squares = []
+        for mine, other, usual, most in zip(
+            values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
+        ):
+            length = min(len(usual), len(other), most)
+            both = min(length, len(mine))
+            squares.append(np.minimum(((mine[:both] - other[:both]) / self._width) ** 2, 1.0))
+            squares.append(np.ones((length - both, len(self._width))))  # an episode that ended too early
+        return np.asarray(np.mean(np.vstack(squares), axis=0), float)
+
+    def explained(self, values: Sequence[Array]) -> float:
+        """Return the share of the squared differences of the observation that another world does not have;
+        below 0 if it has larger ones.
+
+        It is the mean of two shares: of all moments, and of those before the differences have grown. In
+        these, the difference is nearly linear in the change, so a mass that is too small shows as well as the
+        right one.
+        """
+        shares = []
+        for until in (None, self._early):
+            base, left = (self._errors(each, until)[self._numbers].sum() for each in (self._here, values))
+            shares.append(1.0 - left / base if base else 0.0)
+        return float(np.mean(shares))
+
+    def likeness(self, values: Sequence[Array]) -> float:
+        """Return the share of the difference that the change would explain with another amount if its effect
+        grew in proportion: the squared cosine.
+
+        It is 0 if the effect has the other direction.
+        """
+        effect, difference = (
+            np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there)
+        )
+        along = float((effect * difference).sum())
+        size = float((effect**2).sum() * (difference**2).sum())
+        return along**2 / size if along > 0.0 else 0.0
+
+    def all_same(self, effects: Sequence[Sequence[Array]], others: Sequence[Sequence[Array]]) -> bool:
+        """Return whether worlds have the same values, apart from differences that are small beside their
+        effects and beside the difference."""
+        if len(effects) != len(others):
+            return False
+        size = sum(
+            min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects
+        )
+        return sum(map(self._apart, effects, others)) <= _SAME * size
+
+    def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
+        return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
+
+    def _off(self, mine: Array, other: Array) -> Array:
+        """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
+        worlds has ended."""
+        both = min(len(mine), len(other))
+        off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
+        return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
+
+    def part(self) -> ValueComparison:
+        """Return the comparison of a few episodes, those with the largest differences, until these have
+        grown, and of a few steps."""
+        apart = [
+            np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean()
+            for mine, other, early in self._pairs()
+        ]
+        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
+        recorded, repeated = [], []
+        for number in chosen:
+            length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
+            start, actions, values = self.recorded[number]
+            recorded.append(RecordedEpisode(start, actions[: length - 1], values[:length]))
+            repeated.append(self._there[number][:length])
+        return ValueComparison(self._columns, recorded, repeated, self._width)
+
+    def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
+        """Yield the values of each episode in both worlds, and the moments before the differences have
+        grown."""
+        yield from zip(self._here, self._there, self._early, strict=True)
+
+    def differences(self) -> list[Difference]:
+        """Return the columns that differ, in the order in which they begin to."""
+        rows = []
+        for place, column in enumerate(self._columns):
+            first: tuple[int, int] | None = None
+            for number, (mine, other) in enumerate(zip(self._here, self._there, strict=True)):
+                length = min(len(mine), len(other))
+                off = np.flatnonzero(
+                    np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place]
+                )
+                if len(off) and (first is None or off[0] < first[1]):
+                    first = number, int(off[0])
+            if first is not None:
+                here, there = (
+                    float(values[first[0]][first[1], place]) for values in (self._here, self._there)
+                )
+                rows.append(
+                    Difference(
+                        column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))
+                    )
+                )
+        return sorted(rows, key=lambda each: (each.step, -each.share))
+
+    def measured_causes(self) -> Iterator[Effect]:
+        """Yield errors of measured numbers: all that are exact, together, since each explains only its own
+        number."""
+        texts: list[str] = []
+        late: dict[int, list[str]] = {}
+        fixed = [values.copy() for values in self._here]
+        for place in self._numbers:
+            best = self._exact(place) if self._base[place] > _THRESHOLD**2 else None
+            if best is None:
+                continue
+            text, age, replaced = best
+            for values, column in zip(fixed, replaced, strict=True):
+                values[:, place] = column
+            if age:
+                late.setdefault(age, []).append(self._columns[place].name)
+            else:
+                texts.append(text)
+        texts += [
+            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {counted(age, 'step')} late"
+            for age, names in late.items()
+        ]
+        if texts:
+            yield Effect(["; ".join(texts)], fixed)
+
+    def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
+        """Return the change of a number after which hardly a difference is left: in words, its age in steps,
+        and the number."""
+        column, mine = self._columns[place], [values[:, place] for values in self._here]
+        pairs = [
+            (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
+            for a, b in zip(mine, self._there, strict=True)
+        ]
+        x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
+        tried: list[tuple[str, int, list[Array]]] = []
+        if x @ x > 0.0:
+            factor = float(x @ y / (x @ x))
+            exact = next((words for value, words in _UNITS.items() if abs(factor / value - 1.0) < 0.02), None)
+            if abs(factor + 1.0) < 0.02:
+                words = "has the other sign"
+            elif exact:
+                words = f"is {exact}"
+            else:
+                words = f"is multiplied by {factor:.3g}"
+            tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
+            offset = float(np.mean(y - x))
+            tried.append(
+                (
+                    f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
+                    0,
+                    [values + offset for values in mine],
+                )
+            )
+        for other in self._numbers:
+            if other != place and self._columns[other].unit == column.unit:
+                tried.append(
+                    (
+                        f"{column.name} has the value of {self._columns[other].name}",
+                        0,
+                        [values[:, other] for values in self._here],
+                    )
+                )
+        for age in range(1, _LATEST + 1):
+            tried.append(
+                (
+                    "",
+                    age,
+                    [
+                        np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)]
+                        for values in mine
+                    ],
+                )
+            )
+        scored = [(self._left(place, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
+        left, number = min(scored, default=(inf, 0))
+        return tried[number] if left <= _EXACT * self._base[place] else None
+
+    def _left(self, place: int, replaced: Sequence[Array]) -> float:
+        squares = []
+        for mine, other in zip(replaced, self._there, strict=True):
+            length = min(len(mine), len(other))
+            squares.append(
+                np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0)
+            )
+        return float(np.mean(np.concatenate(squares)))
