@@ -75,28 +75,44 @@ class Tasks:
         try:
             outcome = self._pool.answer(ready)
         except WorkerLost as loss:
-            self._losses[call.item] += 1
-            if is_stopping:
-                outcome = None
-            elif self._losses[call.item] < MAX_LOSSES:
-                self._watcher.on_loss(call.item)
-                self._again.append(call._replace(attempt=call.attempt + 1))
-                return
-            else:
-                outcome = _too_many_losses(call, loss)
+            self._lose(call, loss, is_stopping=is_stopping)
         except Exception:
             # A call that is stopped may end in any error of its function: only its end matters then.
             if not is_stopping:
                 raise
-            outcome = None
-        if isinstance(outcome, Refusal):
-            notes = self._calls.leave_out()
-            if notes is None:
-                raise UsageError(outcome.reason)
-            for note in notes:
-                self._watcher.on_note(call.item, note)
-            self._again.append(call)
-            return
+            self._finish(call, None)
+        else:
+            if isinstance(outcome, Refusal):
+                self._repeat_elsewhere(call, outcome)
+            else:
+                self._finish(call, outcome)
+
+    def _lose(self, call: Call, loss: WorkerLost, *, is_stopping: bool) -> None:
+        """Repeat a call whose worker was lost, up to `MAX_LOSSES` times and unless the calls are stopped."""
+        self._losses[call.item] += 1
+        if is_stopping:
+            self._finish(call, None)
+        elif self._losses[call.item] < MAX_LOSSES:
+            self._watcher.on_loss(call.item)
+            self._again.append(call._replace(attempt=call.attempt + 1))
+        else:
+            self._finish(call, _too_many_losses(call, loss))
+
+    def _repeat_elsewhere(self, call: Call, refusal: Refusal) -> None:
+        """Repeat a call without the nodes that refuse it.
+
+        Raises:
+            UsageError: No node is left.
+        """
+        notes = self._calls.leave_out()
+        if notes is None:
+            raise UsageError(refusal.reason)
+        for note in notes:
+            self._watcher.on_note(call.item, note)
+        self._again.append(call)
+
+    def _finish(self, call: Call, outcome: Any) -> None:
+        """Keep the outcome of a call, and remove its log if it is empty."""
         self._outcomes[call.item] = outcome
         self._watcher.on_done(call.item, outcome)
         if call.log is not None:

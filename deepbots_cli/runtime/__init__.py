@@ -7,7 +7,7 @@ copies.py       copies of a robot in one world, each with a supervisor; the engi
 agents.py       several agents in one world: the seat of each, and the environment of one beside the others
 agent_batch.py  the same in a batch of worlds
 forward_pass.py the actions of a policy for several rows, whatever the number of worlds
-parallel.py     several agents as an environment of PettingZoo; window.py its window
+parallel.py     several agents as an environment of PettingZoo, and its window
 spaces.py       action and observation spaces, forms of actions, observed frames, rewards for other goals
 observing.py    observations from named values, without a world
 formulas.py     functions that generated code calls: pure ones, ones with memory, terms in Python
