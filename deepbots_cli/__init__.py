@@ -18,7 +18,7 @@ envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
 display.py    the progress that a command shows
 plugins.py    plug-ins of other packages     message_formats.py  the formats of messages
-processes.py  further processes of Python
+processes.py  further processes of Python    pictures.py  a check of pictures before they are decoded
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,
 `parallel_env`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so

@@ -29,7 +29,7 @@ from deepbots_cli.arrays import evaluate
 from deepbots_cli.engine_kinds import Diagonal
 from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
-from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem
+from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape, Tiles
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, to_urdf, with_link

@@ -20,7 +20,8 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation, lower
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, is_drawn, names_in
 from deepbots_cli.expressions.types import PLANE, Context, Known, Symbol, Type
-from deepbots_cli.files import MAX_PICTURE_BYTES, picture_problem, read_at_most
+from deepbots_cli.files import read_at_most
+from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.resets import ObjectGroup, OfLink, OfWalls, OfWorld
 from deepbots_cli.program.world import (
     ARENA_WALLS,

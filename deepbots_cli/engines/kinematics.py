@@ -43,6 +43,24 @@ class Segment(NamedTuple):
     place: int | None
 
 
+class _Drive(NamedTuple):
+    """The axis of a moving joint in the frame of the root: its direction, a point of it, and whether the joint
+    turns about it or slides along it."""
+
+    axis: Triple
+    pivot: Triple
+    turns: bool
+
+    def movement_of(self, point: Triple) -> Triple:
+        """Return the movement of a point per rad, or m, of the joint."""
+        return frames.cross(self.axis, frames.subtract(point, self.pivot)) if self.turns else self.axis
+
+    @property
+    def rotation(self) -> Triple:
+        """The rotation per rad, or m, of the joint, counted as `METERS_PER_RAD` m per rad."""
+        return frames.scaled(self.axis, METERS_PER_RAD) if self.turns else IDENTITY_FRAME[0]
+
+
 class Chain:
     """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, of
     which `driven` may be solved for."""
@@ -132,37 +150,35 @@ class Chain:
         self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the error at these positions, and how it shrinks with each driven joint."""
-        joints = list(joints)
-        for follower, leader, mimic in self._followers:
-            joints[follower] = mimic.position(joints[self._driven[leader]])
-        here = IDENTITY_FRAME
-        axes = [IDENTITY_FRAME[0]] * len(joints)
-        pivots = [IDENTITY_FRAME[0]] * len(joints)
-        turns = [True] * len(joints)
-        for frame, axis, turning, place in self._segments:
-            here = frames.compose(here, frame)
-            if place is not None:
-                axes[place], pivots[place], turns[place] = frames.rotate(here[1], axis), here[0], turning
-                if turning:
-                    here = here[0], frames.multiply(here[1], frames.from_axis_angle(axis, joints[place]))
-                else:
-                    here = frames.add(here[0], frames.scaled(axes[place], joints[place])), here[1]
+        here, drives = self._forward(joints)
         error = list(frames.subtract(goal, here[0]))
-        places = [*self._driven, *(follower for follower, _, _ in self._followers)]
-        columns = [
-            frames.cross(axes[i], frames.subtract(here[0], pivots[i])) if turns[i] else axes[i]
-            for i in places
-        ]
+        columns = [drive.movement_of(here[0]) for drive in drives]
         if attitude is None:
             return np.array(error), self._with_followers(np.array(columns)).T
         error += frames.scaled(
             _rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METERS_PER_RAD
         )
-        full = [
-            (*column, *(frames.scaled(axes[i], METERS_PER_RAD) if turns[i] else IDENTITY_FRAME[0]))
-            for i, column in zip(places, columns, strict=True)
-        ]
+        full = [(*column, *drive.rotation) for column, drive in zip(columns, drives, strict=True)]
         return np.array(error), self._with_followers(np.array(full)).T
+
+    def _forward(self, joints: Sequence[float]) -> tuple[Frame, list[_Drive]]:
+        """Return the frame of the part at these positions, and the axes of the driven joints and of their
+        followers in the world."""
+        joints = list(joints)
+        for follower, leader, mimic in self._followers:
+            joints[follower] = mimic.position(joints[self._driven[leader]])
+        here = IDENTITY_FRAME
+        drives = [_Drive(IDENTITY_FRAME[0], IDENTITY_FRAME[0], True)] * len(joints)
+        for frame, axis, turning, place in self._segments:
+            here = frames.compose(here, frame)
+            if place is not None:
+                drive = drives[place] = _Drive(frames.rotate(here[1], axis), here[0], turning)
+                if turning:
+                    here = here[0], frames.multiply(here[1], frames.from_axis_angle(axis, joints[place]))
+                else:
+                    here = frames.add(here[0], frames.scaled(drive.axis, joints[place])), here[1]
+        places = [*self._driven, *(follower for follower, _, _ in self._followers)]
+        return here, [drives[place] for place in places]
 
     def _with_followers(self, rows: FloatArray) -> FloatArray:
         """Return a row for each driven joint, from its own row and those of its followers."""

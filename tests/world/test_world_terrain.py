@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepbots_cli import api, engines, files
+from deepbots_cli import api, engines, pictures
 from deepbots_cli.errors import EngineError
 from deepbots_cli.expressions.scalar import Const, Name, Op
 from deepbots_cli.frames import IDENTITY_ROTATION, from_axis_angle
@@ -148,7 +148,7 @@ def test_a_gray_picture_is_read_as_it_was_written(
 ) -> None:
     rows = [[data.draw(st.integers(0, 256**depth - 1)) for _ in range(width)] for _ in range(tall)]
     written = gray_png(rows, depth, filtering)
-    assert files.picture_problem(written) is None
+    assert pictures.picture_problem(written) is None
     assert picture_pixels(written).tolist() == rows
 
 
@@ -156,7 +156,7 @@ def test_a_gray_picture_is_read_as_it_was_written(
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
     whole = gray_png([[1, 2, 3], [4, 5, 6]])
     for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
-        if files.picture_problem(odd) is None:
+        if pictures.picture_problem(odd) is None:
             with suppress(EngineError):
                 picture_pixels(odd)
 
@@ -175,7 +175,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("words", HOSTILE)
 def test_a_picture_that_cannot_be_heights_is_told_from_its_header(words: str) -> None:
-    assert words in str(files.picture_problem(HOSTILE[words]))
+    assert words in str(pictures.picture_problem(HOSTILE[words]))
 
 
 SCENARIO = """
