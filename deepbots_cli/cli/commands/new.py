@@ -140,7 +140,7 @@ def new(
     if project is not None:
         contents |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
         contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
-    kept = _present(contents, folder)
+    unchanged = _unchanged(contents, folder)
     write = write_with_schema if schema else write_new
     written = write(contents, folder, force=force)
     if urdf or starter is not None:
@@ -150,7 +150,7 @@ def new(
     has_schema = bool(schema or project)
     commands = _next_commands(written[0], starter, has_schema=has_schema, as_json=as_json)
     places = None if starter is None else starter.todos
-    _show(written, kept, commands, as_json=as_json, places=places)
+    _show(written, unchanged, commands, as_json=as_json, places=places)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -159,10 +159,10 @@ def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
     Raises:
         UsageError: There is none, there are several, or --protos stands without --webots.
     """
-    present = [option for option, value in starts.items() if value]
-    if len(present) > 1:
-        raise UsageError(f"{' and '.join(present)} cannot be combined; choose one of them")
-    if not present:
+    chosen = [option for option, value in starts.items() if value]
+    if len(chosen) > 1:
+        raise UsageError(f"{' and '.join(chosen)} cannot be combined; choose one of them")
+    if not chosen:
         raise UsageError(
             f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
             " or --webots WORLD.wbt"
@@ -404,7 +404,7 @@ def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
 # Writing
 
 
-def _present(files: Files, folder: Path) -> set[Path]:
+def _unchanged(files: Files, folder: Path) -> set[Path]:
     """Return the paths of the files that are already in `folder` with this content."""
     return {
         folder / target
@@ -415,7 +415,7 @@ def _present(files: Files, folder: Path) -> set[Path]:
 
 def _show(
     written: Sequence[Path],
-    kept: set[Path],
+    unchanged: set[Path],
     commands: Sequence[str],
     *,
     as_json: bool,
@@ -424,7 +424,7 @@ def _show(
     """Print the paths, with a mark at files that were there before with the same content, and the commands to
     go on with."""
     scenario, schema = quote(str(written[0])), quote(str(written[0].with_suffix(".schema.json")))
-    lines = [f"{path} (unchanged)" if path in kept else str(path) for path in written]
+    lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in written]
     further = [
         f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
         for command in commands
@@ -446,8 +446,8 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
     wanted = {folder / target: content for target, content in files.items()}
-    present = {path for path in wanted if path.exists() or path.is_symlink()}
-    if in_the_way := [path for path in present if not path.is_file() or path.read_bytes() != wanted[path]]:
+    existing = {path for path in wanted if path.exists() or path.is_symlink()}
+    if in_the_way := [path for path in existing if not path.is_file() or path.read_bytes() != wanted[path]]:
         refuse_overwriting(*in_the_way, force=force)
     for path in in_the_way:
         check_writable(path)
@@ -455,7 +455,7 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
         with atomic_write(path) as draft:
             draft.write_bytes(wanted[path])
     begun: list[Path] = []
-    for path in wanted.keys() - present:
+    for path in wanted.keys() - existing:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as file:
@@ -470,8 +470,8 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
 
 def modeline(scenario: Path, schema: Path) -> str:
     """Return the first line of a scenario, from which a YAML language server finds the schema."""
-    way = os.path.relpath(schema.resolve(), scenario.resolve().parent)
-    return f"# yaml-language-server: $schema={Path(way).as_posix()}"
+    relative = Path(os.path.relpath(schema.resolve(), scenario.resolve().parent))
+    return f"# yaml-language-server: $schema={relative.as_posix()}"
 
 
 def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
@@ -485,8 +485,8 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     schema = target.with_suffix(".schema.json")
     if os.path.lexists(folder / schema):
         refuse_overwriting(folder / schema, force=force)
-    led = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
-    written = write_new({target: led, **dict(others)}, folder, force=force)
+    with_modeline = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
+    written = write_new({target: with_modeline, **dict(others)}, folder, force=force)
     return [
         *written,
         *write_new(
