@@ -22,7 +22,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
-from deepbots_cli.view import panel_html, server
+from deepbots_cli.view import access, panel_html, server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.manual_input import ManualInput, turns_left
 from deepbots_cli.view.panel import Panel, set_theme
@@ -57,7 +57,7 @@ class Page:
         source: Showing,
         *,
         compare: Showing | None = None,
-        host: str = server.LOOPBACK,
+        host: str = access.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
         seed: int = 0,
