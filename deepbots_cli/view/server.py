@@ -74,7 +74,7 @@ OnDrive = Callable[[Keys, Axes], None]
 
 
 def serve(
-    host: str, port: int | None, label: str, on_drive: OnDrive, *, writes: bool = False
+    host: str, port: int | None, label: str, on_drive: OnDrive, *, needs_token: bool = False
 ) -> tuple[viser.ViserServer, str]:
     """Start the server in a thread. Returns the server, and the address of the page with its token, if any.
 
@@ -83,8 +83,8 @@ def serve(
         port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
-        writes: Whether the page can write files. It then requires a token on loopback too, because other
-            users of the machine can reach it.
+        needs_token: Whether the page requires a token on loopback too, because it can write files, and
+            other users of the machine can reach it.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -96,7 +96,7 @@ def serve(
         raise MissingExtraError("view", "a page in the browser") from error
     host = access.plain_address(host)
     number = access.free_port(host, port)
-    token = "" if access.is_loopback(host) and not writes else access.new_token()
+    token = "" if access.is_loopback(host) and not needs_token else access.new_token()
     for name in ("websockets", "websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner

@@ -54,7 +54,7 @@ def _open(port, path="/", origin=None, cookie=None, protocol=f"viser-v{viser.__v
 def test_it_serves_its_page_with_keys_and_no_other_source(page):
     answer, body = _get(page[0])
     assert answer.status == 200
-    assert b"/drive" in body
+    assert b'WebSocket("drive")' in body
     assert "connect-src 'self'" in answer.headers["Content-Security-Policy"]
 
 
