@@ -7,11 +7,12 @@ robot_process.py  what runs in that process
 tasks.py          commands that run in processes of their own, and survive the server
 trainings.py      the learning curve and the time left of a training, from its files
 session.py        the state of the studio, free of the page: files, robot, tasks, runs
-access.py         the checks in front of the server
-proxy.py          the page of the robot behind the address of the studio
+gate.py           the checks in front of the server, and the page of the robot behind its address
 page.py           the page: the editor and what stands around it
-panels.py         the tabs of the page: trainings, runs, commands
+panels.py         the tabs of the page: training, runs, commands
+dialogs.py        the dialog for a new scenario
 editor.py         the text editor of the page, with `editor.js`
+application.py    the application of the web server
 server.py         the web server
 
 Nothing imports this package but the command `deepbots studio`. NiceGUI is in the extra `studio`.

@@ -62,6 +62,8 @@ export default {
       { key: "F8", preventDefault: true, run: () => this.nextFinding() },
       { key: "Alt-Tab", run: CM.indentMore },
     ]);
+    // One object: CodeMirror compares sources of completions, and asks a new one again and again.
+    const completions = [{ autocomplete: (context) => this.complete(context) }];
     this.extensions = [
       CM.Prec.highest(keys),
       CM.basicSetup,
@@ -71,7 +73,7 @@ export default {
       this.dark.of([]),
       this.writing.of([]),
       marks,
-      CM.EditorState.languageData.of(() => [{ autocomplete: (context) => this.complete(context) }]),
+      CM.EditorState.languageData.of(() => completions),
       CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350 }),
       CM.EditorView.contentAttributes.of({ "aria-label": "text of the scenario" }),
       CM.EditorView.updateListener.of((update) => {

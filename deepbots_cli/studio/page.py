@@ -21,6 +21,16 @@ from deepbots_cli.studio.session import Session, Topic
 _MAX_FINDINGS = 50
 _MAX_DIFF_LINES = 300
 _STYLE = Path(__file__).with_name("studio.css")
+_BROWSER_S = 60.0
+"""The time in s within which a browser answers."""
+_TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
+_PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
+_DRAWS_BY_SOFTWARE = """(() => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name); })()"""
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
@@ -61,12 +71,19 @@ class StudioPage:
 
     async def _start(self) -> None:
         """Fill the page once the browser is connected."""
-        await ui.context.client.connected()
-        self._is_dark = bool(await ui.run_javascript("matchMedia('(prefers-color-scheme: dark)').matches"))
+        client = ui.context.client
+        await client.connected(timeout=_BROWSER_S)
         self._show_files()
         self._show_robot()
-        for topic in ("training", "runs", "task"):
+        for topic in _TOPICS_OF_TABS:
             self._changed(topic)
+        try:
+            if await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S):
+                self._toggle_dark()
+            if await ui.run_javascript(_DRAWS_BY_SOFTWARE, timeout=_BROWSER_S):
+                self._session.robot.slow_down()
+        except TimeoutError:
+            return  # a busy browser; the page works with the defaults
 
     # Parts
 

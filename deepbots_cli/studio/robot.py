@@ -15,6 +15,9 @@ from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.robot_process import Command, RobotRequest, RobotState
 
 _MAX_LINE_BYTES = 1 << 20
+_FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
+"""The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
+both cores, and a letter typed in the text was shown after a second."""
 _MAX_CRASHES = 3
 """The number of crashes without a reload in between after which the process is not started again."""
 
@@ -36,6 +39,7 @@ class Robot:
         self._task: asyncio.Task[None] | None = None
         self.reference = ""
         self.driver: str | None = None
+        self.frame_rate = _FRAME_RATE
         self.state: RobotState | None = None
         self.crashes = 0
         self.problem = ""
@@ -64,6 +68,12 @@ class Robot:
 
     def set_parameter(self, name: str, value: str) -> None:
         self._send(Command(verb="parameter", name=name, value=value))
+
+    def slow_down(self) -> None:
+        """Send fewer pictures, for a browser that draws without a graphics card."""
+        if self.frame_rate != _FRAME_RATE_OF_SOFTWARE:
+            self.frame_rate = _FRAME_RATE_OF_SOFTWARE
+            self._send(Command(verb="frame_rate", value=str(self.frame_rate)))
 
     def restart(self) -> None:
         """Begin the episode anew; a process that is gone is started."""
@@ -114,6 +124,7 @@ class Robot:
                 driver=self.driver,
                 allow_paths=tuple(map(str, self._permissions.folders)),
                 allow_code=self._permissions.code,
+                frame_rate=self.frame_rate,
             )
             self._write(f"{request.model_dump_json()}\n")
             await self._listen(process)

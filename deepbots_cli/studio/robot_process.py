@@ -29,7 +29,7 @@ class RobotRequest(BaseModel, strict=True, frozen=True):
 
     Attributes:
         driver: Who drives, None for the default.
-        changed: The values that replace parameters of the file.
+        frame_rate: The pictures per second.
     """
 
     reference: str
@@ -45,7 +45,7 @@ class Command(BaseModel, strict=True, frozen=True):
     `reload` reads the files again, after the parameters `names` have returned to the values of the file.
     """
 
-    verb: Literal["reload", "driver", "parameter", "restart", "play", "pause"]
+    verb: Literal["reload", "driver", "parameter", "restart", "frame_rate"]
     name: str = ""
     value: str = ""
     names: tuple[str, ...] = ()
@@ -122,8 +122,8 @@ def _obey(page: Page, command: Command) -> None:
         page.reload()
     elif command.verb == "parameter":
         page.change_parameter(command.name, command.value)
-    elif command.verb in ("play", "pause"):
-        page.play(command.verb == "play")
+    elif command.verb == "frame_rate":
+        page.frame_rate = max(1, min(60, int(command.value)))
     elif page.player is None:
         return
     elif command.verb == "driver":

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
-import gc
-import json
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
@@ -19,8 +14,6 @@ from deepbots_cli.view import access
 FIRST_PORT = 8750
 """The port of the first studio. A studio without a chosen port takes the next free one."""
 _MAX_TEXT_BYTES = 4 << 20
-_MEDIA_TYPES = {".html": "text/html", ".mp4": "video/mp4", ".gif": "image/gif", ".png": "image/png"}
-_OUTPUT_POLICY = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:; frame-ancestors 'none'"
 
 
 @dataclass(frozen=True)
@@ -57,8 +50,9 @@ def studio(
         )
     folder = path if path.is_dir() else path.parent
     try:
-        import nicegui  # noqa: F401
         import uvicorn
+
+        from deepbots_cli.studio.application import application_of
     except ModuleNotFoundError as error:
         raise MissingExtraError("studio", "the studio") from error
     session = Session(folder, permissions)
@@ -68,7 +62,7 @@ def studio(
     host = access.plain_address(host)
     number = access.free_port(host, port, FIRST_PORT)
     gate = access.Gate(host, number, access.new_token())
-    application = _application(session, gate, first)
+    application = application_of(session, gate, first)
     server = uvicorn.Server(
         uvicorn.Config(
             application,  # type: ignore[arg-type]
@@ -82,82 +76,3 @@ def studio(
         )
     )
     return Studio(session, access.address(host, number, gate.token), server.run)
-
-
-def _application(session: Session, gate: access.Gate, first: Path | None) -> Any:
-    from fastapi import FastAPI
-    from nicegui import ui
-
-    from deepbots_cli.studio.gate import Guarded
-    from deepbots_cli.studio.page import StudioPage, add_style
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        # Each analysis collects garbage, which visited the 400 000 objects of the imports every time.
-        gc.collect()
-        gc.freeze()
-        if first is not None:
-            session.show(first)
-        watching = asyncio.create_task(session.run_forever())
-        try:
-            yield
-        finally:
-            watching.cancel()
-            await session.close()
-
-    application = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
-    _add_routes(application, session)
-    add_style()
-
-    def root() -> None:
-        StudioPage(session)
-
-    ui.run_with(
-        application,
-        root=root,
-        title="deepbots studio",
-        dark=None,
-        tailwind=False,
-        show_welcome_message=False,
-        binding_refresh_interval=0.5,
-        reconnect_timeout=60.0,
-    )
-    return Guarded(application, gate, lambda: session.robot.address)
-
-
-def _add_routes(application: Any, session: Session) -> None:
-    from fastapi import Request, Response
-
-    async def place(request: Request) -> tuple[Path, str, int, int] | None:
-        """Return file, text, line and column of a request; None if it is none."""
-        try:
-            content = json.loads(await request.body())
-            path = Path(content["path"])
-            text, line, column = content["text"], content["line"], content["column"]
-        except (ValueError, TypeError, KeyError, RecursionError):
-            return None
-        is_place = isinstance(text, str) and isinstance(line, int) and isinstance(column, int)
-        return (path, text, line, column) if is_place and path in session.files else None
-
-    @application.post("/studio/complete")
-    async def complete(request: Request) -> Any:
-        at = await place(request)
-        return {"options": []} if at is None else session.language.complete(*at)
-
-    @application.post("/studio/hover")
-    async def hover(request: Request) -> Any:
-        at = await place(request)
-        return None if at is None else session.language.hover(*at)
-
-    @application.get("/studio/output/{number}")
-    async def output(number: str) -> Response:
-        task = next((each for each in session.tasks.all if each.path.name == number), None)
-        file = session.folder / task.record.output if task is not None and task.record.output else None
-        kind = _MEDIA_TYPES.get(file.suffix) if file is not None else None
-        if file is None or kind is None or not file.resolve().is_relative_to(session.folder):
-            return Response("there is no such file\n", 404)
-        try:
-            content = await asyncio.to_thread(file.read_bytes)
-        except OSError:
-            return Response("the file is gone\n", 404)
-        return Response(content, media_type=kind, headers={"Content-Security-Policy": _OUTPUT_POLICY})

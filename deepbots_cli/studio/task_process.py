@@ -1,4 +1,4 @@
-"""The process of a task of the studio: it runs one command of deepbots, and writes output and exit code into the folder."""
+"""The process of a task: it runs one command, and writes output and exit code into the folder of the task."""
 
 from __future__ import annotations
 

@@ -51,6 +51,8 @@ class Page:
     """The panel beside the worlds, once a scenario without errors has been opened."""
     banner: Any
     """A text (HTML) of the GUI: the state of the episode, or the errors of the scenario."""
+    frame_rate: int
+    """The pictures per second."""
     outdated: bool = False
     """Whether the files have errors, so that the world is that of an earlier version; of an embedded page."""
 
@@ -84,7 +86,8 @@ class Page:
             MissingExtraError: viser is not installed.
         """
         self._source, self._compare, self._watch = source, compare, watch
-        self._output, self._frame_rate = output, frame_rate
+        self._output = output
+        self.frame_rate = frame_rate
         self._embedded = embedded
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.playback = Playback(
@@ -295,8 +298,9 @@ class Page:
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
         page."""
-        period, drawn, due, checked = 1 / self._frame_rate, 0, time.perf_counter(), time.monotonic()
+        drawn, due, checked = 0, time.perf_counter(), time.monotonic()
         while not until():
+            period = 1 / self.frame_rate
             while not self._tasks.empty():
                 self._run_or_stop(self._tasks.get())
             if self._watch and time.monotonic() - checked > _WATCH_INTERVAL_S:
@@ -312,7 +316,9 @@ class Page:
             # While nobody looks, the world stands still.
             if self.player is not None and self.server.get_clients():
                 self._run_or_stop(
-                    lambda: self.playback.pass_time(period, continues=self.panel.show.continues.value)
+                    lambda period=period: self.playback.pass_time(  # type: ignore[misc]
+                        period, continues=self.panel.show.continues.value
+                    )
                 )
                 self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
