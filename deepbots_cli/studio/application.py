@@ -23,6 +23,7 @@ _OUTPUT_POLICY = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:
 
 def application_of(session: Session, gate: access.Gate, first: Path | None) -> Guarded:
     """Return the application behind its checks. `first` is the scenario that it shows first, if any."""
+
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # Each analysis collects garbage, which visited the 400 000 objects of the imports every time.

@@ -22,7 +22,9 @@ async def new_scenario(session: Session) -> Path | None:
         ui.label("A new scenario").classes("studio-name")
         name = ui.input("Name", placeholder="mine").props("autofocus")
         kind = ui.radio(["template", "copy of a shipped scenario", "robot file"], value="template")
-        template = ui.select([each.value for each in Template], value=next(iter(Template)).value, label="Template")
+        template = ui.select(
+            [each.value for each in Template], value=next(iter(Template)).value, label="Template"
+        )
         template.bind_visibility_from(kind, "value", value="template")
         shipped = ui.select(scenario_names(), value="cartpole", label="Scenario")
         shipped.bind_visibility_from(kind, "value", value="copy of a shipped scenario")

@@ -166,7 +166,7 @@ export default {
       this.view.dispatch({ changes, annotations: fromServer.of(true) });
     },
     // Findings
-    mark(revision, findings) {
+    underline(revision, findings) {
       this.findings = findings;
       const doc = this.view.state.doc;
       const ranges = [];

@@ -20,7 +20,7 @@ from deepbots_cli.studio.language import EditorFinding
 _BUNDLE = Path(nicegui.__file__).parent / "elements" / "codemirror" / "dist"
 
 
-class Editor(Element, component="editor.js", esm={"nicegui-codemirror": _BUNDLE}):
+class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUNDLE)}):
     """The editor in one browser.
 
     Completion and hover are fetched from `complete` and `hover` of the server, with the path of the file.
@@ -46,9 +46,9 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": _BUNDLE}
             self._sent = self._file.revision
             self.run_method("receive", str(self._file.path), self._file.text, self._file.revision)
 
-    def mark(self, revision: int, findings: Sequence[EditorFinding]) -> None:
+    def underline(self, revision: int, findings: Sequence[EditorFinding]) -> None:
         """Underline findings of a revision."""
-        self.run_method("mark", revision, [_row(finding) for finding in findings])
+        self.run_method("underline", revision, [_row(finding) for finding in findings])
 
     def go_to(self, line: int, column: int = 0) -> None:
         """Put the cursor at a place, from 0."""
@@ -65,9 +65,7 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": _BUNDLE}
         on_change(int(base), text)
         self._sent = self._file.revision
         confirmed = self._file.text == text
-        self.run_method(
-            "confirm", path, self._file.revision, None if confirmed else self._file.text
-        )
+        self.run_method("confirm", path, self._file.revision, None if confirmed else self._file.text)
 
 
 def _row(finding: EditorFinding) -> dict[str, Any]:

@@ -214,9 +214,7 @@ def read_text(path: Path) -> tuple[str, Form]:
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {(error.strerror or 'error').lower()}") from error
     if len(content) > MAX_BYTES:
-        raise UsageError(
-            f"{path.name} has more than {MAX_BYTES:,} bytes, which is too large for a scenario"
-        )
+        raise UsageError(f"{path.name} has more than {MAX_BYTES:,} bytes, which is too large for a scenario")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -37,7 +37,8 @@ class Headers(Mapping[str, str]):
         self._values = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
 
     def __getitem__(self, name: str) -> str:
-        return self._values[name.lower().encode("latin-1")]
+        value: str = self._values[name.lower().encode("latin-1")]
+        return value
 
     def __iter__(self) -> Any:
         return (name.decode("latin-1") for name in self._values)
@@ -173,7 +174,7 @@ async def _pass_socket(address: str, scope: Scope, receive: Receive, send: Send)
     try:
         async with connect(
             f"ws://{host}{path}",
-            origin=f"http://{host}",  # type: ignore[arg-type]
+            origin=f"http://{host}",
             additional_headers={"Cookie": cookie},
             subprotocols=scope.get("subprotocols") or None,
             max_size=None,

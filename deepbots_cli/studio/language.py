@@ -188,7 +188,11 @@ class Language:
         shown = hover(view) if view else None
         if shown is None or not isinstance(shown.contents, types.MarkupContent) or shown.range is None:
             return None
-        return {"text": shown.contents.value, "start": _pair(shown.range.start), "end": _pair(shown.range.end)}
+        return {
+            "text": shown.contents.value,
+            "start": _pair(shown.range.start),
+            "end": _pair(shown.range.end),
+        }
 
     def fixes(self, file: OpenFile, finding: EditorFinding) -> list[EditorFix]:
         """Return the fixes that the language server offers for a finding, those of this file alone."""
@@ -257,8 +261,8 @@ def _is_annotated(edit: object) -> bool:
     return not isinstance(edit, types.TextEdit)
 
 
-def _kind(kind: types.CompletionItemKind | None) -> str:
-    return (kind.name if kind is not None else "text").lower()
+def _kind(kind: int | None) -> str:
+    return types.CompletionItemKind(kind).name.lower() if kind is not None else "text"
 
 
 def _utf16(text: str) -> str:

@@ -242,7 +242,7 @@ class StudioPage:
         language = self._session.language
         findings = language.findings(file.path)
         if language.checked_revision(file.path) == file.revision:
-            self._editor.mark(file.revision, findings)
+            self._editor.underline(file.revision, findings)
         errors = sum(finding.severity == "error" for finding in findings)
         warnings = len(findings) - errors
         if language.checked_revision(file.path) == 0:
@@ -270,9 +270,7 @@ class StudioPage:
     def _add_finding(self, file: OpenFile, finding: EditorFinding) -> None:
         with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
             with ui.element("details") as details:
-                with ui.element("summary").on(
-                    "click", lambda: self._editor.go_to(*finding.start)
-                ):
+                with ui.element("summary").on("click", lambda: self._editor.go_to(*finding.start)):
                     ui.label(finding.place).classes("studio-place")
                     ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
                     ui.label(finding.message).classes("studio-text-line")
@@ -334,7 +332,9 @@ class StudioPage:
         self._parameters.set_visibility(bool(changed))
         if changed:
             with self._parameters:
-                ui.label("Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items()))
+                ui.label(
+                    "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
+                )
                 ui.button("Write into the file", on_click=self._write_parameters).props("dense flat no-caps")
 
     # What the person does

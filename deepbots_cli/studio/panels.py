@@ -24,7 +24,7 @@ _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 class TrainingTab:
     """Buttons for the scenario, and the curve of a training."""
 
-    def __init__(self, session: Session, guarded: Guarded, show_output: Callable[[], None]) -> None:
+    def __init__(self, session: Session, guarded: Guarded, show_output: Callable[[], object]) -> None:
         self._session, self._guarded, self._show_output = session, guarded, show_output
         with ui.element("div").classes("studio-bar"):
             for verb, words, tip in (
@@ -52,7 +52,15 @@ class TrainingTab:
             text = str(field.value or "").strip()
             if text:
                 options += [name, text]
-        self._guarded(lambda: self._session.train(options))
+
+        def train() -> None:
+            try:
+                self._session.train(options)
+            except UsageError as error:
+                self._text.set_text(str(error))
+                raise
+
+        self._guarded(train)
 
     def update(self) -> None:
         training, task = self._session.training, self._session.training_task
@@ -88,7 +96,7 @@ class TrainingTab:
 
 def status(run: ListedRun, seconds_left: float | None) -> str:
     """Return the state and the results of a run in one line."""
-    parts = [run.state]
+    parts: list[str] = [run.state]
     if run.steps is not None:
         of = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
         parts.append(f"{run.steps:,}{of} steps")
@@ -157,7 +165,7 @@ class RunsTab:
         self,
         session: Session,
         guarded: Guarded,
-        show_tab: Callable[[str], None],
+        show_tab: Callable[[str], object],
         write_advice: Callable[[dict[str, str]], None],
     ) -> None:
         self._session, self._guarded = session, guarded
@@ -280,7 +288,9 @@ class RunsTab:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
             if not report.get("causes"):
-                ui.label(f"{path.name}: no cause was found" + (", the task is solved" if report["solved"] else ""))
+                ui.label(
+                    f"{path.name}: no cause was found" + (", the task is solved" if report["solved"] else "")
+                )
             for cause in report.get("causes") or ():
                 self._add_cause(cause)
 
@@ -318,7 +328,9 @@ class CommandTab:
 
     def update(self) -> None:
         task = self._session.task
-        options = {each.path.name: f"{each.path.name} {each.command}" for each in self._session.tasks.all[-30:]}
+        options = {
+            each.path.name: f"{each.path.name} {each.command}" for each in self._session.tasks.all[-30:]
+        }
         options = dict(reversed(options.items()))
         if options != self._choice.options:
             self._choice.set_options(options, value=task.path.name if task else None)

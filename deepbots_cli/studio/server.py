@@ -65,7 +65,7 @@ def studio(
     application = application_of(session, gate, first)
     server = uvicorn.Server(
         uvicorn.Config(
-            application,  # type: ignore[arg-type]
+            application,
             host=host,
             port=number,
             log_level="critical",

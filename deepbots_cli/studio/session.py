@@ -70,7 +70,7 @@ class Session:
         self.tasks = Tasks(state / "tasks")
         self._drafts = Drafts(state / "drafts")
         self._written: dict[str, str] = {}
-        self._stamps: dict[Path, object] = {}
+        self._stamps: Mapping[Path, object] = {}
         self._was_running: set[Path] = set()
 
     @property
@@ -382,7 +382,8 @@ class Session:
                 if self.training is not None and task.record.run:
                     self.training.watch_again()
                 code = task.exit_code
-                self.say(f"{task.record.title} has ended" + (f" with exit code {code}" if code else ""))
+                of = f" of {task.record.run}" if task.record.run else ""
+                self.say(f"{task.record.title}{of} has ended" + (f" with exit code {code}" if code else ""))
         if running or ended:
             self._tell("task")
 

@@ -122,7 +122,9 @@ class StudioTab:
     @property
     def text(self) -> str:
         """The visible lines of the editor."""
-        return str(self.tab.run("[...document.querySelectorAll('.cm-line')].map(l => l.innerText).join('\\n')"))
+        return str(
+            self.tab.run("[...document.querySelectorAll('.cm-line')].map(l => l.innerText).join('\\n')")
+        )
 
     def statuses(self) -> list[str]:
         script = "[...document.querySelectorAll('[role=status]')].map(one => one.innerText)"

@@ -81,7 +81,9 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     page.click_line("  alive: 1")
     page.press(ENTER)
     page.type("upright: ab")
-    page.wait("[...document.querySelectorAll('.cm-tooltip-autocomplete li')].some(li => li.innerText.startsWith('abs'))")
+    page.wait(
+        "[...document.querySelectorAll('.cm-tooltip-autocomplete li')].some(li => li.innerText.startsWith('abs'))"
+    )
     page.press(ESCAPE)
     page.type("s(cart.pole_angle) / 1 rad")
     page.wait("document.querySelectorAll('.studio-row-error').length == 0")
@@ -94,7 +96,9 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     # The curve follows the training, which ends with a result in the list of runs.
     page.click("Train")
     page.wait("document.querySelector('.studio-work').innerText.includes('deepbots train mine.yaml')")
-    page.wait("/mine-1: (training|finished), [0-9,]+/.test(document.querySelector('.studio-work').innerText)", 60)
+    page.wait(
+        "/mine-1: (training|finished), [0-9,]+/.test(document.querySelector('.studio-work').innerText)", 60
+    )
     page.wait("/mine-1: finished/.test(document.querySelector('.studio-work').innerText)", 120)
     page.open_tab("Runs")
     page.wait("document.querySelector('table')?.innerText.includes('mine-1')")
