@@ -405,8 +405,8 @@ def _insertion(
 
 
 def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str, comment: str) -> str | None:
-    """Return the text of a file with another value at `path`, and a comment behind it on its line; everything
-    else stays as it is.
+    """Return the text of a file with another value at `path`, and a comment, if any, behind it on its line;
+    everything else stays as it is.
 
     A key that the file does not have, because it extends another one or has a default, is added to the
     innermost section that it has. A comment that begins with the same word is replaced. None where the text
@@ -431,6 +431,8 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
             return None
         start, end, new = added
     text = source.text[:start] + new + source.text[end:]
+    if not comment:
+        return text
     line_start = text.rfind("\n", 0, start + len(new.rstrip())) + 1
     line_end = _END_OF_LINE.search(text, start + len(new.rstrip()))
     assert line_end is not None  # it also matches the end of the text

@@ -7,6 +7,7 @@ batch.py            a batch of worlds, of which one is shown
 players.py          the choice of the player for a source
 scene.py            the world in viser's scene, and the cameras of the browsers
 manual_input.py     driving by keys, gamepad, buttons and sliders
+access.py           the checks of a server for one person: host, origin and token
 server.py           viser's web server behind checks
 viser_internals.py  the private members of viser that deepbots uses
 page.py             the page, its reloads, and the loop that steps and draws

@@ -10,7 +10,7 @@ import dataclasses
 import html
 import queue
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.runtime.overview import extent, shift_beside
-from deepbots_cli.view import panel_html, server
+from deepbots_cli.view import access, panel_html, server
 from deepbots_cli.view.episodes import Player, Showing, ShowingState
 from deepbots_cli.view.manual_input import ManualInput, turns_left
 from deepbots_cli.view.panel import Panel, set_theme
@@ -51,13 +51,17 @@ class Page:
     """The panel beside the worlds, once a scenario without errors has been opened."""
     banner: Any
     """A text (HTML) of the GUI: the state of the episode, or the errors of the scenario."""
+    frame_rate: int
+    """The pictures per second."""
+    outdated: bool = False
+    """Whether the files have errors, so that the world is that of an earlier version; of an embedded page."""
 
     def __init__(
         self,
         source: Showing,
         *,
         compare: Showing | None = None,
-        host: str = server.LOOPBACK,
+        host: str = access.LOOPBACK,
         port: int | None = None,
         driver: str | None = None,
         seed: int = 0,
@@ -67,20 +71,24 @@ class Page:
         playing: bool = False,
         output: Path | None = None,
         frame_rate: int = FRAME_RATE,
+        embedded: bool = False,
     ) -> None:
         """Compile the source and start the server. With `playing`, the page is for driving by hand, with a
         score.
 
         With `compare`, both worlds are side by side, and begin each episode from the same seed. For a batch,
         `world` is shown. With `playing`, the episodes that a person drives are recorded in `output`. The page
-        gets `frame_rate` pictures per second.
+        gets `frame_rate` pictures per second. A page that is `embedded` in another one
+        requires a token on loopback too, and an error in the files does not stop its world.
 
         Raises:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
             MissingExtraError: viser is not installed.
         """
         self._source, self._compare, self._watch = source, compare, watch
-        self._output, self._frame_rate = output, frame_rate
+        self._output = output
+        self.frame_rate = frame_rate
+        self._embedded = embedded
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.playback = Playback(
             seed=seed,
@@ -102,7 +110,7 @@ class Page:
             port,
             f"deepbots {source.reference}",
             lambda keys, axes: self.playback.manual_input.hold(keys, axes),
-            writes=playing,
+            needs_token=playing or embedded,
         )
         self._cameras = SceneCameras(self.server, self._tasks.put)
         set_theme(self.server.gui, dark=False)
@@ -149,11 +157,27 @@ class Page:
         """Change a parameter of the scenario. The world begins anew once no further change arrives."""
         self._changed[name], self._changed_at = text, time.monotonic()
 
+    @property
+    def changed_parameters(self) -> Mapping[str, str]:
+        """The values that replace those of the file, by parameter."""
+        return self._changed
+
+    def restore_parameters(self, names: Collection[str]) -> None:
+        """Return these parameters to the values of the file; the world shows them from its next reload on."""
+        self._changed = {name: text for name, text in self._changed.items() if name not in names}
+
+    def submit(self, task: Callable[[], None]) -> None:
+        """Run a function in the thread that owns the environments. An error of it is shown on the page."""
+        self._tasks.put(task)
+
     # What is shown
 
     def _show(self, opened: ShowingState) -> None:
         """Show the present state of a source: its world from the beginning of the present episode, or else
         its findings over the world before."""
+        self.outdated = opened.program is None and self._embedded and self.player is not None
+        if self.outdated:
+            return
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
             style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
@@ -240,12 +264,14 @@ class Page:
         self.server.scene.reset()
         self.server.gui.main_panel.dock_right()
 
-    def _reload(self) -> None:
+    def reload(self) -> None:
         """Read the files again; a world without errors begins at the same seed and episode."""
         overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
         opened = dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides)).open()
         self._files = opened.files | self._files if opened.program is None else opened.files
-        paused, self.playback.stopped = self.playback.paused and not self.playback.stopped, None
+        paused = self.playback.paused and not self.playback.stopped
+        if not self._embedded or opened.program is not None:
+            self.playback.stopped = None
         self._show(opened)
         if opened.program is not None:
             self.playback.paused = paused
@@ -272,24 +298,27 @@ class Page:
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
         page."""
-        period, drawn, due, checked = 1 / self._frame_rate, 0, time.perf_counter(), time.monotonic()
+        drawn, due, checked = 0, time.perf_counter(), time.monotonic()
         while not until():
+            period = 1 / self.frame_rate
             while not self._tasks.empty():
                 self._run_or_stop(self._tasks.get())
             if self._watch and time.monotonic() - checked > _WATCH_INTERVAL_S:
                 checked = time.monotonic()
                 if (now := file_stamps(self._files)) != self._file_stamps:
-                    self._run_or_stop(self._reload)
+                    self._run_or_stop(self.reload)
                     before = {file: now[file] for file in self._files if file in now}
                     # Changes that came meanwhile are not included, so they are read next.
                     self._file_stamps = file_stamps(self._files) | before
             if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
-                self._run_or_stop(self._reload)
+                self._run_or_stop(self.reload)
             # While nobody looks, the world stands still.
             if self.player is not None and self.server.get_clients():
                 self._run_or_stop(
-                    lambda: self.playback.pass_time(period, continues=self.panel.show.continues.value)
+                    lambda period=period: self.playback.pass_time(  # type: ignore[misc]
+                        period, continues=self.panel.show.continues.value
+                    )
                 )
                 self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
             drawn, due = drawn + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)

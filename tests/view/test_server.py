@@ -16,14 +16,14 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
 
 from deepbots_cli.errors import UsageError  # noqa: E402
-from deepbots_cli.view import server  # noqa: E402
+from deepbots_cli.view import access, server  # noqa: E402
 
 
 @pytest.fixture
 def page():
     """The port of a server on loopback, and what arrived by `/drive`."""
     arrived: list[object] = []
-    made, address = server.serve(server.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes)))
+    made, address = server.serve(access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes)))
     assert address == f"http://127.0.0.1:{made.get_port()}/"
     yield made.get_port(), arrived
     server.stop(made)
@@ -54,7 +54,7 @@ def _open(port, path="/", origin=None, cookie=None, protocol=f"viser-v{viser.__v
 def test_it_serves_its_page_with_keys_and_no_other_source(page):
     answer, body = _get(page[0])
     assert answer.status == 200
-    assert b"/drive" in body
+    assert b'WebSocket("drive")' in body
     assert "connect-src 'self'" in answer.headers["Content-Security-Policy"]
 
 
@@ -187,6 +187,6 @@ def test_another_version_of_the_page_is_refused(page):
 
 def test_a_port_in_use_and_an_unknown_host_are_told(page):
     with pytest.raises(UsageError, match=f"port {page[0]} of 127.0.0.1 is in use"):
-        server.serve(server.LOOPBACK, page[0], "test", lambda keys, axes: None)
+        server.serve(access.LOOPBACK, page[0], "test", lambda keys, axes: None)
     with pytest.raises(UsageError, match="there is no host"):
         server.serve("no-such-host.invalid", 0, "test", lambda keys, axes: None)

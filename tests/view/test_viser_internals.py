@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 viser = pytest.importorskip("viser")
-from deepbots_cli.view import server, viser_internals  # noqa: E402
+from deepbots_cli.view import access, server, viser_internals  # noqa: E402
 from tests.private_members import private_members  # noqa: E402
 
 MODULE = Path(viser_internals.__file__)
@@ -20,7 +20,7 @@ USERS = [
 
 def test_the_library_has_each_private_member() -> None:
     with redirect_stdout(StringIO()):
-        page = viser.ViserServer(server.LOOPBACK, 0, verbose=False)
+        page = viser.ViserServer(access.LOOPBACK, 0, verbose=False)
     try:
         box = page.gui.add_checkbox("Box", initial_value=True)
         used = {name for _, name in private_members(MODULE)}

@@ -13,6 +13,10 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
     "Start": {
         "new": ("new.new", "Write a scenario: from a template, a copy, or a robot file."),
         "try": ("episodes.command", "Run a few episodes without training, and show the reward."),
+        "studio": (
+            "studio.command",
+            "Write a scenario, see its robot and train it on one page of the browser.",
+        ),
         "play": ("view.play", "Drive the robot of a scenario in the browser."),
         "scenarios": ("installation.scenarios", "List the scenarios that come with deepbots."),
         "explain": ("explain.command", "Explain a finding of lint, a key of scenario files, or a term."),

@@ -1,0 +1,29 @@
+"""The studio: the text of a scenario, its running robot and its trainings on one page of the browser.
+
+files.py          the open files: revisions, merged changes, drafts of unsaved text, changes outside
+language.py       findings, completion, hover and fixes of the open files, by the functions of the language server
+robot.py          the process that simulates and shows the robot
+robot_process.py  what runs in that process
+tasks.py          commands that run in processes of their own, and survive the server
+trainings.py      the learning curve and the time left of a training, from its files
+session.py        the state of the studio, free of the page: files, robot, tasks, runs
+gate.py           the checks in front of the server, and the page of the robot behind its address
+page.py           the page: the editor and what stands around it
+panels.py         the tabs of the page: training, runs, commands
+dialogs.py        the dialog for a new scenario
+editor.py         the text editor of the page, with `editor.js`
+application.py    the application of the web server
+server.py         the web server
+
+Nothing imports this package but the command `deepbots studio`. NiceGUI is in the extra `studio`.
+
+```python
+from pathlib import Path
+
+from deepbots_cli.studio.files import OpenFile
+
+file = OpenFile(Path("mine.yaml"), "a: 1\\n")
+file.change(file.revision, "a: 2\\n")
+assert file.is_modified
+```
+"""

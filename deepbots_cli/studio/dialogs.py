@@ -1,0 +1,94 @@
+"""The dialog for a new scenario: from a template, a shipped scenario or a robot file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from nicegui import events, ui
+
+from deepbots_cli.cli.commands.new import Template
+from deepbots_cli.document.shipped import scenario_names
+from deepbots_cli.errors import UsageError
+from deepbots_cli.studio.session import Session
+
+MAX_ROBOT_BYTES = 10 << 20
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
+
+
+async def new_scenario(session: Session) -> Path | None:
+    """Ask for name and origin, and write the scenario. Returns its file, None if nothing was written."""
+    with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+        ui.label("A new scenario").classes("studio-name")
+        name = ui.input("Name", placeholder="mine").props("autofocus")
+        kind = ui.radio(["template", "copy of a shipped scenario", "robot file"], value="template")
+        template = ui.select(
+            [each.value for each in Template], value=next(iter(Template)).value, label="Template"
+        )
+        template.bind_visibility_from(kind, "value", value="template")
+        shipped = ui.select(scenario_names(), value="cartpole", label="Scenario")
+        shipped.bind_visibility_from(kind, "value", value="copy of a shipped scenario")
+        robot = _RobotUpload(session)
+        robot.element.bind_visibility_from(kind, "value", value="robot file")
+        problem = ui.label("").classes("studio-message-error").props('role="alert"')
+
+        async def write() -> None:
+            origin = {
+                "template": ["--template", template.value],
+                "robot file": ["--urdf", str(robot.path or "")],
+            }.get(kind.value, ["--from", shipped.value])
+            try:
+                dialog.submit(await write_new(session, str(name.value or "").strip(), origin))
+            except UsageError as error:
+                problem.set_text(str(error))
+
+        with ui.row():
+            ui.button("Write", on_click=write).props("no-caps")
+            ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
+    written: Path | None = await dialog
+    return written
+
+
+async def write_new(session: Session, name: str, origin: list[str]) -> Path:
+    """Write a scenario by `deepbots new`.
+
+    Raises:
+        UsageError: The name is not possible, or the command has failed.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError("the name begins with a letter, and has letters, digits, _ and - only")
+    if not origin[1]:
+        raise UsageError("choose a robot file first")
+    text, code = await session.call(["new", name, *origin])
+    if code:
+        raise UsageError(text.strip().partition("\n\n")[0])
+    return session.folder / f"{name}.yaml"
+
+
+class _RobotUpload:
+    """The control for a robot file; `path` is the file once it has been written into the folder."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.path: Path | None = None
+        self.element = ui.upload(
+            label="a robot file (.urdf), dropped here",
+            on_upload=self._take,
+            auto_upload=True,
+            max_file_size=MAX_ROBOT_BYTES,
+        ).props('accept=".urdf" flat bordered')
+
+    async def _take(self, event: events.UploadEventArguments) -> None:
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(event.file.name).name)
+        path = self._session.folder / name
+        if path.suffix != ".urdf" or name.startswith("."):
+            ui.notify("a robot file ends in .urdf", type="warning")
+        elif path.exists():
+            ui.notify(f"{name} exists already; choose another name for the file", type="warning")
+        else:
+            try:
+                path.write_bytes(await event.file.read())
+            except OSError as error:
+                ui.notify(f"{name} cannot be written: {error.strerror}", type="warning")
+                return
+            self.path = path

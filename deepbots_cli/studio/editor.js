@@ -1,0 +1,258 @@
+// The text editor of the studio. Positions are a line from 0 and a column in UTF-16 units.
+//
+// A text is sent with the revision that it is based on. While the answer is awaited, no further text is sent;
+// a text of the server that arrives meanwhile is kept until then.
+import * as CM from "nicegui-codemirror";
+
+const SEND_AFTER_MS = 60;
+const setMarks = CM.StateEffect.define();
+const marks = CM.StateField.define({
+  create: () => CM.Decoration.none,
+  update(set, transaction) {
+    set = set.map(transaction.changes);
+    for (const effect of transaction.effects) if (effect.is(setMarks)) set = effect.value;
+    return set;
+  },
+  provide: (field) => CM.EditorView.decorations.from(field),
+});
+const fromServer = CM.Annotation.define();
+
+function element(tag, className, ...children) {
+  const made = document.createElement(tag);
+  if (className) made.className = className;
+  made.append(...children);
+  return made;
+}
+
+// The few forms of Markdown in hover texts and completions; all text is set as text, never as HTML.
+function markdown(text) {
+  const root = element("div", "studio-markdown");
+  text.split(/```[a-z]*\n?/).forEach((part, number) => {
+    if (number % 2) return root.append(element("pre", "", part.trimEnd()));
+    for (const paragraph of part.split(/\n\s*\n/)) {
+      if (!paragraph.trim()) continue;
+      const p = element("p", "");
+      paragraph.split(/(`[^`]+`|\*\*[^*]+\*\*)/).forEach((piece) => {
+        if (piece.startsWith("`")) p.append(element("code", "", piece.slice(1, -1)));
+        else if (piece.startsWith("**")) p.append(element("b", "", piece.slice(2, -2)));
+        else p.append(piece);
+      });
+      root.append(p);
+    }
+  });
+  return root;
+}
+
+async function ask(what, body) {
+  const answer = await fetch(`studio/${what}`, {
+    method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+  return answer.ok ? answer.json() : null;
+}
+
+export default {
+  template: `<div class="studio-editor"></div>`,
+  data: () => ({ path: "", revision: 0, base: "", waiting: false, pushed: null, timer: 0, findings: [] }),
+  mounted() {
+    this.dark = new CM.Compartment();
+    this.writing = new CM.Compartment();
+    this.language = new CM.Compartment();
+    const keys = CM.keymap.of([
+      { key: "Mod-s", preventDefault: true, run: () => this.command("save") },
+      { key: "Mod-Enter", preventDefault: true, run: () => this.command("train") },
+      { key: "F8", preventDefault: true, run: () => this.nextFinding() },
+      { key: "Alt-Tab", run: CM.indentMore },
+    ]);
+    // One object: CodeMirror compares sources of completions, and asks a new one again and again.
+    const completions = [{ autocomplete: (context) => this.complete(context) }];
+    this.extensions = [
+      CM.Prec.highest(keys),
+      CM.basicSetup,
+      CM.EditorState.tabSize.of(2),
+      CM.indentUnit.of("  "),
+      this.language.of([]),
+      this.dark.of([]),
+      this.writing.of([]),
+      marks,
+      CM.EditorState.languageData.of(() => completions),
+      CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350 }),
+      CM.EditorView.contentAttributes.of({ "aria-label": "text of the scenario" }),
+      CM.EditorView.updateListener.of((update) => {
+        if (update.docChanged && !update.transactions.some((each) => each.annotation(fromServer)))
+          this.schedule();
+      }),
+    ];
+    this.view = new CM.EditorView({ parent: this.$el, extensions: this.extensions });
+    const yaml = CM.languages.find((each) => each.name == "YAML");
+    yaml.load().then((support) => {
+      this.yaml = support;
+      this.view.dispatch({ effects: this.language.reconfigure(support) });
+    });
+  },
+  beforeUnmount() {
+    clearTimeout(this.timer);
+    this.view.destroy();
+  },
+  methods: {
+    command(name) {
+      this.send();
+      this.$emit("command", name);
+      return true;
+    },
+    show(path, text, revision, readOnly, dark) {
+      this.send();
+      clearTimeout(this.timer);
+      Object.assign(this, { path, revision, base: text, waiting: false, pushed: null, findings: [] });
+      this.view.setState(CM.EditorState.create({ doc: text, extensions: this.extensions }));
+      this.view.dispatch({ effects: [
+        this.language.reconfigure(this.yaml ?? []),
+        this.writing.reconfigure(CM.EditorState.readOnly.of(readOnly)),
+        this.dark.reconfigure(dark ? CM.oneDark : []) ] });
+    },
+    setDark(dark) {
+      this.view.dispatch({ effects: this.dark.reconfigure(dark ? CM.oneDark : []) });
+    },
+    text() {
+      return this.view.state.doc.toString();
+    },
+    // Text to the server
+    schedule() {
+      clearTimeout(this.timer);
+      this.timer = setTimeout(() => this.send(), SEND_AFTER_MS);
+    },
+    send() {
+      const text = this.text();
+      if (!this.path || this.waiting || text == this.base) return;
+      this.waiting = true;
+      this.sent = text;
+      this.$emit("change", this.path, this.revision, text);
+    },
+    confirm(path, revision, merged) {
+      if (path != this.path) return;
+      this.waiting = false;
+      this.revision = revision;
+      this.base = this.sent;
+      if (merged != null) this.rebase(merged);
+      const pushed = this.pushed;
+      this.pushed = null;
+      if (pushed && pushed.revision > this.revision) this.receive(path, pushed.text, pushed.revision);
+      if (this.text() != this.base) this.schedule();
+    },
+    // Text from the server
+    receive(path, text, revision) {
+      if (path != this.path || revision <= this.revision) return;
+      if (this.waiting) {
+        this.pushed = { text, revision };
+        return;
+      }
+      if (this.text() != this.base) return this.send(); // the answer has both changes
+      this.revision = revision;
+      this.rebase(text);
+    },
+    // Replace the base by a newer text, and keep what was typed since.
+    rebase(text) {
+      const changes = difference(this.base, text);
+      const typed = this.text() == this.base ? null : difference(this.base, this.text());
+      this.base = text;
+      if (!changes) return;
+      if (typed) {
+        if (changes.from > typed.to) {
+          const moved = typed.insert.length - (typed.to - typed.from);
+          changes.from += moved;
+          changes.to += moved;
+        } else if (changes.to >= typed.from) {
+          return; // both at one place: what is typed counts, and is sent next
+        }
+      }
+      this.view.dispatch({ changes, annotations: fromServer.of(true) });
+    },
+    // Findings
+    underline(revision, findings) {
+      this.findings = findings;
+      const doc = this.view.state.doc;
+      const ranges = [];
+      for (const finding of findings) {
+        let from = this.offset(finding.start);
+        let to = this.offset(finding.end);
+        if (to <= from) to = Math.min(doc.length, from + 1);
+        if (to <= from) from = Math.max(0, to - 1);
+        if (to > from)
+          ranges.push(CM.Decoration.mark({ class: `studio-${finding.severity}`, finding }).range(from, to));
+      }
+      this.view.dispatch({ effects: setMarks.of(CM.Decoration.set(ranges, true)) });
+    },
+    offset([line, column]) {
+      const doc = this.view.state.doc;
+      if (line >= doc.lines) return doc.length;
+      const at = doc.line(line + 1);
+      return Math.min(at.to, at.from + column);
+    },
+    place(offset) {
+      const line = this.view.state.doc.lineAt(offset);
+      return { line: line.number - 1, column: offset - line.from };
+    },
+    goTo(line, column) {
+      const anchor = this.offset([line, column]);
+      this.view.dispatch({ selection: { anchor },
+        effects: CM.EditorView.scrollIntoView(anchor, { y: "center" }) });
+      this.view.focus();
+    },
+    nextFinding() {
+      const at = this.view.state.selection.main.head;
+      const starts = this.findings.map((each) => this.offset(each.start)).sort((a, b) => a - b);
+      if (!starts.length) return true;
+      const next = starts.find((each) => each > at) ?? starts[0];
+      const { line, column } = this.place(next);
+      this.goTo(line, column);
+      return true;
+    },
+    // Completion and hover
+    async complete(context) {
+      const path = this.path;
+      const answer = await ask("complete", { path, text: this.text(), ...this.place(context.pos) });
+      if (!answer?.options.length || context.aborted || path != this.path) return null;
+      const line = context.state.doc.lineAt(context.pos);
+      const from = line.from + Math.min(...answer.options.map((option) => option.start));
+      const typed = context.state.sliceDoc(from, context.pos);
+      if (!context.explicit && !typed.trim()) return null;
+      return {
+        from,
+        options: answer.options.map((option, number) => ({
+          label: option.label, detail: option.detail, type: option.kind, boost: -number / 1000,
+          info: option.info ? () => markdown(option.info) : undefined,
+          apply: (view, _completion, start, end) => view.dispatch({
+            changes: { from: line.from + option.start, to: end, insert: option.apply },
+            selection: { anchor: line.from + option.start + option.apply.length } }),
+        })),
+      };
+    },
+    async describe(view, position) {
+      const here = [];
+      view.state.field(marks).between(position, position, (from, to, value) => {
+        here.push({ from, to, finding: value.spec.finding });
+      });
+      const answer = await ask("hover", { path: this.path, text: this.text(), ...this.place(position) });
+      if (!here.length && !answer) return null;
+      const start = here.length ? here[0].from : this.offset(answer.start);
+      const end = here.length ? here[0].to : this.offset(answer.end);
+      return { pos: start, end, above: true, create: () => {
+        const dom = element("div", "studio-hover");
+        for (const { finding } of here)
+          dom.append(element("p", `studio-message studio-message-${finding.severity}`,
+            element("b", "", finding.code), ` ${finding.message}`));
+        if (answer) dom.append(markdown(answer.text));
+        return { dom };
+      } };
+    },
+  },
+};
+
+// Return the one change that turns a text into another, null for equal texts.
+function difference(before, after) {
+  if (before == after) return null;
+  let from = 0;
+  const shorter = Math.min(before.length, after.length);
+  while (from < shorter && before[from] == after[from]) from++;
+  let tail = 0;
+  while (tail < shorter - from && before[before.length - 1 - tail] == after[after.length - 1 - tail]) tail++;
+  return { from, to: before.length - tail, insert: after.slice(from, after.length - tail) };
+}

@@ -1,0 +1,78 @@
+"""The text editor of the page: CodeMirror, which NiceGUI brings, with `editor.js`.
+
+NiceGUI's own element replaces the text of a browser when the server changes it, and loses what was typed
+meanwhile. This one sends the text with the revision that it is based on (`files.py` merges).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import nicegui
+from nicegui.element import Element
+from nicegui.events import GenericEventArguments
+
+from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.language import EditorFinding
+
+_BUNDLE = Path(nicegui.__file__).parent / "elements" / "codemirror" / "dist"
+
+
+class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUNDLE)}):
+    """The editor in one browser.
+
+    Completion and hover are fetched from `complete` and `hover` of the server, with the path of the file.
+    """
+
+    def __init__(self, on_change: Callable[[int, str], None], on_key: Callable[[str], None]) -> None:
+        """`on_change` gets the revision that a text is based on, and the text. `on_key` gets `save`, `train`
+        or `next`."""
+        super().__init__()
+        self._file: OpenFile | None = None
+        self._sent = 0
+        self.on("change", lambda event: self._changed(event, on_change))
+        self.on("command", lambda event: on_key(str(event.args)))
+
+    def show(self, file: OpenFile, *, dark: bool) -> None:
+        """Show another file."""
+        self._file, self._sent = file, file.revision
+        self.run_method("show", str(file.path), file.text, file.revision, file.read_only, dark)
+
+    def refresh(self) -> None:
+        """Send the text if it has changed since the browser got or sent it."""
+        if self._file is not None and self._file.revision != self._sent:
+            self._sent = self._file.revision
+            self.run_method("receive", str(self._file.path), self._file.text, self._file.revision)
+
+    def underline(self, revision: int, findings: Sequence[EditorFinding]) -> None:
+        """Underline findings of a revision."""
+        self.run_method("underline", revision, [_row(finding) for finding in findings])
+
+    def go_to(self, line: int, column: int = 0) -> None:
+        """Put the cursor at a place, from 0."""
+        self.run_method("goTo", line, column)
+
+    def set_dark(self, dark: bool) -> None:
+        self.run_method("setDark", dark)
+
+    def _changed(self, event: GenericEventArguments, on_change: Callable[[int, str], None]) -> None:
+        """Take the text of the browser, and confirm it."""
+        path, base, text = event.args
+        if self._file is None or path != str(self._file.path) or not isinstance(text, str):
+            return
+        on_change(int(base), text)
+        self._sent = self._file.revision
+        confirmed = self._file.text == text
+        self.run_method("confirm", path, self._file.revision, None if confirmed else self._file.text)
+
+
+def _row(finding: EditorFinding) -> dict[str, Any]:
+    return {
+        "start": finding.start,
+        "end": finding.end,
+        "severity": finding.severity,
+        "code": finding.code,
+        "message": finding.message,
+    }

@@ -1,0 +1,209 @@
+"""The checks in front of the studio, and the page of the robot behind its address, as ASGI applications.
+
+Every request passes the checks, those of NiceGUI for its files and web sockets too: host, origin and token
+(`view/access.py`). The page of the robot has its own port, which only this machine reaches; its requests are
+passed on below `/robot/`, so that one port is enough, for example through a tunnel of ssh.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import urllib.parse
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from contextlib import suppress
+from typing import Any
+
+from deepbots_cli.view.access import Gate
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+ROBOT_PATH = "/robot/"
+_POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:;"
+    " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
+)
+_MAX_MESSAGE_BYTES = 1 << 20
+_MAX_REQUEST_BYTES = 20 << 20
+
+
+class Headers(Mapping[str, str]):
+    """The headers of a request, by name in any case; of several values, the last."""
+
+    def __init__(self, scope: Scope) -> None:
+        self._values = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+
+    def __getitem__(self, name: str) -> str:
+        value: str = self._values[name.lower().encode("latin-1")]
+        return value
+
+    def __iter__(self) -> Any:
+        return (name.decode("latin-1") for name in self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+
+class Guarded:
+    """The application of the studio behind its checks."""
+
+    def __init__(self, inner: Application, gate: Gate, robot_address: Callable[[], str]) -> None:
+        """`robot_address` returns the URL of the robot's page with its token, empty while there is none."""
+        self._inner, self._gate, self._robot_address = inner, gate, robot_address
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._inner(scope, receive, send)
+            return
+        is_socket = scope["type"] == "websocket"
+        path, query = scope["path"], scope.get("query_string", b"").decode("latin-1")
+        refusal = self._gate.refuse(path, query, Headers(scope), opens_socket=is_socket)
+        if refusal is not None:
+            if is_socket:
+                await receive()
+                await send({"type": "websocket.close", "code": 1008})
+            else:
+                await _answer(send, refusal.status, refusal.text.encode(), refusal.headers)
+            return
+        if f"{path}/".startswith(ROBOT_PATH):  # viser opens its web socket without the last slash
+            if is_socket:
+                await _pass_socket(self._robot_address(), scope, receive, send)
+            else:
+                await self._pass_page(scope, send)
+            return
+        limited = receive if is_socket else _limited(receive)
+        await self._inner(scope, limited, _with_policy(send, "'none'"))
+
+    async def _pass_page(self, scope: Scope, send: Send) -> None:
+        """Answer with the page of the robot."""
+        address = self._robot_address()
+        if not address or scope["path"] != ROBOT_PATH:
+            await _answer(send, 404 if address else 503, b"there is no robot yet\n", {})
+            return
+        try:
+            body = await asyncio.to_thread(_fetch, address)
+        except OSError:
+            await _answer(send, 503, b"the robot is being restarted\n", {})
+            return
+        headers = {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"}
+        await _answer(send, 200, body, headers, "'self'")
+
+
+def _limited(receive: Receive) -> Receive:
+    """Return a receiver that ends a request of too many bytes."""
+    size = 0
+
+    async def limited() -> MutableMapping[str, Any]:
+        nonlocal size
+        message = await receive()
+        size += len(message.get("body", b""))
+        return message if size <= _MAX_REQUEST_BYTES else {"type": "http.disconnect"}
+
+    return limited
+
+
+def _with_policy(send: Send, ancestors: str) -> Send:
+    """Return a sender that adds the headers of safety to answers."""
+    policy = _POLICY.format(ancestors)
+    added = {
+        "content-security-policy": policy,
+        "x-content-type-options": "nosniff",
+        "referrer-policy": "no-referrer",
+    }
+
+    async def sending(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in added]
+            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in added.items()]
+        await send(message)
+
+    return sending
+
+
+async def _answer(
+    send: Send, status: int, body: bytes, headers: Mapping[str, str], ancestors: str = "'none'"
+) -> None:
+    contents = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body)), **headers}
+    encoded = [(name.lower().encode(), value.encode()) for name, value in contents.items()]
+    sending = _with_policy(send, ancestors)
+    await sending({"type": "http.response.start", "status": status, "headers": encoded})
+    await sending({"type": "http.response.body", "body": body})
+
+
+def _cookie(address: str) -> tuple[str, str]:
+    """Return host with port, and the cookie of the robot's page."""
+    parts = urllib.parse.urlsplit(address)
+    token = urllib.parse.parse_qs(parts.query).get("token", [""])[0]
+    return parts.netloc, f"deepbots-{parts.port}={token}"
+
+
+def _fetch(address: str) -> bytes:
+    """Return the page of the robot.
+
+    Raises:
+        OSError: It cannot be had.
+    """
+    host, cookie = _cookie(address)
+    connection = http.client.HTTPConnection(host, timeout=10)
+    try:
+        connection.request("GET", "/", headers={"Cookie": cookie})
+        answer = connection.getresponse()
+        if answer.status != 200:
+            raise OSError(answer.status)
+        return answer.read()
+    except http.client.HTTPException as error:
+        raise OSError(str(error)) from error
+    finally:
+        connection.close()
+
+
+async def _pass_socket(address: str, scope: Scope, receive: Receive, send: Send) -> None:
+    """Pass the messages of a web socket on, in both directions, until one side closes it."""
+    from websockets.asyncio.client import connect
+    from websockets.exceptions import WebSocketException
+
+    await receive()  # the message that asks for the connection
+    if not address:
+        await send({"type": "websocket.close", "code": 1013})
+        return
+    host, cookie = _cookie(address)
+    path = "/" + f"{scope['path']}/".removeprefix(ROBOT_PATH).rstrip("/")
+    try:
+        async with connect(
+            f"ws://{host}{path}",
+            origin=f"http://{host}",
+            additional_headers={"Cookie": cookie},
+            subprotocols=scope.get("subprotocols") or None,
+            max_size=None,
+            compression=None,
+        ) as wire:
+            await send({"type": "websocket.accept", "subprotocol": wire.subprotocol})
+            both = [asyncio.create_task(_upwards(receive, wire)), asyncio.create_task(_downwards(wire, send))]
+            _, pending = await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            for task in pending:
+                task.cancel()
+            await asyncio.gather(*both, return_exceptions=True)
+    except (OSError, WebSocketException):
+        pass
+    with suppress(Exception):  # the browser has closed it already
+        await send({"type": "websocket.close", "code": 1001})
+
+
+async def _upwards(receive: Receive, wire: Any) -> None:
+    while True:
+        message = await receive()
+        if message["type"] == "websocket.disconnect":
+            return
+        content = message.get("bytes") or message.get("text") or b""
+        if len(content) > _MAX_MESSAGE_BYTES:
+            return
+        await wire.send(content)
+
+
+async def _downwards(wire: Any, send: Send) -> None:
+    async for content in wire:
+        kind = "text" if isinstance(content, str) else "bytes"
+        await send({"type": "websocket.send", kind: content})

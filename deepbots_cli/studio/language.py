@@ -1,0 +1,270 @@
+"""The language of scenarios in the editor: findings, completion, hover, outline and fixes.
+
+The functions are those of the language server. Positions count lines from 0 and columns in UTF-16 units, as
+they do in its protocol and in the editor of the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lsprotocol import types
+
+from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.document import MappingNode, Permissions
+from deepbots_cli.document.layout import assigned_text
+from deepbots_cli.document.load import setting_path
+from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.lsp.completion import completion
+from deepbots_cli.lsp.lookup import document_symbols, hover
+from deepbots_cli.lsp.server import Checker, CodeActions, formatting
+from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, uri_of
+from deepbots_cli.studio.files import OpenFile, TextEdit, difference
+
+_NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
+
+
+@dataclass(frozen=True)
+class EditorFinding:
+    """A finding in a file of the editor.
+
+    Attributes:
+        start, end: Line and column, from 0.
+        severity: `error` or `warning`.
+    """
+
+    start: tuple[int, int]
+    end: tuple[int, int]
+    severity: str
+    code: str
+    message: str
+
+    @property
+    def place(self) -> str:
+        """Line and column as people count them, from 1."""
+        return f"{self.start[0] + 1}:{self.start[1] + 1}"
+
+
+@dataclass(frozen=True)
+class EditorFix:
+    """A change that mends a finding: its title, and its edits of the text of the open file."""
+
+    title: str
+    edits: tuple[TextEdit, ...]
+
+
+class Language:
+    """The open files as the language server sees them; call it in one thread with an event loop."""
+
+    def __init__(
+        self, permissions: Permissions, on_findings: Callable[[Path], None], on_warning: Callable[[str], None]
+    ) -> None:
+        """`on_findings` is called with a file whose findings are new, `on_warning` with a sentence."""
+        self._workspace = Workspace()
+        self._on_findings = on_findings
+        self._findings: dict[Path, tuple[EditorFinding, ...]] = {}
+        self._checked: dict[Path, int] = {}
+        self._checker = Checker(
+            self._workspace, partial(analyze, permissions=permissions), self._publish, on_warning
+        )
+
+    def close(self) -> None:
+        self._checker.stop()
+
+    def update(self, file: OpenFile) -> None:
+        """Analyze the present text of a file soon."""
+        document = self._put(file.path, file.text, file.revision)
+        dependents = self._workspace.dependents(document)
+        own = [document.uri] if document.is_scenario or not dependents else []
+        self._checker.schedule(*own, *dependents)
+
+    def update_all(self) -> None:
+        """Analyze all open files again, because a file that they read has changed."""
+        self._checker.schedule(*self._workspace.documents)
+
+    def remove(self, path: Path) -> None:
+        self._workspace.remove(uri_of(path))
+        self._checker.retract(uri_of(path))
+
+    def findings(self, path: Path) -> tuple[EditorFinding, ...]:
+        """Return the findings of the last analysis of a file, errors first."""
+        return self._findings.get(path, ())
+
+    def checked_revision(self, path: Path) -> int:
+        """Return the revision of the file that its last analysis read; 0 before the first one."""
+        return self._checked.get(path, 0)
+
+    def has_errors(self, path: Path) -> bool:
+        """Return whether the scenario, with all files that it reads, has errors."""
+        analysis = self._analysis(path)
+        return analysis is not None and any(finding.severity == "error" for finding in analysis.findings)
+
+    def files_of(self, path: Path) -> list[Path]:
+        """Return the texts that a scenario extends or includes, in the order of reading."""
+        analysis = self._analysis(path)
+        if analysis is None or analysis.checked is None:
+            return []
+        return [each for each in analysis.checked.document.files if each != path]
+
+    def inputs_of(self, path: Path) -> list[Path]:
+        """Return the other files that a scenario reads, robot files among them."""
+        analysis = self._analysis(path)
+        return [] if analysis is None else [each for each in analysis.paths.values() if each != path]
+
+    def parameters(self, path: Path) -> Mapping[str, str]:
+        """Return the parameters of a scenario as they are written."""
+        analysis = self._analysis(path)
+        section = analysis.data.get("parameters") if analysis and isinstance(analysis.data, dict) else None
+        return {name: str(value) for name, value in section.items()} if isinstance(section, dict) else {}
+
+    def is_scenario(self, file: OpenFile) -> bool:
+        """Return whether a file is a scenario rather than a file that scenarios include."""
+        return Document(uri_of(file.path), file.revision, file.text, file.path).is_scenario
+
+    def assignment(self, file: OpenFile, path: str, value: str) -> TextEdit | None:
+        """Return the edit that writes a value into a file, and keeps comments and layout; None if the file
+        cannot take it.
+
+        Args:
+            path: The keys to the value, such as `parameters.cart_mass`.
+        """
+        source, root, _ = Document(uri_of(file.path), 0, file.text, file.path).read()
+        if not isinstance(root, MappingNode):
+            return None
+        text = assigned_text(root, source, setting_path(root, path), value, "")
+        return None if text is None else difference(file.text, text)
+
+    def formatted(self, file: OpenFile) -> tuple[TextEdit, ...]:
+        """Return the edits of `deepbots fmt`."""
+        document = Document(uri_of(file.path), file.revision, file.text, file.path)
+        return _edits(document, formatting(document))
+
+    def outline(self, file: OpenFile) -> list[tuple[str, int]]:
+        """Return the sections of a file, and the line of each, from 1."""
+        document = Document(uri_of(file.path), file.revision, file.text, file.path)
+        return [(symbol.name, symbol.range.start.line + 1) for symbol in document_symbols(document)]
+
+    def complete(self, path: Path, text: str, line: int, column: int) -> dict[str, Any]:
+        """Return the completions at a place of a text, as the editor takes them.
+
+        `from` is the offset of the text that a completion replaces, in UTF-16 units.
+        """
+        position = types.Position(line, column)
+        document = self._put(path, text, -1)
+        view = self._workspace.view(document.uri, position)
+        if view is None:
+            return {"options": []}
+        items = completion(view)
+        lines = document.text.split("\n")
+        options = []
+        start = column
+        for item in items.items:
+            edit = item.text_edit
+            assert isinstance(edit, types.TextEdit)
+            start = min(start, edit.range.start.character)
+            documentation = item.documentation
+            info = documentation.value if isinstance(documentation, types.MarkupContent) else ""
+            options.append(
+                {
+                    "label": item.label,
+                    "apply": edit.new_text,
+                    "detail": item.detail or "",
+                    "info": info,
+                    "kind": _kind(item.kind),
+                    "start": edit.range.start.character,
+                }
+            )
+        before = sum(len(text) + 1 for text in map(_utf16, lines[:line]))
+        return {"from": before + start, "line": before, "options": options, "whole": not items.is_incomplete}
+
+    def hover(self, path: Path, text: str, line: int, column: int) -> dict[str, Any] | None:
+        """Return the description of a place (Markdown), and its start and end."""
+        document = self._put(path, text, -1)
+        view = self._workspace.view(document.uri, types.Position(line, column))
+        shown = hover(view) if view else None
+        if shown is None or not isinstance(shown.contents, types.MarkupContent) or shown.range is None:
+            return None
+        return {
+            "text": shown.contents.value,
+            "start": _pair(shown.range.start),
+            "end": _pair(shown.range.end),
+        }
+
+    def fixes(self, file: OpenFile, finding: EditorFinding) -> list[EditorFix]:
+        """Return the fixes that the language server offers for a finding, those of this file alone."""
+        document = self._workspace.documents.get(uri_of(file.path))
+        if document is None or document.plain != file.text:
+            return []
+        actions = CodeActions(self._workspace, document, versioned=False)
+        place = types.Range(types.Position(*finding.start), types.Position(*finding.end))
+        fixes = []
+        for action in actions.at(place, [types.CodeActionKind.QuickFix.value]):
+            concerned = {each.code for each in action.diagnostics or ()}
+            changes = action.edit.changes if action.edit is not None else None
+            if finding.code in concerned and changes is not None and set(changes) == {document.uri}:
+                edits = _edits(document, [each for each in changes[document.uri] if not _is_annotated(each)])
+                fixes.append(EditorFix(action.title, edits))
+        return fixes
+
+    def explanation(self, code: str) -> str:
+        """Return the page of a rule as Markdown; empty if there is none."""
+        return "\n\n".join(page.markdown() for page in pages_of(code)) if code in RULES else ""
+
+    def _analysis(self, path: Path) -> DocumentAnalysis | None:
+        return self._workspace.latest.get(uri_of(path))
+
+    def _put(self, path: Path, text: str, version: int) -> Document:
+        """Return the document of a text, the one that is open if it has not changed."""
+        uri = uri_of(path)
+        present = self._workspace.documents.get(uri)
+        if present is not None and present.text == text:
+            return present
+        document = Document(uri, version, text, path)
+        self._workspace.put(document)
+        return document
+
+    def _publish(self, uri: str, version: int | None, shown: list[types.Diagnostic]) -> None:
+        document = self._workspace.documents.get(uri)
+        if document is None:
+            return
+        rows = sorted(map(_finding, shown), key=lambda each: (each.severity != "error", each.start))
+        self._findings[document.path] = tuple(rows)
+        self._checked[document.path] = version or 0
+        self._on_findings(document.path)
+
+
+def _finding(shown: types.Diagnostic) -> EditorFinding:
+    severity = _NAMES.get(shown.severity or types.DiagnosticSeverity.Error, "error")
+    return EditorFinding(
+        _pair(shown.range.start), _pair(shown.range.end), severity, str(shown.code), shown.message
+    )
+
+
+def _pair(position: types.Position) -> tuple[int, int]:
+    return position.line, position.character
+
+
+def _edits(document: Document, edits: list[Any]) -> tuple[TextEdit, ...]:
+    return tuple(
+        TextEdit(
+            document.lines.offset(edit.range.start), document.lines.offset(edit.range.end), edit.new_text
+        )
+        for edit in edits
+    )
+
+
+def _is_annotated(edit: object) -> bool:
+    return not isinstance(edit, types.TextEdit)
+
+
+def _kind(kind: int | None) -> str:
+    return types.CompletionItemKind(kind).name.lower() if kind is not None else "text"
+
+
+def _utf16(text: str) -> str:
+    """Return a text of as many characters as UTF-16 has units."""
+    return text if text.isascii() else "".join("xx" if ord(each) > 0xFFFF else "x" for each in text)

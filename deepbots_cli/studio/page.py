@@ -1,0 +1,432 @@
+"""The page of the studio in one browser: the text and its findings, the robot, and the tabs below it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from difflib import unified_diff
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.studio.dialogs import new_scenario
+from deepbots_cli.studio.editor import Editor
+from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.gate import ROBOT_PATH
+from deepbots_cli.studio.language import EditorFinding
+from deepbots_cli.studio.panels import CommandTab, RunsTab, TrainingTab
+from deepbots_cli.studio.session import Session, Topic
+
+_MAX_FINDINGS = 50
+_MAX_DIFF_LINES = 300
+_STYLE = Path(__file__).with_name("studio.css")
+_BROWSER_S = 60.0
+"""The time in s within which a browser answers."""
+_TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
+_PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
+_DRAWS_BY_SOFTWARE = """(() => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name); })()"""
+_ROBOT_TEXTS = {
+    None: "starting",
+    "running": "runs the saved file",
+    "outdated": "the saved file has errors; the robot is that of the last version without",
+    "errors": "the file has errors; mend them and save to see the robot",
+    "failed": "stopped",
+}
+
+
+def add_style() -> None:
+    """Add the style of the page to all pages."""
+    ui.add_css(_STYLE.read_text("utf-8"), shared=True)
+
+
+class StudioPage:
+    """The elements of one browser, kept in step with the session."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._file: OpenFile | None = None
+        self._findings: tuple[EditorFinding, ...] | None = None
+        self._address = ""
+        self._banner_key: tuple[object, ...] = ()
+        self._changed_parameters: dict[str, str] = {}
+        self._dark = ui.dark_mode(value=None)
+        self._is_dark = False
+        ui.page_title(f"deepbots studio: {session.folder.name}")
+        self._add_header()
+        with ui.element("main").classes("studio-main"):
+            with ui.element("section").classes("studio-text").props('aria-label="Text"'):
+                self._add_text()
+            with ui.element("section").classes("studio-robot").props('aria-label="Robot"'):
+                self._add_robot()
+            with ui.element("section").classes("studio-work").props('aria-label="Training and commands"'):
+                self._add_work()
+        ui.context.client.on_delete(session.listen(self._changed))
+        ui.timer(0, self._start, once=True)
+
+    async def _start(self) -> None:
+        """Fill the page once the browser is connected."""
+        client = ui.context.client
+        await client.connected(timeout=_BROWSER_S)
+        self._show_files()
+        self._show_robot()
+        for topic in _TOPICS_OF_TABS:
+            self._changed(topic)
+        try:
+            if await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S):
+                self._toggle_dark()
+            if await ui.run_javascript(_DRAWS_BY_SOFTWARE, timeout=_BROWSER_S):
+                self._session.robot.slow_down()
+        except TimeoutError:
+            return  # a busy browser; the page works with the defaults
+
+    # Parts
+
+    def _add_header(self) -> None:
+        with ui.element("header").classes("studio-header"):
+            ui.label("deepbots").classes("studio-name")
+            self._files = ui.select([], on_change=lambda event: self._choose(event.value)).props(
+                'dense outlined aria-label="File"'
+            )
+            self._files.classes("studio-files")
+            self._save = ui.button("Save", on_click=self._save_file).props('dense no-caps title="Ctrl+S"')
+            ui.button("Format", on_click=self._format).props("dense flat no-caps")
+            ui.button("New ...", on_click=self._new).props("dense flat no-caps")
+            ui.button("Explain ...", on_click=self._explain).props("dense flat no-caps")
+            self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
+                'dense outlined label="Go to" aria-label="Go to a section"'
+            )
+            self._outline.classes("studio-outline")
+            self._status = ui.label("").classes("studio-status").props('role="status"')
+            ui.space()
+            ui.button("Dark", on_click=self._toggle_dark).props("dense flat no-caps")
+
+    def _add_text(self) -> None:
+        self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
+        self._banner.set_visibility(False)
+        self._editor = Editor(self._typed, self._key)
+        self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
+
+    def _add_robot(self) -> None:
+        with ui.element("div").classes("studio-bar"):
+            self._shown = ui.select({}, on_change=lambda event: self._show_source(event.value)).props(
+                'dense outlined label="Robot of" aria-label="Robot of"'
+            )
+            self._driver = ui.select([], on_change=lambda event: self._set_driver(event.value)).props(
+                'dense outlined label="Driver" aria-label="Driver"'
+            )
+            ui.button("Restart", on_click=self._session.robot.restart).props("dense flat no-caps")
+            self._robot_text = ui.label("").classes("studio-status").props('role="status"')
+        self._parameters = ui.element("div").classes("studio-bar")
+        self._parameters.set_visibility(False)
+        self._frame = ui.element("iframe").props('title="The robot"').classes("studio-frame")
+
+    def _add_work(self) -> None:
+        with ui.tabs().props("dense no-caps align=left") as tabs:
+            train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
+        with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
+            with ui.tab_panel(train):
+                self._training = TrainingTab(self._session, self._guarded, lambda: tabs.set_value(command))
+            with ui.tab_panel(runs):
+                self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_advice)
+            with ui.tab_panel(command):
+                self._command = CommandTab(self._session)
+
+    # Changes of the session
+
+    def _changed(self, topic: Topic) -> None:
+        """Show what has changed."""
+        if topic == "text":
+            self._editor.refresh()
+            self._show_state()
+        elif topic == "findings":
+            self._show_findings()
+        elif topic == "files":
+            self._show_files()
+        elif topic == "robot":
+            self._show_robot()
+        elif topic == "training":
+            self._training.update()
+        elif topic == "runs":
+            self._runs.update()
+            self._show_sources()
+        elif topic == "task":
+            self._training.update()
+            self._command.update()
+        elif topic == "notice" and self._session.notice:
+            with self._list:
+                ui.notify(self._session.notice, position="bottom-left", multi_line=True)
+
+    def _show_files(self) -> None:
+        session = self._session
+        if self._file is None or self._file.path not in session.files:
+            current = session.files.get(session.current) if session.current else None
+            self._show_file(current)
+        opened = [path for path in session.files if path != session.current]
+        options = {str(path): self._label(path) for path in (*session.scenarios(), *opened)}
+        for path in session.language.files_of(session.current) if session.current else ():
+            options.setdefault(str(path), f"{self._label(path)} (read by it)")
+        self._files.set_options(options, value=str(self._file.path) if self._file else None)
+        self._show_sources()
+
+    def _label(self, path: Path) -> str:
+        folder = self._session.folder
+        return str(path.relative_to(folder)) if path.is_relative_to(folder) else path.name
+
+    def _show_file(self, file: OpenFile | None) -> None:
+        self._file, self._findings = file, None
+        if file is not None:
+            self._editor.show(file, dark=self._is_dark)
+            self._show_state()
+            self._show_findings()
+
+    def _show_state(self) -> None:
+        """Show whether the file is saved, and what happened to it."""
+        file = self._file
+        if file is None:
+            return
+        self._save.set_text("Save *" if file.is_modified else "Save")
+        self._save.set_enabled(file.is_modified and not file.read_only)
+        key = (file.outside is not None, file.is_restored, file.read_only)
+        if self._banner_key == (file.path, *key):
+            return
+        self._banner_key = (file.path, *key)
+        self._banner.clear()
+        self._banner.set_visibility(any(key))
+        with self._banner:
+            if file.outside is not None:
+                ui.label(f"Another program has changed {file.path.name}.")
+                ui.button("Compare ...", on_click=self._compare_outside).props("dense flat no-caps")
+                ui.button("Take its text", on_click=lambda: self._resolve(file.take_outside)).props(
+                    "dense flat no-caps"
+                )
+                ui.button("Keep this text", on_click=lambda: self._resolve(file.keep_own)).props(
+                    "dense flat no-caps"
+                )
+            elif file.is_restored:
+                ui.label("These are unsaved changes of an earlier session.")
+                ui.button("Discard them", on_click=lambda: self._resolve(file.discard)).props(
+                    "dense flat no-caps"
+                )
+            elif file.read_only:
+                ui.label("This file is read only: it belongs to deepbots or another project.")
+
+    def _resolve(self, act: Callable[[], None]) -> None:
+        if self._file is not None:
+            act()
+            self._session.edited(self._file)
+
+    def _compare_outside(self) -> None:
+        file = self._file
+        if file is None or file.outside is None:
+            return
+        lines = unified_diff(
+            file.outside.splitlines(), file.text.splitlines(), "on disk", "in the editor", lineterm=""
+        )
+        with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+            ui.label("Lines with - are on disk only, lines with + in the editor only.")
+            shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
+            ui.code(shown, language="diff").classes("studio-code")
+            ui.button("Close", on_click=dialog.close).props("flat no-caps")
+        dialog.open()
+
+    def _show_findings(self) -> None:
+        file = self._file
+        if file is None:
+            return
+        language = self._session.language
+        findings = language.findings(file.path)
+        if language.checked_revision(file.path) == file.revision:
+            self._editor.underline(file.revision, findings)
+        errors = sum(finding.severity == "error" for finding in findings)
+        warnings = len(findings) - errors
+        if language.checked_revision(file.path) == 0:
+            text = "checking ..."
+        elif not findings:
+            text = "no findings"
+        else:
+            text = ", ".join(
+                f"{number} {word}{'' if number == 1 else 's'}"
+                for number, word in ((errors, "error"), (warnings, "warning"))
+                if number
+            )
+        self._status.set_text(text)
+        sections = {line: name for name, line in language.outline(file)}
+        if sections and sections != self._outline.options:
+            self._outline.set_options(sections, value=None)
+        if findings == self._findings:
+            return
+        self._findings = findings
+        self._list.clear()
+        with self._list:
+            for finding in findings[:_MAX_FINDINGS]:
+                self._add_finding(file, finding)
+
+    def _add_finding(self, file: OpenFile, finding: EditorFinding) -> None:
+        with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
+            with ui.element("details") as details:
+                with ui.element("summary").on("click", lambda: self._editor.go_to(*finding.start)):
+                    ui.label(finding.place).classes("studio-place")
+                    ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
+                    ui.label(finding.message).classes("studio-text-line")
+                body = ui.element("div").classes("studio-explanation")
+            details.on("toggle", lambda: self._explain_finding(body, file, finding))
+
+    def _explain_finding(self, body: ui.element, file: OpenFile, finding: EditorFinding) -> None:
+        """Fill the explanation of a finding and its fixes when it is opened."""
+        body.clear()
+        language = self._session.language
+        with body:
+            for fix in language.fixes(file, finding):
+                ui.button(fix.title, on_click=lambda fix=fix: self._apply(file, fix.edits)).props(
+                    "dense outline no-caps"
+                )
+            ui.markdown(language.explanation(finding.code))
+
+    def _apply(self, file: OpenFile, edits: Any) -> None:
+        file.edit(edits)
+        self._session.edited(file)
+
+    def _show_sources(self) -> None:
+        """Show what the robot can be of: the scenario, or a run of it."""
+        session = self._session
+        if session.current is None:
+            return
+        options = {str(session.current): self._label(session.current)}
+        for run in reversed(session.runs[-30:]):
+            if not run.runs and run.problem is None:
+                options[str(run.path)] = f"policy of {run.path.name}"
+        value = session.robot.reference if session.robot.reference in options else str(session.current)
+        if options != self._shown.options or value != self._shown.value:
+            self._shown.set_options(options, value=value)
+
+    def _show_robot(self) -> None:
+        robot = self._session.robot
+        state = robot.state
+        text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
+        if state is not None and state.text and not robot.problem:
+            text = state.text
+        self._robot_text.set_text(text)
+        drivers = list(state.drivers) if state else []
+        driver = state.driver if state and state.driver in drivers else None
+        if drivers != self._driver.options or driver != self._driver.value:
+            self._driver.set_options(drivers, value=driver)
+        self._show_parameters(dict(state.changed) if state else {})
+        if robot.address != self._address:
+            self._address = robot.address
+            # A new page of the robot has a new address; the number makes the browser load it.
+            dark = "&darkMode" if self._is_dark else ""
+            source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
+            self._frame.props(f'src="{source}"')
+
+    def _show_parameters(self, changed: dict[str, str]) -> None:
+        if changed == self._changed_parameters:
+            return
+        self._changed_parameters = changed
+        self._parameters.clear()
+        self._parameters.set_visibility(bool(changed))
+        if changed:
+            with self._parameters:
+                ui.label(
+                    "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
+                )
+                ui.button("Write into the file", on_click=self._write_parameters).props("dense flat no-caps")
+
+    # What the person does
+
+    def _guarded(self, act: Callable[[], Any]) -> None:
+        """Call a function, and show its error as a message."""
+        try:
+            act()
+        except UsageError as error:
+            ui.notify(str(error), type="warning", position="bottom-left", multi_line=True)
+
+    def _typed(self, base: int, text: str) -> None:
+        if self._file is not None and not self._file.read_only:
+            file = self._file
+            self._guarded(lambda: self._session.change(file, base, text))
+
+    def _key(self, command: str) -> None:
+        if command == "save":
+            self._save_file()
+        elif command == "train":
+            self._training.train()
+
+    def _save_file(self) -> None:
+        file = self._file
+        if file is not None and file.is_modified:
+            self._guarded(lambda: self._session.save(file))
+
+    def _format(self) -> None:
+        if self._file is not None and not self._file.read_only:
+            edits = self._session.language.formatted(self._file)
+            if edits:
+                self._apply(self._file, edits)
+            else:
+                ui.notify("the layout is canonical already, or the file has errors", position="bottom-left")
+
+    def _choose(self, path: str | None) -> None:
+        """Show the file that was chosen; a scenario of the folder also gets the robot."""
+        if path is None or (self._file is not None and path == str(self._file.path)):
+            return
+
+        def choose() -> None:
+            file = self._session.open(Path(path))
+            self._show_file(file)
+            if not file.read_only and self._session.is_scenario(file):
+                self._session.show(file.path)
+
+        self._guarded(choose)
+
+    def _go_to_section(self, line: int | None) -> None:
+        if line is not None:
+            self._editor.go_to(line - 1)
+            self._outline.set_value(None)
+
+    def _show_source(self, reference: str | None) -> None:
+        if reference and reference != self._session.robot.reference:
+            self._session.robot.show(reference)
+
+    def _set_driver(self, name: str | None) -> None:
+        state = self._session.robot.state
+        if name and state is not None and name != state.driver:
+            self._session.robot.set_driver(name)
+
+    def _write_parameters(self) -> None:
+        self._guarded(self._session.write_parameters)
+
+    def _write_advice(self, values: dict[str, str]) -> None:
+        """Write values of a diagnosis into the text."""
+        self._guarded(lambda: self._session.write_values(values))
+
+    async def _new(self) -> None:
+        path = await new_scenario(self._session)
+        if path is not None:
+            self._guarded(lambda: self._session.show(path))
+            self._show_file(self._session.files.get(path))
+
+    async def _explain(self) -> None:
+        """Ask for a word, and show what `deepbots explain` says."""
+        with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+            word = ui.input("A key, a code of a finding, or a term", placeholder="reward").props("autofocus")
+            word.on("keydown.enter", lambda: dialog.submit(word.value))
+            ui.button("Explain", on_click=lambda: dialog.submit(word.value)).props("no-caps")
+        asked = await dialog
+        if asked:
+            text, _ = await self._session.call(["explain", "--", str(asked).strip()])
+            with ui.dialog() as answer, ui.card().classes("studio-dialog"):
+                ui.code(text, language="text").classes("studio-code")
+                ui.button("Close", on_click=answer.close).props("flat no-caps")
+            answer.open()
+
+    def _toggle_dark(self) -> None:
+        self._is_dark = not self._is_dark
+        self._dark.set_value(self._is_dark)
+        self._editor.set_dark(self._is_dark)
+        self._address = ""
+        self._show_robot()

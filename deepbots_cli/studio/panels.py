@@ -1,0 +1,362 @@
+"""The tabs of the page: the training with its curve, the runs, and the output of commands."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.listing import ListedRun
+from deepbots_cli.learning.report import duration
+from deepbots_cli.studio.session import RUNS_FOLDER, Session
+from deepbots_cli.studio.tasks import Task
+from deepbots_cli.studio.trainings import Curves
+
+Guarded = Callable[[Callable[[], Any]], None]
+_COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colors that people with any color vision tell apart (Okabe and Ito)."""
+
+
+class TrainingTab:
+    """Buttons for the scenario, and the curve of a training."""
+
+    def __init__(self, session: Session, guarded: Guarded, show_output: Callable[[], object]) -> None:
+        self._session, self._guarded, self._show_output = session, guarded, show_output
+        with ui.element("div").classes("studio-bar"):
+            for verb, words, tip in (
+                ("Try", ["try"], "run a few episodes with random actions"),
+                ("Test", ["test"], "run the tests of the scenario"),
+            ):
+                ui.button(verb, on_click=lambda words=words: self._run(words)).props(
+                    f'dense outline no-caps title="{tip}"'
+                )
+            ui.button("Train", on_click=self.train).props('dense no-caps title="Ctrl+Enter"')
+            self._stop = ui.button("Stop", on_click=self._stop_training).props("dense outline no-caps")
+            self._timesteps = ui.input("Timesteps", placeholder="from the file").props("dense outlined")
+            self._seed = ui.input("Seed", placeholder="0").props("dense outlined")
+            for field in (self._timesteps, self._seed):
+                field.classes("studio-number")
+        self._text = ui.label("").classes("studio-status").props('role="status"')
+        self._command = ui.label("").classes("studio-command")
+        self._chart = ui.echart(_options(Curves(), False)).classes("studio-chart")
+        self._drawn: object = None
+
+    def train(self) -> None:
+        """Train the scenario with the options of the tab."""
+        options = []
+        for field, name in ((self._timesteps, "--timesteps"), (self._seed, "--seed")):
+            text = str(field.value or "").strip()
+            if text:
+                options += [name, text]
+
+        def train() -> None:
+            try:
+                self._session.train(options)
+            except UsageError as error:
+                self._text.set_text(str(error))
+                raise
+
+        self._guarded(train)
+
+    def update(self) -> None:
+        training, task = self._session.training, self._session.training_task
+        self._stop.set_enabled(task is not None and task.is_running)
+        self._command.set_text("" if task is None else task.command)
+        if training is None:
+            self._text.set_text("Train shows the learning curve here.")
+            return
+        run = training.listed
+        if run is None:
+            self._text.set_text(f"{training.path.name}: starting ..." if task and task.is_running else "")
+            return
+        self._text.set_text(f"{run.path.name}: {training.problem or status(run, training.seconds_left)}")
+        key = (run.path, training.curves)
+        if key != self._drawn:
+            self._drawn = key
+            self._chart.options.clear()
+            self._chart.options.update(_options(training.curves, run.success_rate is not None))
+            self._chart.update()
+
+    def _run(self, words: list[str]) -> None:
+        def run() -> None:
+            self._session.run([*words, self._session.saved_name()], words[0])
+            self._show_output()
+
+        self._guarded(run)
+
+    def _stop_training(self) -> None:
+        task = self._session.training_task
+        if task is not None:
+            task.stop()
+
+
+def status(run: ListedRun, seconds_left: float | None) -> str:
+    """Return the state and the results of a run in one line."""
+    parts: list[str] = [run.state]
+    if run.steps is not None:
+        of = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
+        parts.append(f"{run.steps:,}{of} steps")
+    if run.mean_return is not None:
+        parts.append(f"return {run.mean_return:.4g}")
+    if run.success_rate is not None:
+        parts.append(f"success {run.success_rate:.0%}")
+    if run.solved is not None:
+        parts.append("solved" if run.solved else "not solved")
+    if seconds_left is not None:
+        parts.append(f"at most {duration(seconds_left)} to go")
+    return ", ".join(parts)
+
+
+def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
+    """Return the chart of a training as ECharts takes it."""
+    lines = [_line("return", curves.returns, 0), _line("evaluated return", curves.evaluations, 0, marks=True)]
+    if has_successes or curves.successes:
+        lines += [
+            _line("success", _percent(curves.successes), 1),
+            _line("evaluated success", _percent(curves.evaluated_successes), 1, marks=True),
+        ]
+    terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
+    stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
+    if stages:
+        lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True}
+    return {
+        "color": list(_COLORS),
+        "animation": False,
+        "grid": {"left": 56, "right": 56, "top": 40, "bottom": 36},
+        "tooltip": {"trigger": "axis"},
+        "legend": {
+            "type": "scroll",
+            "top": 4,
+            "selected": {line["name"]: False for line in terms},
+        },
+        "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22},
+        "yAxis": [
+            {"type": "value", "name": "return", "scale": True},
+            {"type": "value", "name": "success %", "min": 0, "max": 100, "splitLine": {"show": False}},
+        ],
+        "series": [line for line in [*lines, *terms] if line["data"]],
+    }
+
+
+def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: bool = False) -> dict[str, Any]:
+    return {
+        "name": name,
+        "type": "line",
+        "yAxisIndex": axis,
+        "data": [list(point) for point in points],
+        "showSymbol": marks,
+        "symbolSize": 6,
+        "lineStyle": {"type": "dashed" if dashed else "solid", "width": 1 if marks else 2},
+    }
+
+
+def _percent(points: Any) -> list[tuple[float, float | None]]:
+    return [(at, None if value is None else 100 * value) for at, value in points]
+
+
+class RunsTab:
+    """The runs of the folder, with what can be done with one or two of them."""
+
+    def __init__(
+        self,
+        session: Session,
+        guarded: Guarded,
+        show_tab: Callable[[str], object],
+        write_advice: Callable[[dict[str, str]], None],
+    ) -> None:
+        self._session, self._guarded = session, guarded
+        self._show_tab, self._write_advice = show_tab, write_advice
+        columns = [
+            {"name": name, "label": label, "field": name, "align": align, "sortable": True}
+            for name, label, align in (
+                ("name", "run", "left"),
+                ("state", "state", "left"),
+                ("steps", "steps", "right"),
+                ("return", "return", "right"),
+                ("success", "success", "right"),
+                ("solved", "solved", "left"),
+            )
+        ]
+        with ui.element("div").classes("studio-bar"):
+            for label, act in (
+                ("Curve", self._curve),
+                ("Robot", self._robot),
+                ("Resume", lambda: self._command("resume")),
+                ("Evaluate", lambda: self._command("eval")),
+                ("Diagnose", self._diagnose),
+                ("Report", self._report),
+                ("Video", self._video),
+                ("Compare", self._compare),
+            ):
+                ui.button(label, on_click=act).props("dense outline no-caps")
+        self._table = ui.table(
+            columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
+        ).props('dense flat no-data-label="no runs yet"')
+        self._table.classes("studio-table")
+        self._advice = ui.element("div").classes("studio-advice")
+
+    def update(self) -> None:
+        rows = [
+            {
+                "name": run.path.name,
+                "state": run.problem or run.state,
+                "steps": f"{run.steps:,}" if run.steps is not None else "",
+                "return": f"{run.mean_return:.4g}" if run.mean_return is not None else "",
+                "success": f"{run.success_rate:.0%}" if run.success_rate is not None else "",
+                "solved": {True: "yes", False: "no", None: ""}[run.solved],
+            }
+            for run in reversed(self._session.runs)
+        ]
+        if rows != self._table.rows:
+            self._table.update_rows(rows, clear_selection=False)
+
+    def _selected(self, number: int = 1) -> list[Path]:
+        """Return the selected runs, relative to the folder.
+
+        Raises:
+            UsageError: It is another number of them.
+        """
+        names = [row["name"] for row in self._table.selected]
+        if len(names) != number:
+            raise UsageError(f"select {'one run' if number == 1 else f'{number} runs'} in the table first")
+        return [Path(RUNS_FOLDER, name) for name in names]
+
+    def _command(self, verb: str) -> None:
+        def run() -> None:
+            (path,) = self._selected()
+            self._session.run([verb, str(path)], verb, path)
+            self._show_tab("Train" if verb == "resume" else "Commands")
+
+        self._guarded(run)
+
+    def _curve(self) -> None:
+        def show() -> None:
+            (path,) = self._selected()
+            self._session.watch(path)
+            self._show_tab("Train")
+
+        self._guarded(show)
+
+    def _robot(self) -> None:
+        self._guarded(lambda: self._session.show_run(self._selected()[0]))
+
+    def _report(self) -> None:
+        def run() -> None:
+            (path,) = self._selected()
+            self._session.run_with_output(["report", str(path)], "report", path, "report.html")
+            self._show_tab("Commands")
+
+        self._guarded(run)
+
+    def _video(self) -> None:
+        def run() -> None:
+            (path,) = self._selected()
+            self._session.run_with_output(["render", str(path)], "render", path, "video.mp4")
+            self._show_tab("Commands")
+
+        self._guarded(run)
+
+    def _compare(self) -> None:
+        def run() -> None:
+            self._session.run(["compare", *map(str, self._selected(2))], "compare")
+            self._show_tab("Commands")
+
+        self._guarded(run)
+
+    async def _diagnose(self) -> None:
+        """Show the causes of a training that does not learn, with a button that writes the advice."""
+        try:
+            (path,) = self._selected()
+        except UsageError as error:
+            ui.notify(str(error), type="warning", position="bottom-left")
+            return
+        self._advice.clear()
+        with self._advice:
+            ui.label(f"looking at {path.name} ...").props('role="status"')
+        text, code = await self._session.call(["diagnose", str(path), "--json"])
+        self._advice.clear()
+        with self._advice:
+            try:
+                (report, *_) = json.loads(text)["runs"] if not code else [None]
+            except (ValueError, KeyError, TypeError):
+                report = None
+            if report is None:
+                ui.label(text.strip() or f"diagnose ended with exit code {code}")
+                return
+            if not report.get("causes"):
+                ui.label(
+                    f"{path.name}: no cause was found" + (", the task is solved" if report["solved"] else "")
+                )
+            for cause in report.get("causes") or ():
+                self._add_cause(cause)
+
+    def _add_cause(self, cause: dict[str, Any]) -> None:
+        ui.label(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
+        if cause.get("advice"):
+            ui.label(str(cause["advice"]))
+        values = {str(name): str(value) for name, value in (cause.get("settings") or {}).items()}
+        if values:
+            shown = ", ".join(f"{name}: {value}" for name, value in values.items())
+            ui.button(f"Write {shown}", on_click=lambda: self._write_advice(values)).props(
+                "dense outline no-caps"
+            )
+
+
+class CommandTab:
+    """The output of a command, and the command to copy."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        with ui.element("div").classes("studio-bar"):
+            self._choice = ui.select({}, on_change=lambda event: self._choose(event.value)).props(
+                'dense outlined label="Command" aria-label="Command"'
+            )
+            self._choice.classes("studio-files")
+            self._copy = ui.button("Copy", on_click=self._copy_command).props("dense flat no-caps")
+            self._stop = ui.button("Stop", on_click=self._stop_command).props("dense outline no-caps")
+            self._link = ui.link("open the result", "", new_tab=True)
+            self._link.set_visibility(False)
+        self._command = ui.label("").classes("studio-command")
+        self._output = ui.element("pre").classes("studio-output").props('tabindex="0" aria-label="Output"')
+        with self._output:
+            self._text = ui.label("")
+        self._shown: tuple[object, ...] = ()
+
+    def update(self) -> None:
+        task = self._session.task
+        options = {
+            each.path.name: f"{each.path.name} {each.command}" for each in self._session.tasks.all[-30:]
+        }
+        options = dict(reversed(options.items()))
+        if options != self._choice.options:
+            self._choice.set_options(options, value=task.path.name if task else None)
+        if task is None:
+            return
+        code = task.exit_code
+        shown = (task.path, code, task.output())
+        if shown == self._shown:
+            return
+        self._shown = shown
+        ended = "" if code in (None, 0) else f"\nended with exit code {code}"
+        self._text.set_text(f"{shown[2]}{ended}")
+        self._command.set_text(task.command)
+        self._stop.set_enabled(code is None)
+        self._link.set_visibility(code == 0 and bool(task.record.output))
+        self._link.props(f'href="studio/output/{task.path.name}"')
+
+    def _choose(self, name: str | None) -> None:
+        chosen: Task | None = next((t for t in self._session.tasks.all if t.path.name == name), None)
+        if chosen is not None and chosen is not self._session.task:
+            self._session.show_task(chosen)
+
+    def _copy_command(self) -> None:
+        if self._session.task is not None:
+            ui.clipboard.write(self._session.task.command)
+
+    def _stop_command(self) -> None:
+        if self._session.task is not None:
+            self._session.task.stop()

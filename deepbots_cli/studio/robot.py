@@ -1,0 +1,179 @@
+"""The robot of the studio: a process that simulates it and serves its page, started again when it crashes."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio.robot_process import Command, RobotRequest, RobotState
+
+_MAX_LINE_BYTES = 1 << 20
+_FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
+"""The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
+both cores, and a letter typed in the text was shown after a second."""
+_MAX_CRASHES = 3
+"""The number of crashes without a reload in between after which the process is not started again."""
+
+
+class Robot:
+    """The process of the robot.
+
+    Attributes:
+        reference: The scenario or run that it shows.
+        state: The last state that it has sent; None while it starts.
+        crashes: How often it has crashed since it was last asked for something else.
+        problem: A sentence if there is no process.
+    """
+
+    def __init__(self, permissions: Permissions, on_change: Callable[[], None]) -> None:
+        """`on_change` is called after each change of the attributes."""
+        self._permissions, self._on_change = permissions, on_change
+        self._process: asyncio.subprocess.Process | None = None
+        self._task: asyncio.Task[None] | None = None
+        self.reference = ""
+        self.driver: str | None = None
+        self.frame_rate = _FRAME_RATE
+        self.state: RobotState | None = None
+        self.crashes = 0
+        self.problem = ""
+
+    @property
+    def address(self) -> str:
+        """The URL of the page of the robot, empty while there is none."""
+        return self.state.address if self.state is not None else ""
+
+    def show(self, reference: str | Path, driver: str | None = None) -> None:
+        """Show a scenario or a run, in a new process."""
+        self.reference, self.driver, self.crashes = str(reference), driver, 0
+        self._start()
+
+    def save(self, changed: tuple[str, ...]) -> None:
+        """Read the files again; the parameters `changed` take the values of the file."""
+        self.crashes = 0
+        if self._process is None:
+            self._start()
+        else:
+            self._send(Command(verb="reload", names=changed))
+
+    def set_driver(self, name: str) -> None:
+        self.driver = name
+        self._send(Command(verb="driver", name=name))
+
+    def set_parameter(self, name: str, value: str) -> None:
+        self._send(Command(verb="parameter", name=name, value=value))
+
+    def slow_down(self) -> None:
+        """Send fewer pictures, for a browser that draws without a graphics card."""
+        if self.frame_rate != _FRAME_RATE_OF_SOFTWARE:
+            self.frame_rate = _FRAME_RATE_OF_SOFTWARE
+            self._send(Command(verb="frame_rate", value=str(self.frame_rate)))
+
+    def restart(self) -> None:
+        """Begin the episode anew; a process that is gone is started."""
+        if self._process is None:
+            self.crashes = 0
+            self._start()
+        else:
+            self._send(Command(verb="restart"))
+
+    async def close(self) -> None:
+        """End the process."""
+        task, self._task = self._task, None
+        if task is not None:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+        await self._end()
+
+    def _start(self) -> None:
+        previous = self._task
+
+        async def run() -> None:
+            if previous is not None:
+                previous.cancel()
+                with suppress(asyncio.CancelledError):
+                    await previous
+            await self._end()
+            await self._run()
+
+        self.state, self.problem = None, ""
+        self._task = asyncio.get_running_loop().create_task(run())
+        self._on_change()
+
+    async def _run(self) -> None:
+        """Run the process, and start it again after a crash."""
+        while self.crashes < _MAX_CRASHES:
+            self.state = None
+            process = self._process = await asyncio.create_subprocess_exec(
+                *python_command("deepbots_cli.studio.robot_process"),
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.DEVNULL,
+                env=python_environment(),
+                limit=_MAX_LINE_BYTES,
+            )
+            request = RobotRequest(
+                reference=self.reference,
+                driver=self.driver,
+                allow_paths=tuple(map(str, self._permissions.folders)),
+                allow_code=self._permissions.code,
+                frame_rate=self.frame_rate,
+            )
+            self._write(f"{request.model_dump_json()}\n")
+            await self._listen(process)
+            code = await process.wait()
+            self._process = None
+            if self.state is not None and self.state.state == "failed":
+                self.problem = self.state.text
+                break
+            self.crashes += 1
+            self.problem = f"the process of the simulation ended ({_ended_by(code)}); it was started again"
+            self._on_change()
+        else:
+            self.problem = (
+                f"the process of the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
+            )
+        self.state = None
+        self._on_change()
+
+    async def _listen(self, process: asyncio.subprocess.Process) -> None:
+        """Take the states that the process sends, until it ends."""
+        assert process.stdout is not None
+        while True:
+            try:
+                line = await process.stdout.readline()
+            except ValueError:  # longer than the limit
+                continue
+            if not line:
+                return
+            with suppress(ValidationError):  # a print of a library
+                self.state = RobotState.model_validate_json(line)
+                if self.state.state == "running":
+                    self.problem = ""
+                self._on_change()
+
+    def _send(self, command: Command) -> None:
+        self._write(f"{command.model_dump_json()}\n")
+
+    def _write(self, line: str) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with suppress(OSError, RuntimeError):  # it has just ended
+                self._process.stdin.write(line.encode())
+
+    async def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is not None and process.returncode is None:
+            with suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+
+
+def _ended_by(code: int) -> str:
+    return f"signal {-code}" if code < 0 and sys.platform != "win32" else f"exit code {code}"

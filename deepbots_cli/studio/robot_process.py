@@ -1,0 +1,167 @@
+"""The process behind the robot of the studio: a page of `deepbots view`, driven by lines of JSON.
+
+The first line of standard input is a `RobotRequest`; each further line is a `Command`. Each line of standard
+output is a `RobotState`. The process ends with its standard input.
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from typing import IO, Literal
+
+from pydantic import BaseModel
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.view.episodes import Showing
+from deepbots_cli.view.page import Page
+
+_STATE_INTERVAL = 6
+"""Pictures between two looks at the state; 0.2 s."""
+
+
+class RobotRequest(BaseModel, strict=True, frozen=True):
+    """What the process shows: a scenario file, or a run whose newest policy drives.
+
+    Attributes:
+        driver: Who drives, None for the default.
+        frame_rate: The pictures per second.
+    """
+
+    reference: str
+    driver: str | None = None
+    allow_paths: tuple[str, ...] = ()
+    allow_code: bool = False
+    frame_rate: int = 30
+
+
+class Command(BaseModel, strict=True, frozen=True):
+    """A command to the process.
+
+    `reload` reads the files again, after the parameters `names` have returned to the values of the file.
+    """
+
+    verb: Literal["reload", "driver", "parameter", "restart", "frame_rate"]
+    name: str = ""
+    value: str = ""
+    names: tuple[str, ...] = ()
+
+
+class RobotState(BaseModel, strict=True, frozen=True):
+    """The state of the robot's page.
+
+    Attributes:
+        address: The URL of the page, with its token.
+        state: `running`; `outdated`, if the files have errors and the world is an earlier one; `errors`, if
+            there was none; `failed`, if the process could not start.
+        text: The reason of `errors` and `failed`.
+        loaded: The number of times that the files were read.
+        changed: The values that replace parameters of the file.
+    """
+
+    address: str = ""
+    state: Literal["running", "outdated", "errors", "failed"]
+    text: str = ""
+    loaded: int = 0
+    driver: str = ""
+    drivers: tuple[str, ...] = ()
+    parameters: dict[str, str] = {}
+    changed: dict[str, str] = {}
+
+
+def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
+    """Serve the page until the commands end."""
+    permissions = Permissions(tuple(map(Path, request.allow_paths)), code=request.allow_code)
+    page = Page(
+        Showing(request.reference, (), permissions),
+        driver=request.driver,
+        port=0,
+        embedded=True,
+        frame_rate=request.frame_rate,
+    )
+    lines: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
+
+    def read() -> None:
+        for line in commands:
+            lines.put(Command.model_validate_json(line))
+        lines.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    loaded, looks, shown = 1, 0, ""
+
+    def must_end() -> bool:
+        nonlocal loaded, looks, shown
+        while not lines.empty():
+            command = lines.get()
+            if command is None:
+                return True
+            loaded += command.verb == "reload"
+            page.submit(lambda command=command: _obey(page, command))  # type: ignore[misc]
+            looks = -1
+        looks += 1
+        if looks % _STATE_INTERVAL == 0:
+            text = _state(page, loaded).model_dump_json()
+            if text != shown:
+                shown = text
+                print(text, file=output, flush=True)
+        return False
+
+    try:
+        page.run(until=must_end)
+    finally:
+        page.close()
+
+
+def _obey(page: Page, command: Command) -> None:
+    if command.verb == "reload":
+        page.restore_parameters(command.names)
+        page.reload()
+    elif command.verb == "parameter":
+        page.change_parameter(command.name, command.value)
+    elif command.verb == "frame_rate":
+        page.frame_rate = max(1, min(60, int(command.value)))
+    elif page.player is None:
+        return
+    elif command.verb == "driver":
+        page.playback.set_driver(command.name)
+    else:
+        page.playback.begin()
+
+
+def _state(page: Page, loaded: int) -> RobotState:
+    player = page.player
+    if player is None:
+        return RobotState(address=page.address, state="errors", loaded=loaded)
+    return RobotState(
+        address=page.address,
+        state="outdated" if page.outdated else "running",
+        text=page.playback.stopped[0] if page.playback.stopped else "",
+        loaded=loaded,
+        driver=player.driver_name,
+        drivers=tuple(player.opened.drivers),
+        parameters=dict(player.opened.parameters),
+        changed=dict(page.changed_parameters),
+    )
+
+
+def main() -> int:
+    """Serve what the first line of standard input requests."""
+    lines = iter(sys.stdin.buffer.readline, b"")
+    # Only states are written to standard output; prints of others go to standard error.
+    output, sys.stdout = sys.stdout, sys.stderr
+    try:
+        serve(RobotRequest.model_validate_json(next(lines)), lines, output)
+    except DeepbotsError as error:
+        print(RobotState(state="failed", text=str(error)).model_dump_json(), file=output, flush=True)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

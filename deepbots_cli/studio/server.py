@@ -1,0 +1,78 @@
+"""The web server of the studio: one address, one token, one session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.studio.session import Session
+from deepbots_cli.view import access
+
+FIRST_PORT = 8750
+"""The port of the first studio. A studio without a chosen port takes the next free one."""
+_MAX_TEXT_BYTES = 4 << 20
+
+
+@dataclass(frozen=True)
+class Studio:
+    """A studio before it serves. `address` is the URL of its page, with the token."""
+
+    session: Session
+    address: str
+    serve: Callable[[], None]
+
+
+def studio(
+    source: str | Path,
+    *,
+    permissions: Permissions = Permissions(),
+    host: str = access.LOOPBACK,
+    port: int | None = None,
+) -> Studio:
+    """Prepare the studio of a folder, or of a scenario in it.
+
+    Args:
+        source: A folder, or a scenario file.
+        host: The address to listen on.
+        port: The port; None takes the first free one from `FIRST_PORT` on.
+
+    Raises:
+        UsageError: There is no such file or folder, or the address cannot be used.
+        MissingExtraError: NiceGUI is not installed.
+    """
+    path = Path(source)
+    if not path.exists():
+        raise UsageError(
+            f"there is no file or folder {path}; write a scenario first: deepbots new mine --template cartpole"
+        )
+    folder = path if path.is_dir() else path.parent
+    try:
+        import uvicorn
+
+        from deepbots_cli.studio.application import application_of
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("studio", "the studio") from error
+    session = Session(folder, permissions)
+    first = path if path.is_file() else next(iter(session.scenarios()), None)
+    if first is not None and not session.may_open(first):
+        raise UsageError(f"{first} is no YAML file in {session.folder}")
+    host = access.plain_address(host)
+    number = access.free_port(host, port, FIRST_PORT)
+    gate = access.Gate(host, number, access.new_token())
+    application = application_of(session, gate, first)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            application,
+            host=host,
+            port=number,
+            log_level="critical",
+            access_log=False,
+            lifespan="on",
+            timeout_graceful_shutdown=1,
+            ws_max_size=_MAX_TEXT_BYTES,
+        )
+    )
+    return Studio(session, access.address(host, number, gate.token), server.run)

@@ -1,0 +1,416 @@
+"""The state of the studio, free of the page: open files, findings, robot, tasks and runs.
+
+All browsers show the same session. It lives in the thread of the server's event loop; what takes time runs in
+threads or processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import file_stamps
+from deepbots_cli.learning.listing import ListedRun, list_runs
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio.files import Drafts, OpenFile
+from deepbots_cli.studio.language import Language
+from deepbots_cli.studio.robot import Robot
+from deepbots_cli.studio.tasks import Task, Tasks
+from deepbots_cli.studio.trainings import WatchedTraining
+
+RUNS_FOLDER = "runs"
+STUDIO_FOLDER = ".studio"
+"""The folder in `runs` for drafts and tasks."""
+_WATCH_INTERVAL_S = 0.5
+_DRAFT_INTERVAL_S = 2.0
+_RUNS_INTERVAL_S = 5.0
+_SUFFIXES = (".yaml", ".yml")
+_MAX_FILES = 500
+
+_TRAINING_VERBS = ("train", "resume")
+_CODE_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
+"""The commands that have the option `--allow-code`."""
+
+Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
+Listener = Callable[[Topic], None]
+
+
+class Session:
+    """The state of the studio of one folder.
+
+    Attributes:
+        folder: The folder, beyond which no file is opened but those that its scenarios read.
+        files: The open files by path, in the order of opening.
+        current: The scenario that the robot shows and that commands get.
+        training: The training whose curve is shown, if any.
+        task: The command whose output is shown, if any.
+        runs: The runs of the folder, the newest last.
+        notice: The last message for the person.
+    """
+
+    def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
+        self.folder = folder.resolve()
+        self.permissions = permissions
+        self.files: dict[Path, OpenFile] = {}
+        self.current: Path | None = None
+        self.robot = Robot(permissions, lambda: self._tell("robot"))
+        self.training: WatchedTraining | None = None
+        self.task: Task | None = None
+        self.runs: list[ListedRun] = []
+        self.notice = ""
+        self._listeners: list[Listener] = []
+        self._language: Language | None = None
+        state = self.folder / RUNS_FOLDER / STUDIO_FOLDER
+        self.tasks = Tasks(state / "tasks")
+        self._drafts = Drafts(state / "drafts")
+        self._written: dict[str, str] = {}
+        self._stamps: Mapping[Path, object] = {}
+        self._was_running: set[Path] = set()
+
+    @property
+    def language(self) -> Language:
+        if self._language is None:
+            self._language = Language(self.permissions, lambda path: self._tell("findings"), self.say)
+        return self._language
+
+    # Listeners
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call a function after each change, with its topic. Returns the function that ends it."""
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener) if listener in self._listeners else None
+
+    def say(self, sentence: str) -> None:
+        """Show a message on all pages."""
+        self.notice = sentence
+        self._tell("notice")
+
+    def _tell(self, topic: Topic) -> None:
+        for listener in list(self._listeners):
+            listener(topic)
+
+    # Files
+
+    def scenarios(self) -> list[Path]:
+        """Return the YAML files of the folder, without hidden folders and runs."""
+        paths = []
+        for path in sorted(self.folder.rglob("*")):
+            inner = path.relative_to(self.folder).parts
+            if any(part.startswith(".") or part in (RUNS_FOLDER, "__pycache__") for part in inner):
+                continue
+            if path.suffix in _SUFFIXES and self.may_open(path):
+                paths.append(path)
+            if len(paths) >= _MAX_FILES:
+                break
+        return paths
+
+    def may_open(self, path: Path) -> bool:
+        """Return whether a file is a scenario file of the folder, after following links."""
+        try:
+            real = path.resolve()
+        except (OSError, RuntimeError):
+            return False
+        return path.suffix in _SUFFIXES and real.is_relative_to(self.folder)
+
+    def open(self, path: Path) -> OpenFile:
+        """Open a file, with its unsaved text of an earlier session.
+
+        Raises:
+            UsageError: It is outside of the folder and no scenario reads it, or it is no text file.
+        """
+        path = (self.folder / path).absolute()
+        real = path.resolve()
+        if real in self.files:
+            return self.files[real]
+        is_read = any(real in self.language.files_of(other) for other in self.files)
+        if not self.may_open(path) and not is_read:
+            raise UsageError(f"{path} is no scenario in {self.folder}; the studio opens no other files")
+        file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
+        self._drafts.restore(file)
+        if file.is_restored:
+            self.say(f"{file.path.name} has unsaved changes of an earlier session; save or discard them")
+        self.files[real] = file
+        self.language.update(file)
+        self._tell("files")
+        return file
+
+    def show(self, path: Path) -> None:
+        """Open a scenario, and show its robot."""
+        file = self.open(path)
+        if self.current != file.path:
+            self.current = file.path
+            self._written = {}
+            self.robot.show(file.path)
+        self._tell("files")
+
+    def close_file(self, path: Path) -> None:
+        """Close a file without unsaved changes."""
+        file = self.files.get(path)
+        if file is not None and not file.is_modified and path != self.current:
+            del self.files[path]
+            self.language.remove(path)
+            self._tell("files")
+
+    def change(self, file: OpenFile, base: int, text: str) -> bool:
+        """Take the text of a browser, as `OpenFile.change` does."""
+        is_same = file.change(base, text)
+        self.language.update(file)
+        self._tell("text")
+        return is_same
+
+    def edited(self, file: OpenFile) -> None:
+        """Analyze and show a file that the studio has changed."""
+        self.language.update(file)
+        self._tell("text")
+
+    def save(self, file: OpenFile) -> None:
+        """Write a file, and restart the robot with it.
+
+        Raises:
+            UsageError: The file cannot be written.
+        """
+        file.save()
+        self._keep_draft(file)
+        self.language.update_all()
+        self._restart_robot()
+        self._stamps = file_stamps(self._watched())
+        self._tell("text")
+
+    def _restart_robot(self) -> None:
+        """Read the files of the robot again; parameters whose text has changed take the new text."""
+        if self.current is None:
+            return
+        now = dict(self.language.parameters(self.current))
+        changed = tuple(name for name, text in now.items() if self._written.get(name, text) != text)
+        self._written = now
+        self.robot.save(changed)
+
+    def set_parameter(self, name: str, value: str) -> None:
+        """Change a parameter of the running world."""
+        if self.current is not None and not self._written:
+            self._written = dict(self.language.parameters(self.current))
+        self.robot.set_parameter(name, value)
+
+    def write_parameters(self) -> None:
+        """Write the changed parameters of the running world into the text, as `write_values` does."""
+        if self.robot.state is not None:
+            changed = self.robot.state.changed
+            self.write_values({f"parameters.{name}": value for name, value in changed.items()})
+
+    def write_values(self, values: Mapping[str, str]) -> None:
+        """Write values into the text of the current scenario, by the path of each, such as `train.gamma`.
+        Comments and layout stay.
+
+        Raises:
+            UsageError: There is no scenario, or a value has no place in its file.
+        """
+        file = self.files.get(self.current) if self.current is not None else None
+        if file is None:
+            raise UsageError("open a scenario first")
+        for path, value in values.items():
+            edit = self.language.assignment(file, path, value)
+            if edit is None:
+                raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
+            file.edit([edit])
+        self.edited(file)
+
+    def is_scenario(self, file: OpenFile) -> bool:
+        """Return whether a file is a scenario rather than a file that scenarios include."""
+        return self.language.is_scenario(file)
+
+    # Commands
+
+    def run(
+        self, words: Sequence[str], title: str, run: Path | None = None, output: Path | None = None
+    ) -> Task:
+        """Start a command in a process of its own, and show its output.
+
+        Args:
+            run: The run directory that it makes or reads, relative to the folder.
+            output: The file that it writes for the person, relative to the folder.
+
+        Raises:
+            UsageError: The folder cannot be written.
+        """
+        words = [*words, *self._code(words[0])]
+        self.task = self.tasks.start(words, title, folder=self.folder, run=run, output=output)
+        if run is not None and words[0] in _TRAINING_VERBS:
+            self.watch(run)
+        self._was_running.add(self.task.path)
+        self._tell("task")
+        return self.task
+
+    def train(self, options: Sequence[str] = ()) -> Task:
+        """Train the current scenario in a new run directory.
+
+        Raises:
+            UsageError: There is no scenario, or it has errors or unsaved changes.
+        """
+        name = self.saved_name()
+        run = self._new_run(Path(name).stem)
+        return self.run(["train", name, "--run", str(run), *options], "train", run)
+
+    def run_with_output(self, words: Sequence[str], title: str, run: Path, name: str) -> Task:
+        """Start a command that writes a file `name` into a new place beside a run."""
+        stem, suffix = Path(name).stem, Path(name).suffix
+        numbers = (run.with_name(f"{run.name}-{stem}{number or ''}{suffix}") for number in range(10**6))
+        output = next(path for path in numbers if not (self.folder / path).exists())
+        return self.run([*words, "-o", str(output)], title, run, output)
+
+    async def call(self, words: Sequence[str]) -> tuple[str, int]:
+        """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
+        process = await asyncio.create_subprocess_exec(
+            *python_command("deepbots_cli", *words, *self._code(words[0])),
+            cwd=self.folder,
+            env=python_environment(),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        output, messages = await process.communicate()
+        code = process.returncode or 0
+        return (messages if code and not output else output).decode("utf-8", "replace"), code
+
+    @property
+    def training_task(self) -> Task | None:
+        """The newest command that trains the shown run."""
+        if self.training is None:
+            return None
+        tasks = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
+        return next((task for task in tasks if self.folder / task.record.run == self.training.path), None)
+
+    def show_task(self, task: Task) -> None:
+        """Show the output of a command."""
+        self.task = task
+        self._tell("task")
+
+    def show_run(self, run: Path) -> None:
+        """Show the robot with the policy of a run."""
+        self.robot.show(self.folder / run)
+
+    def saved_name(self) -> str:
+        """Return the current scenario as commands get it: saved, and without errors.
+
+        Raises:
+            UsageError: There is none, or it has errors.
+        """
+        if self.current is None:
+            raise UsageError("open a scenario first")
+        for file in self.files.values():
+            if file.is_modified and not file.read_only:
+                self.save(file)
+        if self.language.has_errors(self.current):
+            raise UsageError("the scenario has errors; mend the findings first")
+        return str(self.current.relative_to(self.folder))
+
+    def watch(self, run: Path) -> None:
+        """Show the curve of a run."""
+        self.training = WatchedTraining(self.folder / run)
+        self._tell("training")
+
+    def _new_run(self, stem: str) -> Path:
+        """Return the name of a new run directory, relative to the folder."""
+        taken = {path.name for path in (self.folder / RUNS_FOLDER).glob(f"{stem}-*")}
+        number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in taken)
+        return Path(RUNS_FOLDER, f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', stem)}-{number}")
+
+    def _code(self, verb: str) -> list[str]:
+        """Return the option for Python functions, which this server was started with."""
+        return ["--allow-code"] if self.permissions.code and verb in _CODE_VERBS else []
+
+    # Time
+
+    async def run_forever(self) -> None:
+        """Watch files, tasks and trainings until it is canceled."""
+        last_draft = last_runs = 0.0
+        self._adopt_running_tasks()
+        while True:
+            self._look_at_files()
+            now = time.monotonic()
+            if now - last_draft > _DRAFT_INTERVAL_S:
+                last_draft = now
+                for file in self.files.values():
+                    self._keep_draft(file)
+            self._look_at_tasks()
+            if self._listeners and now - last_runs > _RUNS_INTERVAL_S:
+                last_runs = now
+                await self.read_runs()
+            training = self.training
+            if self._listeners and training is not None and training.is_due:
+                await asyncio.to_thread(training.read)
+                self._tell("training")
+            await asyncio.sleep(_WATCH_INTERVAL_S)
+
+    async def close(self) -> None:
+        """Keep unsaved texts, and end the robot. Commands go on."""
+        for file in self.files.values():
+            self._keep_draft(file)
+        if self._language is not None:
+            self._language.close()
+        await self.robot.close()
+
+    async def read_runs(self) -> None:
+        """List the runs of the folder again."""
+        runs = await asyncio.to_thread(list_runs, self.folder / RUNS_FOLDER)
+        if runs != self.runs:
+            self.runs = runs
+            self._tell("runs")
+
+    def _adopt_running_tasks(self) -> None:
+        """Show the training that an earlier server has started, if it still runs."""
+        running = self.tasks.running
+        self._was_running = {task.path for task in running}
+        if running:
+            self.task = running[-1]
+            if self.task.record.run:
+                self.watch(Path(self.task.record.run))
+            self._tell("task")
+
+    def _look_at_tasks(self) -> None:
+        self.tasks.reap()
+        running = {task.path for task in self.tasks.running}
+        ended = self._was_running - running
+        self._was_running = running
+        for task in self.tasks.all:
+            if task.path in ended:
+                if self.training is not None and task.record.run:
+                    self.training.watch_again()
+                code = task.exit_code
+                of = f" of {task.record.run}" if task.record.run else ""
+                self.say(f"{task.record.title}{of} has ended" + (f" with exit code {code}" if code else ""))
+        if running or ended:
+            self._tell("task")
+
+    def _look_at_files(self) -> None:
+        """Take changes of other programs."""
+        changed = [file for file in self.files.values() if file.read_outside()]
+        for file in changed:
+            self.language.update(file)
+        if changed:
+            self._tell("text")
+        stamps = file_stamps(self._watched())
+        if self._stamps and stamps != self._stamps:
+            if not changed:
+                self.language.update_all()
+            self._restart_robot()
+        self._stamps = stamps
+
+    def _watched(self) -> frozenset[Path]:
+        """Return the files that the current scenario reads."""
+        if self.current is None:
+            return frozenset()
+        return frozenset({self.current, *self.language.inputs_of(self.current)})
+
+    def _keep_draft(self, file: OpenFile) -> None:
+        try:
+            self._drafts.keep(file)
+        except OSError as error:
+            sentence = f"unsaved text cannot be kept: {(error.strerror or 'error').lower()}"
+            if self.notice != sentence:
+                self.say(sentence)

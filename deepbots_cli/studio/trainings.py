@@ -1,0 +1,140 @@
+"""The learning curves of trainings, and the time that is left, read from the files of runs while they train."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.listing import ListedRun, read_listed
+from deepbots_cli.view.plots import TrainingLog, read_logs
+
+MAX_POINTS = 400
+"""The number of points of a line on the page."""
+_MIN_INTERVAL_S = 1.0
+_COST_FACTOR = 25.0
+"""The time between two reads in reads: reading takes at most 4 % of a core."""
+_SPEED_WINDOW_S = 30.0
+
+Point = tuple[float, float | None]
+"""The timesteps and the value; None where a line breaks."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The lines of a learning curve, as points over the timesteps.
+
+    Attributes:
+        returns: Mean returns of the last 100 episodes.
+        successes: Shares of successes of the last 100 episodes; empty without successes.
+        evaluations, evaluated_successes: Means of each evaluation.
+        terms: Mean sums of each reward term over an episode.
+        stages: The stages of the curriculum, with the timesteps at their beginning.
+    """
+
+    returns: tuple[Point, ...] = ()
+    successes: tuple[Point, ...] = ()
+    evaluations: tuple[Point, ...] = ()
+    evaluated_successes: tuple[Point, ...] = ()
+    terms: dict[str, tuple[Point, ...]] = field(default_factory=dict)
+    stages: tuple[tuple[str, float], ...] = ()
+
+
+def read_curves(run: Path) -> Curves:
+    """Read the curves of a run; empty before its first episode has ended.
+
+    Raises:
+        RunError: The run is damaged.
+    """
+    try:
+        log = read_logs([run])[0]
+    except RunError:
+        if (run / "monitor.csv").exists() and read_listed(run).episodes:
+            raise
+        return Curves()
+    return _curves(log)
+
+
+def _curves(log: TrainingLog) -> Curves:
+    return Curves(
+        returns=_points(log.returns),
+        successes=_points(log.successes),
+        evaluations=_points(log.evaluations),
+        evaluated_successes=_points(log.evaluated_successes) if log.successes is not None else (),
+        terms={name: _points(curve) for name, curve in log.terms.items()},
+        stages=tuple((stage.name, stage.steps) for stage in log.stages),
+    )
+
+
+def _points(curve: Any) -> tuple[Point, ...]:
+    if curve is None:
+        return ()
+    steps, values = curve
+    chosen = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int))
+    return tuple(
+        (float(steps[at]), float(f"{values[at]:.6g}") if np.isfinite(values[at]) else None) for at in chosen
+    )
+
+
+class WatchedTraining:
+    """A run whose curve is shown, read again while it trains.
+
+    Attributes:
+        path: The run directory, which may not exist yet.
+        listed: Its state and results; None until it exists.
+        curves: Its curves.
+        problem: The reason why its files cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.listed: ListedRun | None = None
+        self.curves = Curves()
+        self.problem = ""
+        self._steps: deque[tuple[float, int]] = deque()
+        self._due = 0.0
+        self._ended = False
+
+    @property
+    def is_due(self) -> bool:
+        """Whether it is time to read the files again."""
+        return not self._ended and time.monotonic() >= self._due
+
+    @property
+    def seconds_left(self) -> float | None:
+        """The time until the last timestep at the present speed, in s; None while it is unknown."""
+        run = self.listed
+        if run is None or run.state != "training" or not run.total_timesteps or len(self._steps) < 2:
+            return None
+        (begin, first), (end, last) = self._steps[0], self._steps[-1]
+        if last <= first:
+            return None
+        return max(0.0, (run.total_timesteps - last) * (end - begin) / (last - first))
+
+    def read(self) -> None:
+        """Read the files; call it in a thread."""
+        began = time.monotonic()
+        if not (self.path / "run.json").is_file():
+            self._due = began + _MIN_INTERVAL_S
+            return
+        listed = read_listed(self.path)
+        try:
+            self.curves, self.problem = read_curves(self.path), listed.problem or ""
+        except RunError as error:
+            self.problem = str(error)
+        self.listed = listed
+        self._ended = listed.state != "training"
+        self._steps.append((began, listed.steps or 0))
+        while self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
+            self._steps.popleft()
+        took = time.monotonic() - began
+        self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * took)
+
+    def watch_again(self) -> None:
+        """Read the files again soon, because a command works on the run."""
+        self._ended, self._due = False, 0.0
