@@ -363,12 +363,12 @@ class Field:
         return [item for item in self._items() if isinstance(item, float)]
 
     def _joint(self) -> Joint | None:
-        if self._name not in ("position", "position2"):
+        if self._name not in _JOINT_POSITIONS:
             return None
         for body in self._simulation.scene.bodies:
             for joint in body.joints:
                 own = joint.parameters is self._real and self._name == "position"
-                of_joint = joint.node is self._real and self._name == ("position", "position2")[joint.index]
+                of_joint = joint.node is self._real and self._name == _JOINT_POSITIONS[joint.index]
                 if joint.kind != "ball" and (own or of_joint):
                     return joint
         return None
@@ -500,6 +500,8 @@ class Field:
                 device.renew()
 
 
+_JOINT_POSITIONS = ("position", "position2", "position3")
+"""The fields of a joint with the positions of its axes."""
 _FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
 _RENEWED = frozenset({"DistanceSensor"})
 """Devices that read the fields of their node again."""

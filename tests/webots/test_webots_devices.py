@@ -433,10 +433,7 @@ def test_messages_keep_their_order():
     ("node_name", "name", "call"),
     [
         ("Camera", "camera", "recognitionEnable"),
-        ("Camera", "camera", "getImage"),
-        ("Lidar", "lidar", "getRangeImageArray"),
-        ("Radar", "radar", "getTargets"),
-        ("LightSensor", "light sensor", "getValue"),
+        ("Pen", "pen", "write"),
         ("Speaker", "speaker", "getEngine"),
         ("Display", "display", "imageNew"),
     ],

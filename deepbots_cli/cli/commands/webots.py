@@ -98,7 +98,7 @@ def command(
 
 def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
     from deepbots_cli.webots.project import read_world
-    from deepbots_cli.webots.scene import build_scene
+    from deepbots_cli.webots.scene_builder import build_scene
 
     world = read_world(path, protos)
     scene = build_scene(world)

@@ -32,7 +32,7 @@ from deepbots_cli.webots.imports.task import (
 from deepbots_cli.webots.imports.world import Surroundings, pose_text, surroundings
 from deepbots_cli.webots.nodes import real, text, walk
 from deepbots_cli.webots.project import controller, read_world
-from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.scene_builder import build_scene
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings
