@@ -24,6 +24,8 @@ tree.py           the classes Node and Field
 supervisor.py     the classes Robot, Supervisor and Keyboard
 api.py            names of Webots' functions that are not implemented, and their error
 runner.py         controllers as threads of one process, one at a time
+remote/           controllers as processes of their own
+recorder.py       a video of a run
 project.py        the files of a project: worlds, controllers, PROTOs
 site/             the folder with the module `controller`, on the path of controllers
 imports/          a project as a scenario: `deepbots new --webots`

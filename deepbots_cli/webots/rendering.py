@@ -147,9 +147,12 @@ class Pictures:
 
 def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
     place, turned = frame
+    ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
+    for light in renderer.scene.lights[: renderer.scene.nlight]:
+        light.pos, light.dir = place, ahead  # MuJoCo's shines from where its own camera is
     for camera in renderer.scene.camera:
         camera.pos = place
-        camera.forward = frames.rotate(turned, (1.0, 0.0, 0.0))
+        camera.forward = ahead
         camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
         camera.frustum_center, camera.frustum_width = 0.0, 0.0
         camera.frustum_top, camera.frustum_bottom = top, -top

@@ -163,6 +163,7 @@ def test_another_projection_says_so(node: str):
         sensor.enable(8)
 
 
+@pytest.mark.slow
 def test_without_opengl_a_camera_says_so():
     script = """
 from tests.webots.worlds_of_webots import device, simulate

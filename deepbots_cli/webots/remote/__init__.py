@@ -1,0 +1,11 @@
+"""Controllers as processes of their own: `deepbots webots --processes`.
+
+server.py    starts the processes, and does for them what they ask for
+client.py    the classes of the module `controller` in such a process: each call goes to the server
+__main__.py  runs the program of a controller
+messages.py  what both exchange
+site/        the folder with the module `controller`
+
+A controller has its turn from the end of a step until the next step, as in one process, so both ways run the
+same simulation.
+"""
