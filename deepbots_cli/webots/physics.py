@@ -417,6 +417,11 @@ class Physics:
         dof = int(self.model.jnt_dofadr[self._joint_ids[joint]])
         self.model.dof_damping[dof] = joint.damping + max(0.0, extra)
 
+    def set_gravity(self, gravity: float) -> None:
+        """Set the gravity, m/s^2 downward."""
+        self.scene.gravity = 0.0, 0.0, -gravity
+        self.model.opt.gravity[:] = self.scene.gravity
+
     def push(self, body: Body, force: Triple, torque: Triple, place: Triple | None = None) -> None:
         """Push a body for the next basic time step: N and N m in the world, at a place or at its center."""
         if place is not None:

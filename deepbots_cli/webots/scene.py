@@ -200,7 +200,6 @@ class Scene:
     files: Files
     basic_step: int = 32
     gravity: Triple = (0.0, 0.0, -9.81)
-    north: Triple = (0.0, 1.0, 0.0)
     seed: int = 0
     bodies: list[Body] = field(default_factory=list)
     robots: list[Robot] = field(default_factory=list)

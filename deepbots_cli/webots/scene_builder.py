@@ -88,9 +88,7 @@ class _Builder:
             self.findings.error(info.span, f"basicTimeStep is {step:g} ms; it is between 1 and 10,000")
             step = 32.0
         scene.basic_step = max(1, round(step))
-        gravity = numbers(info, "gravity")
-        x, y, z = gravity if len(gravity) == 3 else (0.0, 0.0, -9.81)
-        scene.gravity, scene.north = (x, y, z), vector(info, "magneticField")
+        scene.gravity = 0.0, 0.0, -number(info, "gravity")
         scene.seed = int(number(info, "randomSeed"))
         if text(info, "coordinateSystem") == "NUE":
             self.findings.error(

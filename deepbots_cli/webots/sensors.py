@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Device as Spec
     from deepbots_cli.webots.simulation import Simulation
 
+NORTH = (0.0, 1.0, 0.0)
+"""In the world, whose axes are east, north and up."""
 SONAR_CONE = math.cos(math.pi / 8)
 """The cosine of the largest angle of incidence at which a sonar hears its echo."""
 
@@ -58,9 +60,7 @@ class Compass(VectorSensor):
     """The direction of north in the frame of the sensor."""
 
     def _measure(self) -> Triple:
-        north = self._simulation.scene.north
-        length = math.hypot(*north) or 1.0
-        return frames.rotate_back(self._frame()[1], frames.scaled(north, 1 / length))
+        return frames.rotate_back(self._frame()[1], NORTH)
 
 
 class InertialUnit(Sensor):

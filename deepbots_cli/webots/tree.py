@@ -430,6 +430,9 @@ class Field:
         joint = self._joint()
         if joint is not None:
             self._simulation.physics.set_joint_position(joint, float(value))
+        elif self._name == "gravity" and self._real.type == "WorldInfo":
+            self._simulation.physics.set_gravity(float(value))
+            self._keep([float(value)])
         else:
             self._set("setSFFloat", [float(value)])
 
@@ -492,12 +495,16 @@ class Field:
         is_seen = self._real.type in _LOOKS or self._name in _LABELS
         if self._root is not None or not (is_sensor or is_seen):
             raise self._unset(function)
-        owner = self._real if self._name in parameters(self._real) else self._node
-        before = self._value()
-        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
+        self._keep(items)
         for spec, device in self._simulation.objects.items():
             if spec.node is self._real:
                 device.renew()
+
+    def _keep(self, items: Sequence[Item]) -> None:
+        """Write the value into the node."""
+        owner = self._real if self._name in parameters(self._real) else self._node
+        before = self._value()
+        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
 
 
 _JOINT_POSITIONS = ("position", "position2", "position3")

@@ -17,7 +17,7 @@ from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
 
 WORLD = """
-WorldInfo { basicTimeStep 16 gravity 0 0 -9.81 }
+WorldInfo { basicTimeStep 16 gravity 9.81 }
 RectangleArena { floorSize 3 2 }
 DEF BOX Solid { translation 1 0 0.1 boundingObject Box { size 0.2 0.2 0.2 } physics Physics { density -1 mass 0.4 } }
 DEF GOAL Solid { translation -1 0.5 0 }
@@ -159,7 +159,7 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
 
 
 def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) -> None:
-    _, text = imported(tmp_path, world=WORLD.replace("gravity 0 0 -9.81", "gravity 0 0 -1.6"))
+    _, text = imported(tmp_path, world=WORLD.replace("gravity 9.81", "gravity 1.6"))
     lines = lines_of(text)
     assert "timestep: 16 ms" in lines
     assert "gravity: 0 0 -1.6 m/s^2" in lines

@@ -32,7 +32,7 @@ def target(place: str, velocity: str = "0 0 0", section: float = 1.0, name: str 
 
 def seen(text: str, fields: str = "", robot: str = ""):
     """Return the targets of a radar at the origin that looks along x."""
-    return measured(RADAR % (robot, fields) + text, "radar", gravity="0 0 0").getTargets()
+    return measured(RADAR % (robot, fields) + text, "radar", gravity=0).getTargets()
 
 
 def test_a_radar_measures_distance_speed_and_azimuth():
@@ -230,7 +230,7 @@ BALL = """DEF ROBOT Robot { children [ DEF JOINT BallJoint {
 
 def turned(angles: dict[str, float], parameters: str = ""):
     """Return the world after its motors reached positions, about x, y and z in turn."""
-    simulation = simulate(BALL % parameters, gravity="0 0 0")
+    simulation = simulate(BALL % parameters, gravity=0)
     for name, angle in angles.items():
         device(simulation, name).setPosition(angle)
         device(simulation, f"angle {name}").enable(8)
