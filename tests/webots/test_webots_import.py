@@ -158,6 +158,39 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
     env.close()
 
 
+def two_robots(folder: Path, second: str) -> Starter:
+    """Return the scenario of a project whose second cart has the controller `second`."""
+    cart = WORLD[WORLD.index("DEF CART") :]
+    twin = cart.replace("DEF CART", "DEF TWIN").replace('name "cart"', 'name "twin"')
+    twin = twin.replace('controller "cart"', 'controller "twin"').replace("0 0 0.05", "0.5 0.5 0.05")
+    world = project(folder, WORLD + twin)
+    path = folder / "controllers" / "twin" / "twin.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(second, encoding="utf-8")
+    return from_webots(world, [], "twins", "Twins")
+
+
+def test_all_robots_with_a_class_of_deepbots_are_read(tmp_path: Path) -> None:
+    text = scenario_text(two_robots(tmp_path, CART))
+    first, second = text[text.index("  cart:") :].split("  twin:", 1)
+    for part in (first, second):
+        assert "emit: [arm_angle]" in part
+        assert "motors: {type: velocity_motor, joints: [left_motor_joint, right_motor_joint]}" in part
+        assert "motors: command * 1 rad/s" in part
+
+
+def test_a_robot_that_uses_the_action_in_another_way_is_left_to_a_person(tmp_path: Path) -> None:
+    starter = two_robots(tmp_path, CART.replace("6.0 if choice == 0 else -6.0", "3.0 if choice else 2.0"))
+    text = scenario_text(starter)
+    assert "# FILL IN: what twin does with the action, from twin.py:19: def use_message_data" in text
+    assert "speed = 3.0 if choice else 2.0" in text
+    assert text.count("command * 1 rad/s") == 1
+
+
+def scenario_text(starter: Starter) -> str:
+    return next(content.decode() for path, content in starter.files.items() if path.suffix == ".yaml")
+
+
 def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) -> None:
     _, text = imported(tmp_path, world=WORLD.replace("gravity 9.81", "gravity 1.6"))
     lines = lines_of(text)

@@ -18,7 +18,7 @@ from deepbots_cli.webots.imports.task import Entry
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
-    from deepbots_cli.webots.imports.task import Item
+    from deepbots_cli.webots.imports.task import Item, Task
 
 TODO = "# FILL IN"
 """How a comment about a place begins that is left to a person."""
@@ -168,9 +168,11 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
     if robot.is_fixed:
         lines.append("    base: fixed")
     lines.append(f"    pose: {robot.pose}")
-    if robot is not draft.agent:
+    task = robot.task
+    if task is None and robot is draft.agent:
+        task = draft.task
+    if task is None:
         return lines
-    task = draft.task
     if robot.sensors:
         lines.append("    sensors:")
         lines += [f"      {key}: {value}" for key, value in robot.sensors.items()]
@@ -179,14 +181,15 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
         lines += [f"    #   {key}: {value}" for key, value in robot.unused_sensors.items()]
     lines.append("    actuators:")
     lines += [f"      {key}: {value}" for key, value in task.actuators.items()]
-    lines += _emit(draft)
+    lines += _emit(task)
+    lines += _comments(task.agent, "    ") if robot is not draft.agent else []
     lines.append("    apply:")
     lines += [f"      {key}: {value}" for key, value in task.apply.items()]
     return lines
 
 
-def _emit(draft: Draft) -> list[str]:
-    emit = draft.task.emit
+def _emit(task: Task) -> list[str]:
+    emit = task.emit
     entries = [one for one in emit if isinstance(one, Entry)]
     lines = _comments(emit, "    ")
     if entries and all(one.key == one.value for one in entries):
