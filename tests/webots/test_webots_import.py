@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.cli.starters.webots import TODO, Starter, from_webots
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.geometry import ground_height
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
@@ -156,6 +157,24 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
     _, reward, *_ = env.step(0)
     assert reward == 1.0
     env.close()
+
+
+def test_a_grid_of_heights_is_the_terrain(tmp_path: Path) -> None:
+    """Rows are along x; the terrain of the scenario has the heights of the world at its corners."""
+    grid = """Solid { translation -2 -1 0 boundingObject ElevationGrid { xDimension 3 yDimension 2
+      xSpacing 2 ySpacing 2 height [ 0 0.1 0.2, 0.3 0.4 0.6 ] } }"""
+    world = project(tmp_path, WORLD.replace("RectangleArena { floorSize 3 2 }", grid))
+    starter = from_webots(world, [], "hills", "Hills")
+    assert (
+        "terrain: {type: heightfield, file: world_terrain.png, size: 4 2 m, height: 0.6 m}"
+        in scenario_text(starter)
+    )
+    for path, content in starter.files.items():
+        (tmp_path / path).write_bytes(content)
+    terrain = api.compile(tmp_path / "hills.yaml").program.world.terrain
+    height = ground_height(terrain)
+    corners = [(-2, -1), (0, -1), (1.999, -1), (-2, 0.999), (0, 0.999), (1.999, 0.999)]
+    assert [height(*corner) for corner in corners] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.6], abs=1e-3)
 
 
 def two_robots(folder: Path, second: str) -> Starter:

@@ -336,3 +336,24 @@ def test_a_run_is_repeatable():
     simulation.physics.reset()
     run(simulation, 3)
     assert node(simulation, "BODY").getPosition() == ends[0]
+
+
+def test_bb8_rocks_itself_out_of_the_pit():
+    """The strategy of robotbenchmark's example: the motor turns with the ball. One direction alone fails."""
+    pit = """Pit { size 20 20 4 pitRadius 2.7 }
+      DEF ROBOT BB-8 { } Solid { name "ground" translation 0 0 -9 boundingObject Plane { } }"""
+    reached = {}
+    for rocks in (True, False):
+        simulation = simulate(pit, step=32)
+        motor, gyro = (device(simulation, f"body {name}") for name in ("pitch motor", "gyro"))
+        motor.setPosition(math.inf)
+        motor.setVelocity(8.72)
+        gyro.enable(32)
+        reached[rocks] = 0.0
+        for _ in range(450):
+            simulation.run_step()
+            if rocks:
+                motor.setVelocity(-8.72 if gyro.getValues()[1] < 0 else 8.72)
+            x, y, _ = node(simulation, "ROBOT").getPosition()
+            reached[rocks] = max(reached[rocks], math.hypot(x, y))
+    assert reached[True] > 2.7 > 2.0 > reached[False]

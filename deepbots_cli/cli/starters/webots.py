@@ -51,11 +51,13 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     meshes = {
         PurePosixPath(path): content for one in draft.robots for path, content in one.built.meshes.items()
     }
-    lines = _settled(_lines(draft, name, title), {**robots, **meshes}, name)
+    further = {**robots, **meshes}
+    further |= {PurePosixPath(path): content for path, content in draft.surroundings.pictures.items()}
+    lines = _settled(_lines(draft, name, title), further, name)
     text = "".join(f"{line.rstrip()}\n" for line in lines)
     todos = sum(line.strip().startswith(TODO) for line in lines)
     head = _HEAD.format(world=_one_line(draft.world_file), todos=_todo_text(todos))
-    files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **robots, **meshes}
+    files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **further}
     return Starter(files, todos, list(map(str, draft.findings.warnings)))
 
 
