@@ -2,10 +2,9 @@
 
 server.py    starts the processes, and does for them what they ask for
 client.py    the classes of the module `controller` in such a process: each call goes to the server
-__main__.py  runs the program of a controller
 messages.py  what both exchange
 site/        the folder with the module `controller`
 
-A controller has its turn from the end of a step until the next step, as in one process, so both ways run the
-same simulation.
+Run as a program, the package runs the program of a controller. A controller has its turn from the end of a
+step until the next step, as in one process, so both ways run the same simulation.
 """
