@@ -3,7 +3,7 @@ numbers."""
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, hypot, sin
+from math import asin, atan2, copysign, cos, hypot, pi, sin
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,6 +17,11 @@ Frame = tuple[Triple, Quaternion]
 """A frame in another: its origin (m) and its rotation."""
 
 IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+
+_VERTICAL = 1 - 1e-9
+"""The sine of the pitch, 45 microradians from 90 degrees, above which roll and yaw are noise: at exactly 90
+degrees, a pole came out turned by 0.4 rad."""
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
@@ -62,10 +67,16 @@ def wxyz(q: Quaternion) -> Quaternion:
 
 def roll_pitch_yaw(q: Quaternion) -> Triple:
     """Return roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this
-    order."""
+    order.
+
+    Where the pitch is 90 degrees, only the difference of roll and yaw counts: the roll is 0.
+    """
     x, y, z, w = q
+    down = 2 * (w * y - z * x)
+    if abs(down) > _VERTICAL:
+        return 0.0, copysign(pi / 2, down), atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z))
     roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = asin(min(1.0, max(-1.0, 2 * (w * y - z * x))))
+    pitch = asin(down)
     return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 

@@ -426,7 +426,7 @@ def write_clip(
         elif path.suffix.lower() == ".gif":
             write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_FRAME_RATE, on_frame))
         else:
-            _write_mp4(draft, *_pictures(player, shot, shown, speed, rate, on_frame))
+            write_mp4(draft, *_pictures(player, shot, shown, speed, rate, on_frame))
     return player.frame
 
 
@@ -452,7 +452,8 @@ def _pictures(
     return taken(), speed / player.program.period / every
 
 
-def _write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
+def write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
+    """Write an MP4 with `rate` pictures per second, each of the shape (height, width, 3)."""
     import imageio.v2 as imageio
 
     # Pictures of even height and width are all that the codec asks for; by default they would be scaled to

@@ -33,18 +33,13 @@ MISSING: Mapping[str, str] = {
     "GPS": "convertToDegreesMinutesSeconds",
     "DistanceSensor": "",
     "TouchSensor": "getLookupTable",
-    "Camera": "getExposure getFocalDistance getFocalLength getImage getImageArray getMaxFocalDistance"
-    " getMinFocalDistance hasRecognition imageGetBlue imageGetGray imageGetGreen imageGetRed"
-    " isRecognitionSegmentationEnabled recognitionDisable recognitionDisableSegmentation recognitionEnable"
-    " recognitionEnableSegmentation getRecognitionNumberOfObjects getRecognitionObjects"
-    " getRecognitionSamplingPeriod getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
-    " recognitionHasSegmentation saveImage saveRecognitionSegmentationImage setExposure setFocalDistance"
-    " setFov getFov getNear getWidth getHeight enable",
-    "RangeFinder": "enable getFov getHeight getMaxRange getMinRange getRangeImage getRangeImageArray getWidth"
-    " rangeImageGetDepth saveImage",
-    "Lidar": "getFrequency getLayerPointCloud getMaxFrequency getMinFrequency getRangeImageArray setFrequency",
-    "Radar": "enable getMaxRange getMinRange getNumberOfTargets getTargets getHorizontalFov getVerticalFov",
-    "LightSensor": "enable getValue getLookupTable",
+    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance setExposure"
+    " setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
+    " getRecognitionObjects getRecognitionSamplingPeriod getRecognitionSegmentationImage"
+    " getRecognitionSegmentationImageArray hasRecognitionSegmentation isRecognitionSegmentationEnabled"
+    " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
+    "RangeFinder": "",
+    "Lidar": "",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
@@ -58,7 +53,7 @@ MISSING: Mapping[str, str] = {
 """The functions of each class that deepbots does not have."""
 
 
-MISSING_CLASSES = ("AnsiCodes", "Joystick", "Motion", "Mouse", "ImageRef", "RadarTarget")
+MISSING_CLASSES = ("AnsiCodes", "CameraRecognitionObject", "Joystick", "Motion", "Mouse", "ImageRef")
 """The names of the module `controller` of Webots that deepbots does not have."""
 
 

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from deepbots_cli.webots.cameras import Camera, RangeFinder
 from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
+from deepbots_cli.webots.lidar import Lidar
+from deepbots_cli.webots.light import LightSensor
 from deepbots_cli.webots.nodes import integer
+from deepbots_cli.webots.radar import Radar
 from deepbots_cli.webots.radio import Emitter, Receiver
 from deepbots_cli.webots.sensors import (
     GPS,
@@ -20,7 +24,6 @@ from deepbots_cli.webots.sensors import (
     DistanceSensor,
     Gyro,
     InertialUnit,
-    Lidar,
     TouchSensor,
 )
 
@@ -41,22 +44,6 @@ class LED(Device):
 
     def get(self) -> int:
         return self._value
-
-
-class Camera(Device):
-    """A camera: no function of it is implemented."""
-
-
-class RangeFinder(Device):
-    """A range finder: no function of it is implemented."""
-
-
-class Radar(Device):
-    """A radar: no function of it is implemented."""
-
-
-class LightSensor(Device):
-    """A light sensor: no function of it is implemented."""
 
 
 class Display(Device):

@@ -162,7 +162,7 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
 _GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet", "Mesh",
                "IndexedLineSet", "PointSet")  # fmt: skip
 _SLOTS: Mapping[str, tuple[str, ...]] = {
-    "jointParameters": ("JointParameters",),
+    "jointParameters": ("JointParameters", "BallJointParameters"),
     "jointParameters2": ("JointParameters",),
     "jointParameters3": ("JointParameters",),
     "physics": ("Physics",),

@@ -283,6 +283,20 @@ class Physics:
         x, y, z = (masses @ self.data.xipos[parts] / masses.sum()).tolist()
         return x, y, z
 
+    def radius(self, owner: Node) -> float:
+        """Return the radius of the ball around the origin of a solid that has its bounding object, m; 0
+        without one."""
+        body, inside = self.scene.places[owner]
+        origin = np.array(self.position(body, inside))
+        geoms = [index for index, (_, geometry) in enumerate(self.geoms) if geometry.owner is owner]
+        return max(
+            (
+                float(np.linalg.norm(self.data.geom_xpos[index] - origin) + self.model.geom_rbound[index])
+                for index in geoms
+            ),
+            default=0.0,
+        )
+
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
 
@@ -402,6 +416,11 @@ class Physics:
         """Let a brake add to the damping of a joint."""
         dof = int(self.model.jnt_dofadr[self._joint_ids[joint]])
         self.model.dof_damping[dof] = joint.damping + max(0.0, extra)
+
+    def set_gravity(self, gravity: float) -> None:
+        """Set the gravity, m/s^2 downward."""
+        self.scene.gravity = 0.0, 0.0, -gravity
+        self.model.opt.gravity[:] = self.scene.gravity
 
     def push(self, body: Body, force: Triple, torque: Triple, place: Triple | None = None) -> None:
         """Push a body for the next basic time step: N and N m in the world, at a place or at its center."""

@@ -39,11 +39,15 @@ SITE = Path(__file__).parent / "site"
 """The folder with the module `controller`."""
 MAX_STEPS_AFTER_END = 100
 """How often a controller may step after the end before its step ends it."""
-_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 """What controllers find in their environment, if it is not set: pictures need a window, and small networks
 lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy machine)."""
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
+
+
+class ControllerError(Exception):
+    """The program of a controller failed in a process of its own."""
 
 
 @dataclass(eq=False)
@@ -99,6 +103,7 @@ class Runner:
         output: TextIO | None = None,
         errors: TextIO | None = None,
         is_fast: bool = True,
+        after_step: Callable[[], None] | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -111,6 +116,7 @@ class Runner:
             output: Where controllers print, by default `sys.stdout`.
             errors: Where errors of controllers go, by default `sys.stderr`.
             is_fast: Whether the world waits for no clock.
+            after_step: Called after each basic time step.
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
@@ -127,6 +133,7 @@ class Runner:
         self._problems: list[str] = []
         self._by_robot = {one.robot: one for one in self.controllers}
         self._begin = None if is_fast else time.monotonic()
+        self._after_step = after_step
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
     # The main thread
@@ -150,7 +157,11 @@ class Runner:
             self._give_turn(self.controllers[0])
             self._watch()
         supervisor.deactivate()
+        self._finish()
         return self._outcome()
+
+    def _finish(self) -> None:
+        """Do what the end of the run needs."""
 
     def _watch(self) -> None:
         """Wait for the end; a controller that makes no step for too long ends the run."""
@@ -186,9 +197,9 @@ class Runner:
         finder = _ProjectFinder(self)
         sys.meta_path.insert(0, finder)
         name = self._speaker
-        streams = _Prefixed(self._output, name), _Prefixed(self._errors, name)
+        streams = Prefixed(self._output, name), Prefixed(self._errors, name)
         sys.stdout, sys.stderr = streams
-        for name_, value in _ENVIRONMENT.items():
+        for name_, value in CONTROLLER_ENVIRONMENT.items():
             os.environ.setdefault(name_, value)
         base = [str(SITE), *self.packages, *sys.path]
         for one in self.controllers:
@@ -226,8 +237,9 @@ class Runner:
             one.exit_code = _exit_code(error)
         except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
             one.exit_code = 1
-            _print_traceback(error)
-            self._problems.append(f"the controller of '{one.name}' failed: {_describe(error)}")
+            if not isinstance(error, ControllerError):
+                print_traceback(error, __file__)
+            self._problems.append(f"the controller of '{one.name}' failed: {describe(error)}")
             self.is_over = True
         one.has_ended = True
         self._end(one)
@@ -295,17 +307,24 @@ class Runner:
         except FloatingPointError as error:
             self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
             self.is_over = True
+            return
+        if self._after_step is not None:
+            self._after_step()
 
     # Surroundings
 
     def _give_turn(self, one: Controller) -> None:
         self._current = one
         self.simulation.current = one.robot
+        self._enter(one)
+        one.turn.release()
+
+    def _enter(self, one: Controller) -> None:
+        """Put in place what belongs to a controller."""
         sys.path[:] = one.path
         sys.argv = [str(one.program), *one.arguments]
         sys.modules.update(one.modules)
         os.chdir(one.folder)
-        one.turn.release()
 
     def _leave(self, one: Controller) -> None:
         """Put away what belongs to a controller."""
@@ -351,7 +370,7 @@ class _ProjectFinder:
         return None
 
 
-class _Prefixed:
+class Prefixed:
     """A stream that begins each line with the name of the robot whose controller prints."""
 
     encoding, errors = "utf-8", "replace"
@@ -403,16 +422,19 @@ def _exit_code(error: SystemExit) -> int:
     return 1
 
 
-def _print_traceback(error: BaseException) -> None:
-    """Print a traceback without the frames of this module."""
+def print_traceback(error: BaseException, file: str) -> None:
+    """Print a traceback without the frames of the file that ran the program."""
     trace = error.__traceback__
-    while trace is not None and trace.tb_frame.f_code.co_filename == __file__:
+    while trace is not None and trace.tb_frame.f_code.co_filename == file:
         trace = trace.tb_next
     sys.stderr.write("".join(traceback.format_exception(type(error), error, trace)))
 
 
-def _describe(error: BaseException) -> str:
+def describe(error: BaseException) -> str:
+    """Return the kind and the message of an error in a line."""
     message = " ".join(str(error).split())[:200]
+    if isinstance(error, ControllerError):
+        return message
     return f"{type(error).__name__}: {message}" if message else type(error).__name__
 
 

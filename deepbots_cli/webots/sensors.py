@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.webots.api import NotImplementedCallError
 from deepbots_cli.webots.device import ScalarSensor, Sensor, VectorSensor, look_up
 from deepbots_cli.webots.nodes import boolean, integer, number, text, vectors
 
@@ -18,6 +16,8 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Device as Spec
     from deepbots_cli.webots.simulation import Simulation
 
+NORTH = (0.0, 1.0, 0.0)
+"""In the world, whose axes are east, north and up."""
 SONAR_CONE = math.cos(math.pi / 8)
 """The cosine of the largest angle of incidence at which a sonar hears its echo."""
 
@@ -60,9 +60,7 @@ class Compass(VectorSensor):
     """The direction of north in the frame of the sensor."""
 
     def _measure(self) -> Triple:
-        north = self._simulation.scene.north
-        length = math.hypot(*north) or 1.0
-        return frames.rotate_back(self._frame()[1], frames.scaled(north, 1 / length))
+        return frames.rotate_back(self._frame()[1], NORTH)
 
 
 class InertialUnit(Sensor):
@@ -234,111 +232,6 @@ class TouchSensor(Sensor):
         else:
             answer, share = look_up(vectors(node, "lookupTable"), abs(local[0]))
             self._value = self._rounded(answer * (1.0 + self._noise(share)))
-
-
-class LidarPoint(NamedTuple):
-    """A point that a lidar met, in its frame (m); the time is 0 in a layer that is measured at once."""
-
-    x: float
-    y: float
-    z: float
-    layer_id: int
-    time: float
-
-
-class Lidar(Sensor):
-    """Distances along rays, row by row from above, each row from the left; infinite beyond the range."""
-
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        node = spec.node
-        self._columns, self._layers = (
-            max(1, integer(node, field)) for field in ("horizontalResolution", "numberOfLayers")
-        )
-        self._range = number(node, "minRange"), number(node, "maxRange")
-        self._fov, self._high = number(node, "fieldOfView"), number(node, "verticalFieldOfView")
-        self._image: list[float] = [nan] * (self._columns * self._layers)
-        self._has_points = False
-
-    @cached_property
-    def _directions(self) -> Any:
-        """The rays in the frame of the sensor, shape (rays, 3)."""
-        import numpy as np
-
-        if text(self._spec.node, "type") != "fixed" or text(self._spec.node, "projection") != "cylindrical":
-            raise NotImplementedCallError("a Lidar that rotates, or is planar, is not implemented")
-        yaws = self._fov * (0.5 - (np.arange(self._columns) + 0.5) / self._columns)
-        heights = np.linspace(0.5, -0.5, self._layers) if self._layers > 1 else np.zeros(1)
-        pitch, yaw = np.meshgrid(
-            self._high * heights + number(self._spec.node, "tiltAngle"), yaws, indexing="ij"
-        )
-        parts = (np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch))
-        return np.stack(parts, axis=-1).reshape(-1, 3)
-
-    def _begin(self) -> None:
-        len(self._directions)  # an error where it is enabled
-
-    def sample(self) -> None:
-        import numpy as np
-
-        start, turned = self._frame()
-        axes = np.array([frames.rotate(turned, axis) for axis in ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0))])
-        robot = self._spec.body.robot
-        least, most = self._range
-        image = self._simulation.physics.distances(
-            start, self._directions @ axes, most, robot.index if robot else None
-        )
-        noise = number(self._spec.node, "noise") * most
-        self._image = [
-            max(self._rounded(distance + self._noise(noise)), least) if distance <= most else distance
-            for distance in image
-        ]
-
-    def getRangeImage(self) -> list[float]:
-        return list(self._image)
-
-    def getLayerRangeImage(self, layer: int) -> list[float]:
-        return self._image[layer * self._columns : (layer + 1) * self._columns]
-
-    def enablePointCloud(self) -> None:
-        self._has_points = True
-
-    def disablePointCloud(self) -> None:
-        self._has_points = False
-
-    def isPointCloudEnabled(self) -> bool:
-        return self._has_points
-
-    def getPointCloud(self) -> list[LidarPoint]:
-        """Return the points in the frame of the sensor, in the order of the range image."""
-        if not self._has_points:
-            return []
-        points = zip(self._image, self._directions.tolist(), strict=True)
-        return [
-            LidarPoint(distance * x, distance * y, distance * z, number // self._columns, 0.0)
-            for number, (distance, (x, y, z)) in enumerate(points)
-        ]
-
-    def getNumberOfPoints(self) -> int:
-        return self._columns * self._layers
-
-    def getHorizontalResolution(self) -> int:
-        return self._columns
-
-    def getNumberOfLayers(self) -> int:
-        return self._layers
-
-    def getMinRange(self) -> float:
-        return self._range[0]
-
-    def getMaxRange(self) -> float:
-        return self._range[1]
-
-    def getFov(self) -> float:
-        return self._fov
-
-    def getVerticalFov(self) -> float:
-        return self._high
 
 
 def ray_directions(count: int, aperture: float) -> list[Triple]:

@@ -16,6 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import cos, hypot, inf, pi
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -26,6 +27,7 @@ from deepbots_cli.webots.physics import Physics
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
     from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.webots.rendering import Pictures
     from deepbots_cli.webots.scene import Device, Robot, Scene
 
 
@@ -146,6 +148,13 @@ class Simulation:
             if sensor.due <= self.ticks:
                 sensor.due += sensor.period
                 sensor.sample()
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """Draws the world."""
+        from deepbots_cli.webots.rendering import Pictures
+
+        return Pictures(self.physics)
 
     def _advance_alone(self, robot: Robot, period: int) -> int:
         for _ in range(max(1, -(-period // self.basic_step))):

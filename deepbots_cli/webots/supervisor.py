@@ -48,8 +48,8 @@ class Robot:
         self.keyboard = Keyboard()
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("get") and name[3:] in _DEVICE_CLASSES:
-            return self.getDevice  # the names of releases before R2022
+        if is_device_getter(name):
+            return self.getDevice
         raise missing_attribute(type(self), name)
 
     def step(self, timeStep: int | float | None = None) -> int:
@@ -119,6 +119,11 @@ class Robot:
 _LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])
 """Devices without a function such as `getGyro`, which releases before R2022 have."""
 _DEVICE_CLASSES = DEVICES - _LATER_DEVICES | {"Motor"}
+
+
+def is_device_getter(name: str) -> bool:
+    """Return whether a name is that of a function such as `getGyro`."""
+    return name.startswith("get") and name[3:] in _DEVICE_CLASSES
 
 
 class Supervisor(Robot):
@@ -198,6 +203,8 @@ class Keyboard:
         self._period = 0
 
     def enable(self, samplingPeriod: int) -> None:
+        if not self._period:
+            print("Warning: no key of the Keyboard is ever pressed: there is no window", file=sys.stderr)
         self._period = int(samplingPeriod)
 
     def disable(self) -> None:

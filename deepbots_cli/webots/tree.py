@@ -363,12 +363,12 @@ class Field:
         return [item for item in self._items() if isinstance(item, float)]
 
     def _joint(self) -> Joint | None:
-        if self._name not in ("position", "position2"):
+        if self._name not in _JOINT_POSITIONS:
             return None
         for body in self._simulation.scene.bodies:
             for joint in body.joints:
                 own = joint.parameters is self._real and self._name == "position"
-                of_joint = joint.node is self._real and self._name == ("position", "position2")[joint.index]
+                of_joint = joint.node is self._real and self._name == _JOINT_POSITIONS[joint.index]
                 if joint.kind != "ball" and (own or of_joint):
                     return joint
         return None
@@ -430,6 +430,9 @@ class Field:
         joint = self._joint()
         if joint is not None:
             self._simulation.physics.set_joint_position(joint, float(value))
+        elif self._name == "gravity" and self._real.type == "WorldInfo":
+            self._simulation.physics.set_gravity(float(value))
+            self._keep([float(value)])
         else:
             self._set("setSFFloat", [float(value)])
 
@@ -492,14 +495,20 @@ class Field:
         is_seen = self._real.type in _LOOKS or self._name in _LABELS
         if self._root is not None or not (is_sensor or is_seen):
             raise self._unset(function)
-        owner = self._real if self._name in parameters(self._real) else self._node
-        before = self._value()
-        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
+        self._keep(items)
         for spec, device in self._simulation.objects.items():
             if spec.node is self._real:
                 device.renew()
 
+    def _keep(self, items: Sequence[Item]) -> None:
+        """Write the value into the node."""
+        owner = self._real if self._name in parameters(self._real) else self._node
+        before = self._value()
+        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
 
+
+_JOINT_POSITIONS = ("position", "position2", "position3")
+"""The fields of a joint with the positions of its axes."""
 _FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
 _RENEWED = frozenset({"DistanceSensor"})
 """Devices that read the fields of their node again."""

@@ -13,7 +13,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.project import read_world
-from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from tests.webots.exported_projects import ROOT, exported, run_exported, run_scenario
 

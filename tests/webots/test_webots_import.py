@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.cli.starters.webots import TODO, Starter, from_webots
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.geometry import ground_height
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
 
 WORLD = """
-WorldInfo { basicTimeStep 16 gravity 0 0 -9.81 }
+WorldInfo { basicTimeStep 16 gravity 9.81 }
 RectangleArena { floorSize 3 2 }
 DEF BOX Solid { translation 1 0 0.1 boundingObject Box { size 0.2 0.2 0.2 } physics Physics { density -1 mass 0.4 } }
 DEF GOAL Solid { translation -1 0.5 0 }
@@ -158,8 +159,59 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
     env.close()
 
 
+def test_a_grid_of_heights_is_the_terrain(tmp_path: Path) -> None:
+    """Rows are along x; the terrain of the scenario has the heights of the world at its corners."""
+    grid = """Solid { translation -2 -1 0 boundingObject ElevationGrid { xDimension 3 yDimension 2
+      xSpacing 2 ySpacing 2 height [ 0 0.1 0.2, 0.3 0.4 0.6 ] } }"""
+    world = project(tmp_path, WORLD.replace("RectangleArena { floorSize 3 2 }", grid))
+    starter = from_webots(world, [], "hills", "Hills")
+    assert (
+        "terrain: {type: heightfield, file: world_terrain.png, size: 4 2 m, height: 0.6 m}"
+        in scenario_text(starter)
+    )
+    for path, content in starter.files.items():
+        (tmp_path / path).write_bytes(content)
+    terrain = api.compile(tmp_path / "hills.yaml").program.world.terrain
+    height = ground_height(terrain)
+    corners = [(-2, -1), (0, -1), (1.999, -1), (-2, 0.999), (0, 0.999), (1.999, 0.999)]
+    assert [height(*corner) for corner in corners] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.6], abs=1e-3)
+
+
+def two_robots(folder: Path, second: str) -> Starter:
+    """Return the scenario of a project whose second cart has the controller `second`."""
+    cart = WORLD[WORLD.index("DEF CART") :]
+    twin = cart.replace("DEF CART", "DEF TWIN").replace('name "cart"', 'name "twin"')
+    twin = twin.replace('controller "cart"', 'controller "twin"').replace("0 0 0.05", "0.5 0.5 0.05")
+    world = project(folder, WORLD + twin)
+    path = folder / "controllers" / "twin" / "twin.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(second, encoding="utf-8")
+    return from_webots(world, [], "twins", "Twins")
+
+
+def test_all_robots_with_a_class_of_deepbots_are_read(tmp_path: Path) -> None:
+    text = scenario_text(two_robots(tmp_path, CART))
+    first, second = text[text.index("  cart:") :].split("  twin:", 1)
+    for part in (first, second):
+        assert "emit: [arm_angle]" in part
+        assert "motors: {type: velocity_motor, joints: [left_motor_joint, right_motor_joint]}" in part
+        assert "motors: command * 1 rad/s" in part
+
+
+def test_a_robot_that_uses_the_action_in_another_way_is_left_to_a_person(tmp_path: Path) -> None:
+    starter = two_robots(tmp_path, CART.replace("6.0 if choice == 0 else -6.0", "3.0 if choice else 2.0"))
+    text = scenario_text(starter)
+    assert "# FILL IN: what twin does with the action, from twin.py:19: def use_message_data" in text
+    assert "speed = 3.0 if choice else 2.0" in text
+    assert text.count("command * 1 rad/s") == 1
+
+
+def scenario_text(starter: Starter) -> str:
+    return next(content.decode() for path, content in starter.files.items() if path.suffix == ".yaml")
+
+
 def test_the_world_has_its_timestep_gravity_arena_and_objects(tmp_path: Path) -> None:
-    _, text = imported(tmp_path, world=WORLD.replace("gravity 0 0 -9.81", "gravity 0 0 -1.6"))
+    _, text = imported(tmp_path, world=WORLD.replace("gravity 9.81", "gravity 1.6"))
     lines = lines_of(text)
     assert "timestep: 16 ms" in lines
     assert "gravity: 0 0 -1.6 m/s^2" in lines

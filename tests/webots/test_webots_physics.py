@@ -6,6 +6,8 @@ import math
 
 import pytest
 
+from deepbots_cli.webots.findings import WorldError
+from deepbots_cli.webots.tree import Node
 from tests.webots.worlds_of_webots import FLOOR, device, hinge, node, run, simulate, solid
 
 ROD_INERTIA = 2 * (1**2 + 0.02**2) / 12 + 2 * 0.5**2
@@ -20,10 +22,24 @@ def test_a_body_falls(step: int):
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-9.81 * 1.6, rel=0.001)
 
 
-def test_gravity_is_a_vector_of_the_world():
-    simulation = simulate(solid("Box { }"), gravity="1 0 0")
+def test_gravity_is_a_number_of_the_world():
+    simulation = simulate(solid("Box { }"), gravity=1)
     run(simulation, 2)
-    assert node(simulation, "BODY").getPosition() == pytest.approx([2.0, 0, 0], rel=0.01)
+    assert node(simulation, "BODY").getPosition() == pytest.approx([0, 0, -2.0], rel=0.01)
+
+
+def test_a_supervisor_sets_gravity():
+    simulation = simulate(solid("Box { }"), gravity=0)
+    info = Node(simulation, next(one for one in simulation.scene.nodes if one.type == "WorldInfo"))
+    info.getField("gravity").setSFFloat(2)
+    run(simulation, 1)
+    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-2, rel=0.01)
+    assert info.getField("gravity").getSFFloat() == 2
+
+
+def test_gravity_is_no_vector_in_webots():
+    with pytest.raises(WorldError, match=r"WorldInfo\.gravity is 3 numbers, and not a number"):
+        simulate("", gravity="0 0 -9.81")
 
 
 def test_a_pendulum_swings_with_its_period():
@@ -89,7 +105,7 @@ def test_a_box_rests_on_the_ground():
 
 def test_a_motor_at_its_limit_accelerates_its_load():
     text = hinge(devices="RotationalMotor { maxTorque 0.5 maxVelocity 1000 }")
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(1000)
@@ -99,7 +115,7 @@ def test_a_motor_at_its_limit_accelerates_its_load():
 
 @pytest.mark.parametrize("step", [8, 32])
 def test_a_motor_reaches_its_velocity_in_one_step(step: int):
-    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1000 }"), step, gravity="0 0 0")
+    simulation = simulate(hinge(devices="RotationalMotor { maxTorque 1000 }"), step, gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
@@ -125,7 +141,7 @@ def test_a_motor_too_weak_for_its_load_gives_way():
 
 def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
     text = hinge(devices="RotationalMotor { maxTorque 1e6 maxVelocity 2 controlPID 5 0 0 }")
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setPosition(1.0)
     run(simulation, 0.2)
@@ -139,7 +155,7 @@ def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
 
 def test_an_acceleration_limits_the_velocity():
     text = hinge(devices="RotationalMotor { maxTorque 1e6 acceleration 4 }")
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(8)
@@ -148,7 +164,7 @@ def test_an_acceleration_limits_the_velocity():
 
 
 def test_a_torque_acts_until_another_command():
-    simulation = simulate(hinge(devices="RotationalMotor { }"), gravity="0 0 0")
+    simulation = simulate(hinge(devices="RotationalMotor { }"), gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setTorque(0.7)
     run(simulation, 0.8)
@@ -176,7 +192,7 @@ def test_a_spring_swings_with_its_period():
 
 def test_damping_slows_exponentially():
     text = hinge("dampingConstant 4", "RotationalMotor { maxTorque 1e6 }")
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     motor = device(simulation, "rotational motor")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
@@ -189,7 +205,7 @@ def test_damping_slows_exponentially():
 
 def test_a_brake_adds_damping():
     text = hinge(devices="RotationalMotor { maxTorque 1e6 } Brake { }")
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     motor, brake = device(simulation, "rotational motor"), device(simulation, "brake")
     motor.setPosition(math.inf)
     motor.setVelocity(3)
@@ -209,7 +225,7 @@ def test_stops_hold_a_joint():
 
 
 def test_the_position_in_a_file_is_that_of_the_pose_in_it():
-    simulation = simulate(hinge("position 0.5 springConstant 1000 dampingConstant 50"), gravity="0 0 0")
+    simulation = simulate(hinge("position 0.5 springConstant 1000 dampingConstant 50"), gravity=0)
     run(simulation, 3)
     x, _, z = node(simulation, "ROD").getOrientation()[0::3]
     assert math.atan2(-z, x) == pytest.approx(-0.5, abs=1e-3)
@@ -231,7 +247,7 @@ def test_a_hinge2_joint_has_two_axes():
       jointParameters HingeJointParameters { axis 0 0 1 } jointParameters2 JointParameters { axis 0 1 0 }
       device [ RotationalMotor { name "first" maxTorque 1e6 } ] device2 [ RotationalMotor { name "second" maxTorque 1e6 } ]
       endPoint DEF ROD Solid { boundingObject Box { size 1 0.2 0.1 } physics Physics { density -1 mass 2 } } } ] }"""
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     for name, angle in (("first", 0.6), ("second", 0.3)):
         device(simulation, name).setPosition(angle)
     run(simulation, 3)
@@ -254,9 +270,7 @@ def test_a_hinge2_joint_has_two_axes():
     ],
 )
 def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
-    simulation = simulate(
-        f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity="0 0 0"
-    )
+    simulation = simulate(f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity=0)
     node(simulation, "BODY").addForce([0.0, 0.0, 1.0], False)
     simulation.run_step()
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
@@ -265,7 +279,7 @@ def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
 def test_stated_inertia_and_center_replace_those_of_the_outline():
     text = """DEF BODY Solid { boundingObject Box { } physics Physics { density -1 mass 2
       centerOfMass [ 0.1 0 0 ] inertiaMatrix [ 0.02 0.03 0.04, 0 0 0 ] } }"""
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     body = node(simulation, "BODY")
     assert body.getCenterOfMass() == pytest.approx([0.1, 0, 0])
     body.addTorque([0.0, 0.0, 1.0], False)
@@ -276,7 +290,7 @@ def test_stated_inertia_and_center_replace_those_of_the_outline():
 def test_solids_without_a_joint_are_one_body():
     text = """DEF BODY Solid { boundingObject Box { } physics Physics { density -1 mass 1 } children [
       DEF PART Solid { translation 1 0 0 boundingObject Box { } physics Physics { density -1 mass 3 } } ] }"""
-    simulation = simulate(text, gravity="0 0 0")
+    simulation = simulate(text, gravity=0)
     assert node(simulation, "BODY").getCenterOfMass() == pytest.approx([0.75, 0, 0])
     node(simulation, "BODY").setVelocity([0, 0, 0, 0, 0, 1])
     assert node(simulation, "PART").getVelocity() == pytest.approx([0, 1, 0, 0, 0, 1], abs=1e-9)
@@ -322,3 +336,24 @@ def test_a_run_is_repeatable():
     simulation.physics.reset()
     run(simulation, 3)
     assert node(simulation, "BODY").getPosition() == ends[0]
+
+
+def test_bb8_rocks_itself_out_of_the_pit():
+    """The strategy of robotbenchmark's example: the motor turns with the ball. One direction alone fails."""
+    pit = """Pit { size 20 20 4 pitRadius 2.7 }
+      DEF ROBOT BB-8 { } Solid { name "ground" translation 0 0 -9 boundingObject Plane { } }"""
+    reached = {}
+    for rocks in (True, False):
+        simulation = simulate(pit, step=32)
+        motor, gyro = (device(simulation, f"body {name}") for name in ("pitch motor", "gyro"))
+        motor.setPosition(math.inf)
+        motor.setVelocity(8.72)
+        gyro.enable(32)
+        reached[rocks] = 0.0
+        for _ in range(450):
+            simulation.run_step()
+            if rocks:
+                motor.setVelocity(-8.72 if gyro.getValues()[1] < 0 else 8.72)
+            x, y, _ = node(simulation, "ROBOT").getPosition()
+            reached[rocks] = max(reached[rocks], math.hypot(x, y))
+    assert reached[True] > 2.7 > 2.0 > reached[False]

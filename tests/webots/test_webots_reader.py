@@ -14,7 +14,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.webots.findings import WorldError
 from deepbots_cli.webots.nodes import child, number, numbers, text, vector, walk
 from deepbots_cli.webots.project import Files, read_world, world_of_source
-from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.syntax import MAX_DEPTH, parse
 from tests.webots.worlds_of_webots import HEADER, node, read, simulate

@@ -11,7 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.webots.worlds_of_webots import HEADER
+from deepbots_cli.engines.mujoco import cameras
+from deepbots_cli.errors import UsageError
+from deepbots_cli.webots.recorder import Recorder
+from deepbots_cli.webots.supervisor import Keyboard
+from tests.webots.worlds_of_webots import HEADER, simulate
 
 ROOT = Path(__file__).parents[2]
 
@@ -300,3 +304,182 @@ def test_a_class_that_is_missing_says_so_by_name(project: Project):
     ran = project.run()
     assert ran.returncode == 1
     assert "ImportError: controller.Mouse is not implemented" in ran.stderr
+
+
+# A process per controller
+
+
+@pytest.mark.slow
+def test_processes_run_the_same_simulation(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", BOSS)
+    ran = project.run("--processes")
+    assert sorted(ran.stdout.splitlines()) == sorted(project.run().stdout.splitlines())
+    assert (ran.returncode, "4 steps, 0.128 s" in ran.stderr) == (0, True)
+
+
+def test_a_process_uses_the_whole_interface(project: Project):
+    project.write(
+        "worlds/w.wbt",
+        HEADER
+        + WORLD.replace(
+            'controller "cart" children [', 'controller "cart" children [ GPS { } Lidar { numberOfLayers 1 } '
+        ),
+    )
+    project.controller("cart", CART)
+    project.controller(
+        "boss",
+        """
+        import os
+        from controller import Camera, Device, Emitter, Field, Keyboard, Motor, Node, Supervisor
+
+        class Boss(Supervisor):
+            def step(self, period=32):
+                return super().step(period)
+
+        boss = Boss()
+        cart = boss.getFromDef("CART")
+        place = cart.getField("translation")
+        place.setSFVec3f([1, 2, 3])
+        boss.step()
+        print(cart.getPosition(), place.getSFVec3f(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
+        print(isinstance(boss.getEmitter("emitter"), Emitter), isinstance(boss.getDevice("emitter"), Device))
+        print(cart.getPose(cart)[3], Field.SF_FLOAT, Motor.LINEAR, boss.getDevice("nothing"), boss.keyboard.getKey())
+        print(Camera.imageGetRed(bytes([1, 2, 3, 4]), 1, 0, 0), Keyboard().getSamplingPeriod(), os.path.basename(os.getcwd()))
+        for wrong in ("boss.setMode", "boss.getDevice('emitter').sned", "place.setSFFloat(1)"):
+            try:
+                eval(wrong)
+            except Exception as error:
+                print(type(error).__name__, error)
+        """,
+    )
+    ran = project.run("--processes")
+    assert [line.removeprefix("[boss] ") for line in ran.stdout.splitlines() if "boss" in line] == [
+        "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
+        "True True",
+        "0.0 3 1 None -1",
+        "3 0 boss",
+        "NotImplementedCallError Robot.setMode is not implemented",
+        "AttributeError 'Emitter' has no attribute 'sned'; did you mean 'send'?",
+        "NotImplementedCallError Field.setSFFloat of Robot.translation is not implemented",
+    ]
+    assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.slow
+def test_processes_share_nothing(project: Project):
+    for name in ("boss", "cart"):
+        project.controller(
+            name,
+            f"""
+            import random, sys
+            from controller import Supervisor, Robot
+            robot = {"Supervisor" if name == "boss" else "Robot"}()
+            random.seed(3)
+            sys.shared = "{name}"
+            robot.step(32)
+            print(random.random(), sys.shared)
+            """,
+        )
+    first, second = sorted(project.run("--processes").stdout.splitlines())
+    assert (first.split()[0], first.split()[2], second.split()[2]) == ("[boss]", "boss", "cart")
+    assert first.split()[1] == second.split()[1]
+
+
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("program", "code", "words"),
+    [
+        pytest.param(
+            "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
+            1,
+            "its process was ended by signal 9",
+            id="signal",
+        ),
+        pytest.param(
+            "raise ValueError('no')",
+            1,
+            "error: the controller of 'cart' failed: ValueError: no",
+            id="error",
+            marks=SLOW,
+        ),
+        pytest.param("raise SystemExit(5)", 5, "", id="exit", marks=SLOW),
+        pytest.param("import os; os._exit(6)", 6, "", id="hard exit", marks=SLOW),
+        pytest.param(
+            "while True: pass",
+            1,
+            "error: the controller of 'cart' made no step for 1 s",
+            id="endless",
+            marks=SLOW,
+        ),
+    ],
+)
+def test_the_end_of_a_process_is_told(project: Project, program: str, code: int, words: str):
+    project.controller("cart", f"from controller import Robot\nRobot().step(32)\n{program}")
+    project.controller("boss", BOSS)
+    ran = project.run("--processes", "--timeout", "1" if "while" in program else "60")
+    assert ran.returncode == code
+    assert words in ran.stderr
+    assert "client.py" not in ran.stderr
+
+
+@pytest.mark.slow
+def test_a_process_that_ignores_the_end_is_ended(project: Project):
+    project.controller("cart", CART)
+    project.controller(
+        "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
+    )
+    ran = project.run("--steps", "50", "--processes", "--json")
+    assert (ran.returncode, json.loads(ran.stdout)["steps"]) == (0, 50)
+
+
+# Videos and keys
+
+
+def test_a_keyboard_says_that_it_has_no_keys(capsys):
+    keyboard = Keyboard()
+    keyboard.enable(32)
+    keyboard.enable(64)
+    assert keyboard.getKey() == -1
+    assert capsys.readouterr().err.count("no key of the Keyboard is ever pressed: there is no window") == 1
+
+
+@pytest.mark.parametrize("name", ["run.avi", "taken.gif"])
+def test_a_video_has_a_known_suffix_and_replaces_no_file(project: Project, name: str):
+    (project.folder / "taken.gif").write_bytes(b"")
+    with pytest.raises(UsageError, match=r"must end in \.mp4 or \.gif|exists"):
+        Recorder(simulate("Solid { }"), project.folder / name)
+
+
+@pytest.mark.skipif(not (cameras.is_available() and cameras.opens_context()), reason="there is no OpenGL")
+def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
+    """At 32 ms, every fourth step is in a GIF of at most 10 pictures per second; the first is the begin."""
+    from PIL import Image
+
+    box = """Solid { translation 2 0 0 children [ DEF BOX Shape { geometry Box { size 1 1 1 } } ]
+      boundingObject USE BOX physics Physics { } }"""
+    view = "Viewpoint { position 0 0 0 }"
+    world = WORLD.replace("children [", "children [ Camera { width 8 height 8 } ")
+    project.write("worlds/w.wbt", HEADER + world + box + view)
+    for name, kind in (("boss", "Supervisor"), ("cart", "Robot")):
+        project.controller(
+            name,
+            f"""
+            from controller import {kind}
+            robot = {kind}()
+            camera = robot.getDevice("camera")
+            camera.enable(32)
+            for _ in range(8):
+                robot.step(32)
+            print(camera.getImageArray()[4][4][0] > 100, camera.getImageArray()[0][0])
+            """,
+        )
+    ran = project.run("--record", "run.gif")
+    assert ran.returncode == 0, ran.stderr
+    assert sorted(ran.stdout.splitlines()) == ["[boss] True [0, 0, 0]", "[cart] True [0, 0, 0]"]
+    with Image.open(project.folder / "run.gif") as video:
+        assert (video.size, video.n_frames) == ((640, 480), 3)
+        picture = video.convert("RGB")
+        assert picture.getpixel((320, 240))[0] > 100 > picture.getpixel((20, 20))[0]

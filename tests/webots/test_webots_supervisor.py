@@ -84,7 +84,7 @@ def test_a_proto_has_the_fields_of_its_interface():
 
 
 def test_bodies_are_moved_and_keep_their_velocity():
-    it = supervisor(gravity="0 0 0")
+    it = supervisor(gravity=0)
     ball, mark = it.getFromDef("BALL"), it.getFromDef("MARK")
     ball.setVelocity([1, 0, 0, 0, 0, 2])
     ball.getField("translation").setSFVec3f([7, 0, 0])
@@ -112,7 +112,7 @@ def test_a_moved_obstacle_stops_rays_where_it_is():
 
 
 def test_forces_and_torques_push_for_one_step():
-    it = supervisor(gravity="0 0 0")
+    it = supervisor(gravity=0)
     ball = it.getFromDef("BALL")
     ball.addForce([2.0, 0, 0], False)
     it.step(8)
@@ -125,7 +125,7 @@ def test_forces_and_torques_push_for_one_step():
 
 
 def test_the_position_of_a_joint_is_read_and_set():
-    simulation = simulate(hinge(), gravity="0 0 0")
+    simulation = simulate(hinge(), gravity=0)
     joint = node(simulation, "JOINT")
     joint.setJointPosition(0.4)
     assert joint.getField("position").getSFFloat() == 0.4
@@ -160,7 +160,7 @@ def test_a_reset_happens_at_the_end_of_the_step_and_the_clock_begins_anew():
 
 
 def test_a_reset_restores_what_a_supervisor_moved():
-    it = supervisor(gravity="0 0 0")
+    it = supervisor(gravity=0)
     it.getFromDef("MARK").getField("translation").setSFVec3f([0, 1, 0])
     it.setCustomData("y")
     it.simulationReset()

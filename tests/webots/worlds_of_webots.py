@@ -7,7 +7,7 @@ from pathlib import Path
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.webots.devices import device_object
 from deepbots_cli.webots.project import Files, World, world_of_source
-from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.scene_builder import build_scene
 from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.tree import Node
 

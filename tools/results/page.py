@@ -49,16 +49,17 @@ differences."""
 OTHERS = """\
 ## Other scenarios
 
-Success, or mean return (without %), in held-out episodes; median CPU of the trainings.
+Success, or mean return (without %), in held-out episodes; median CPU of trainings.
 """
 METHOD = """\
 ## Method
 
 - **Seeds** from 101 on are reported; none chose a setting.
-- **Held-out episodes** have seeds of their own.
+- **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.
-- **CPU** covers training and evaluation, on two cores of x86_64, and varies by a tenth or two.\
+- **CPU** covers training and evaluation, on two cores of x86_64, and varies by a fifth.
+- [**Webots**](webots.md#measured): projects.\
 """
 
 

@@ -6,6 +6,8 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,6 +71,17 @@ def command(
             " version as this one.",
         ),
     ] = None,
+    processes: Annotated[
+        bool,
+        option(
+            "--processes",
+            "Run each controller in a process of its own, with modules and random numbers of its own.",
+        ),
+    ] = False,
+    record: Annotated[
+        Path | None,
+        option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
+    ] = None,
     engine: Annotated[
         str, option("--engine NAME", "Physics engine: mujoco.", ADVANCED, callback=_known_engine)
     ] = _ENGINE,
@@ -89,7 +102,8 @@ def command(
         if not allow_code:
             _show_robots(programs, scene, as_json=as_json)
             return
-        _run(checked, scene, programs, steps, timeout, fast=fast, python=python, as_json=as_json)
+        options = _Options(steps, timeout, python, record, fast, processes, as_json)
+        _run(checked, scene, programs, options)
     except WorldError as error:
         for finding in error.findings:
             terminal.note(str(finding))
@@ -98,7 +112,7 @@ def command(
 
 def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
     from deepbots_cli.webots.project import read_world
-    from deepbots_cli.webots.scene import build_scene
+    from deepbots_cli.webots.scene_builder import build_scene
 
     world = read_world(path, protos)
     scene = build_scene(world)
@@ -135,39 +149,53 @@ def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json
     terminal.show(rows, table(rows), *([note] if not as_json else []), as_json=as_json)
 
 
-def _run(
-    world: World,
-    scene: Scene,
-    programs: list[tuple[Robot, Program]],
-    steps: int | None,
-    timeout: float,
-    *,
-    fast: bool,
-    python: Path | None,
-    as_json: bool,
-) -> None:
+@dataclass(frozen=True)
+class _Options:
+    """How to run a world."""
+
+    steps: int | None
+    timeout: float
+    python: Path | None
+    record: Path | None
+    is_fast: bool
+    processes: bool
+    as_json: bool
+
+
+def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], options: _Options) -> None:
+    from deepbots_cli.webots.recorder import Recorder
+    from deepbots_cli.webots.remote.server import ProcessRunner
     from deepbots_cli.webots.runner import Runner, packages_of
     from deepbots_cli.webots.simulation import Simulation
 
     simulation = Simulation(scene, world.span)
-    runner = Runner(
-        simulation,
-        programs,
-        steps=steps,
-        timeout=timeout,
-        packages=packages_of(python) if python is not None else (),
-        output=sys.stderr if as_json else None,
-        is_fast=fast,
-    )
-    started = time.perf_counter()
-    outcome = runner.run()
-    _report(outcome, time.perf_counter() - started, simulation.physics_seconds, as_json=as_json)
+    video = options.record
+    with ExitStack() as stack:
+        recorder = None if video is None else stack.enter_context(Recorder(simulation, video.resolve()))
+        runner = (ProcessRunner if options.processes else Runner)(
+            simulation,
+            programs,
+            steps=options.steps,
+            timeout=options.timeout,
+            packages=packages_of(options.python) if options.python is not None else (),
+            output=sys.stderr if options.as_json else None,
+            is_fast=options.is_fast,
+            after_step=recorder,
+        )
+        started = time.perf_counter()
+        outcome = runner.run()
+    seconds = time.perf_counter() - started
+    _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
+    _exit(outcome)
+
+
+def _exit(outcome: Outcome) -> None:
+    """End with the exit code of a run."""
     if outcome.is_stuck:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(
-            outcome.exit_code
-        )  # a controller that never steps is a thread, which only the end of the process ends
+        # A controller that never steps is a thread, which only the end of the process ends.
+        os._exit(outcome.exit_code)
     if outcome.exit_code:
         raise typer.Exit(outcome.exit_code)
 

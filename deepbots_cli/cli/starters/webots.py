@@ -18,7 +18,7 @@ from deepbots_cli.webots.imports.task import Entry
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
-    from deepbots_cli.webots.imports.task import Item
+    from deepbots_cli.webots.imports.task import Item, Task
 
 TODO = "# FILL IN"
 """How a comment about a place begins that is left to a person."""
@@ -51,11 +51,13 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     meshes = {
         PurePosixPath(path): content for one in draft.robots for path, content in one.built.meshes.items()
     }
-    lines = _settled(_lines(draft, name, title), {**robots, **meshes}, name)
+    further = {**robots, **meshes}
+    further |= {PurePosixPath(path): content for path, content in draft.surroundings.pictures.items()}
+    lines = _settled(_lines(draft, name, title), further, name)
     text = "".join(f"{line.rstrip()}\n" for line in lines)
     todos = sum(line.strip().startswith(TODO) for line in lines)
     head = _HEAD.format(world=_one_line(draft.world_file), todos=_todo_text(todos))
-    files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **robots, **meshes}
+    files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **further}
     return Starter(files, todos, list(map(str, draft.findings.warnings)))
 
 
@@ -168,9 +170,11 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
     if robot.is_fixed:
         lines.append("    base: fixed")
     lines.append(f"    pose: {robot.pose}")
-    if robot is not draft.agent:
+    task = robot.task
+    if task is None and robot is draft.agent:
+        task = draft.task
+    if task is None:
         return lines
-    task = draft.task
     if robot.sensors:
         lines.append("    sensors:")
         lines += [f"      {key}: {value}" for key, value in robot.sensors.items()]
@@ -179,14 +183,15 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
         lines += [f"    #   {key}: {value}" for key, value in robot.unused_sensors.items()]
     lines.append("    actuators:")
     lines += [f"      {key}: {value}" for key, value in task.actuators.items()]
-    lines += _emit(draft)
+    lines += _emit(task)
+    lines += _comments(task.agent, "    ") if robot is not draft.agent else []
     lines.append("    apply:")
     lines += [f"      {key}: {value}" for key, value in task.apply.items()]
     return lines
 
 
-def _emit(draft: Draft) -> list[str]:
-    emit = draft.task.emit
+def _emit(task: Task) -> list[str]:
+    emit = task.emit
     entries = [one for one in emit if isinstance(one, Entry)]
     lines = _comments(emit, "    ")
     if entries and all(one.key == one.value for one in entries):

@@ -51,7 +51,7 @@ def is_available() -> bool:
 
 
 @cache
-def _opens_context() -> bool:
+def opens_context() -> bool:
     """Return whether a context of OpenGL can be made; found out once, in 10 ms.
 
     Software OpenGL brings the LLVM of the system. Triton, which torch loads with some optimizers, has its
@@ -132,7 +132,7 @@ class WorldRenderer:
 
     def _renderer_of_size(self, width: int, height: int) -> Any:
         """Return a renderer of this size, with the bodies where they are now."""
-        if not (is_available() and _opens_context()):
+        if not (is_available() and opens_context()):
             raise EngineError(UNAVAILABLE_MESSAGE)
         if self._model is None:
             self._build()

@@ -109,8 +109,8 @@ class Plant:
         return self._node(joint_def(robot, joint))
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
-        """Set gravity, m/s^2."""
-        self._node("WORLD_INFO").getField("gravity").setSFVec3f(list(gravity))
+        """Set gravity, m/s^2; that of Webots is a number, and downward."""
+        self._node("WORLD_INFO").getField("gravity").setSFFloat(-gravity[2])
 
     def touch(self, part: Part) -> Callable[[], bool]:
         """Return whether anything touches a body, or one of its links, at the end of the last timestep."""

@@ -101,6 +101,8 @@ def static_gaps(program: Program) -> Gaps:
     milliseconds = program.world.timestep * 1000
     if abs(milliseconds - round(milliseconds)) > 1e-9:
         gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
+    if any(program.world.gravity[:2]):
+        gaps.miss("Gravity that is not vertical cannot be exported.")
     for thing in program.world.objects:
         if thing.pooled or thing.variants:
             gaps.miss(

@@ -127,7 +127,7 @@ class WorldWriter:
             info=[self._info],
             title=self._title,
             basicTimeStep=float(self.basic_step_ms()),
-            gravity=tuple(self._world.gravity),
+            gravity=-self._world.gravity[2],
             contactProperties=list(self._contacts()),
         )
 

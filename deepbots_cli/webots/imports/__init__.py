@@ -1,15 +1,18 @@
 """A project of Webots as a scenario: `deepbots new NAME --webots WORLD.wbt`.
 
-names.py     names of robots, links, sensors and objects in a scenario
-robots.py    the bodies of a robot as a robot model, from which a URDF file is written
-world.py     arena, terrain and objects as entries of a scenario
-sensors.py   devices as sensors of a scenario
-code.py      the Python files of a controller as syntax trees, with limits
-values.py    what an expression of a controller stands for: numbers, quantities, conditions, nodes, devices
-reader.py    follows the statements of a controller without running them
-calls.py     functions that controllers call: of Webots, deepbots, numpy and Python
-task.py      actions, messages, observations, rewards and endings of a project
-draft.py     all of it as one record, which the starters of `new` write as YAML
+names.py       names of robots, links, sensors and objects in a scenario
+robots.py      the bodies of a robot as a robot model, from which a URDF file is written
+world.py       arena, terrain and objects as entries of a scenario
+sensors.py     devices as sensors of a scenario
+code.py        the Python files of a controller as syntax trees, with limits
+values.py      what an expression of a controller stands for: numbers, quantities, conditions, nodes, devices
+reader.py      follows the statements of a controller without running them
+conditions.py  values under conditions, and conditions
+arithmetic.py  operators on numbers and quantities
+calls.py       functions that controllers call: of Webots, deepbots, numpy and Python
+task.py        actions and messages of a project
+judging.py     its observations, rewards and endings
+draft.py       all of it as one record, which the starters of `new` write as YAML
 
 No code of the project runs. What has no counterpart in the language keeps its place in the Python file.
 """

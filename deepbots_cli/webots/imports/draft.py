@@ -12,6 +12,14 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import RobotModel, to_urdf
 from deepbots_cli.webots.imports.calls import Calls
 from deepbots_cli.webots.imports.code import BOTH_BASES, ROBOT_BASES, SUPERVISOR_BASES, Code, read_code
+from deepbots_cli.webots.imports.judging import (
+    read_endings,
+    read_limits,
+    read_observation,
+    read_overridden,
+    read_reward,
+    read_solved,
+)
 from deepbots_cli.webots.imports.names import Names
 from deepbots_cli.webots.imports.robots import Built, RobotParts, build, robot_parts
 from deepbots_cli.webots.imports.sensors import SensorEntry, sensor_entry
@@ -21,22 +29,18 @@ from deepbots_cli.webots.imports.task import (
     Task,
     add_placeholder,
     read_action,
-    read_endings,
-    read_limits,
     read_messages,
-    read_observation,
-    read_overridden,
-    read_reward,
-    read_solved,
+    read_other,
 )
 from deepbots_cli.webots.imports.world import Surroundings, pose_text, surroundings
 from deepbots_cli.webots.nodes import real, text, walk
 from deepbots_cli.webots.project import controller, read_world
-from deepbots_cli.webots.scene import build_scene
+from deepbots_cli.webots.scene_builder import build_scene
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.imports.code import ClassCode
+    from deepbots_cli.webots.imports.values import Value
     from deepbots_cli.webots.project import World
     from deepbots_cli.webots.scene import Body, Robot, Scene
     from deepbots_cli.webots.syntax import Node
@@ -50,6 +54,8 @@ class DraftRobot:
     parts: RobotParts
     robot: Robot | None
     built: Built
+    task: Task | None = None
+    """Its sensors, messages and actuators; None for a robot without a class of deepbots."""
     sensors: dict[str, str] = field(default_factory=dict)
     unused_sensors: dict[str, str] = field(default_factory=dict)
 
@@ -92,6 +98,10 @@ class _Roles:
     judging_code: Code | None = None
     supervisor: Robot | None = None
     has_messages: bool = True
+    space: Value = None
+    """The `action_space` of the supervisor."""
+    others: list[tuple[Robot, ClassCode, Code]] = field(default_factory=list)
+    """Further robots with a class of deepbots, which get the same messages."""
 
 
 def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
@@ -113,14 +123,21 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     expressions = _expressions(parts, objects, scene)
     agent_parts = parts[roots[roles.robot.index].index]
     task, used = _task(scene, roles, agent_parts, expressions, names)
+    tasks = {roles.robot.index: task}
+    for robot, cls, code in roles.others:
+        controlled = parts[roots[robot.index].index]
+        calls, labels = _calls(scene, robot, controlled, expressions)
+        further = Controller(code, cls, calls)
+        tasks[robot.index] = read_other(task, further, roles.space, controlled, labels)
     robots = []
     for root_index, part in parts.items():
         built = build(part, scene, [node for node in used if node in part.links], world.findings)
-        robot = scene.bodies[root_index].robot
-        robots.append(DraftRobot(part.name, part, robot, built))
+        shown = scene.bodies[root_index].robot
+        robots.append(DraftRobot(part.name, part, shown, built, tasks.get(shown.index) if shown else None))
     world.findings.require_none()
     agent = next(one for one in robots if one.robot is roles.robot)
-    _add_sensors(agent, task)
+    for one in robots:
+        _add_sensors(one, task)
     around = surroundings(world, scene, objects, used, scene.basic_step)
     return Draft(path.name, around, robots, agent, task, world.findings)
 
@@ -163,8 +180,10 @@ def _roles(scene: Scene, roots: dict[int, Body], codes: dict[int, Code | None], 
     for robot in with_motors:
         code = codes[robot.index]
         if code is not None and (classes := code.classes(ROBOT_BASES)):
-            roles.robot, roles.acting, roles.acting_code = robot, classes[0], code
-            break
+            if roles.acting is None:
+                roles.robot, roles.acting, roles.acting_code = robot, classes[0], code
+            else:
+                roles.others.append((robot, classes[0], code))
     for robot in scene.robots:
         code = codes[robot.index]
         if code is not None and (classes := code.classes(SUPERVISOR_BASES)):
@@ -238,6 +257,7 @@ def _task(
             judging = Controller(roles.judging_code, roles.judging, calls)
     reader = judging.reader() if judging is not None else None
     space = reader.attributes.get("action_space") if reader is not None else None
+    roles.space = space
     _read_action(task, acting, roles, space, parts, names)
     if judging is not None and reader is not None:
         read_observation(task, reader, reader.attributes.get("observation_space"), names)
@@ -248,6 +268,15 @@ def _task(
         read_overridden(task, judging.cls)
         used = [node for node in walk(scene.nodes) if node in judging.calls.used]
     return task, used
+
+
+def _calls(
+    scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
+) -> tuple[Calls, dict[str, str]]:
+    """Return the functions of Webots for a robot that gets messages, and the names of its sensors."""
+    entries, labels = _sensors(robot, parts)
+    calls = Calls(scene, robot, expressions, entries, labels, scene.basic_step)
+    return calls, {device: labels[device] for device in entries}
 
 
 def _read_action(
@@ -278,16 +307,18 @@ def _sensors(robot: Robot, parts: RobotParts) -> tuple[dict[str, SensorEntry], d
     return entries, labels
 
 
-def _add_sensors(agent: DraftRobot, task: Task) -> None:
-    """Divide the sensors into those that the scenario uses, and the others."""
+def _add_sensors(robot: DraftRobot, task: Task) -> None:
+    """Divide the sensors of a robot into those that the scenario uses, and the others."""
+    if robot.task is None:
+        return
     texts = [
         one.key + " " + one.value
         for section in (task.augment, task.observation, task.reward, task.success, task.failure)
         for one in section
         if isinstance(one, Entry)
     ]
-    emitted = " ".join(one.value for one in task.emit if isinstance(one, Entry))
+    emitted = " ".join(one.value for one in robot.task.emit if isinstance(one, Entry))
     joined = " ".join(texts)
-    for name, entry in task.sensors.items():
-        is_read = re.search(rf"\b{agent.name}\.{name}\b", joined) or re.search(rf"\b{name}\b", emitted)
-        (agent.sensors if is_read else agent.unused_sensors)[name] = entry
+    for name, entry in robot.task.sensors.items():
+        is_read = re.search(rf"\b{robot.name}\.{name}\b", joined) or re.search(rf"\b{name}\b", emitted)
+        (robot.sensors if is_read else robot.unused_sensors)[name] = entry

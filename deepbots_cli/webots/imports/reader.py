@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass, field
-from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from deepbots_cli.webots.imports.arithmetic import MAX_ITEMS, operated
+from deepbots_cli.webots.imports.conditions import (
+    compared,
+    merged,
+    merged_names,
+    negated,
+    several,
+)
 from deepbots_cli.webots.imports.values import (
-    MAX_TEXT,
     Condition,
     External,
     Instance,
     Method,
-    Normalized,
     Otherwise,
     Parent,
     Part,
@@ -30,7 +35,6 @@ from deepbots_cli.webots.imports.values import (
     Value,
     WorldNode,
     is_number,
-    number_text,
 )
 
 if TYPE_CHECKING:
@@ -39,16 +43,6 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 40_000
 MAX_CALLS = 12
-MAX_ITEMS = 1000
-_COMPARISONS: dict[type, str] = {
-    ast.Lt: "<",
-    ast.LtE: "<=",
-    ast.Gt: ">",
-    ast.GtE: ">=",
-    ast.Eq: "==",
-    ast.NotEq: "!=",
-}
-
 
 State = tuple[dict[str, Value], dict[str, Value], dict[tuple[str, str], Value]]
 """Local names, attributes of `self`, and what the code set."""
@@ -157,7 +151,7 @@ class Reader:
         self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place
     ) -> Value:
         conditions = [one for one in path if not isinstance(one, Otherwise)]
-        return merged(_several(conditions, place, is_or=False), value, other, place) if conditions else value
+        return merged(several(conditions, place, is_or=False), value, other, place) if conditions else value
 
     # Statements
 
@@ -241,9 +235,9 @@ class Reader:
         if leaves or else_leaves:
             frame.local, self.attributes, self.outputs = others if leaves else ours
             return "return" if leaves and else_leaves else ""
-        frame.local = _merged_names(condition, ours[0], others[0], place)
-        self.attributes = _merged_names(condition, ours[1], others[1], place)
-        self.outputs = _merged_names(condition, ours[2], others[2], place)
+        frame.local = merged_names(condition, ours[0], others[0], place)
+        self.attributes = merged_names(condition, ours[1], others[1], place)
+        self.outputs = merged_names(condition, ours[2], others[2], place)
         return ""
 
     def _branch(self, frame: Frame, body: list[ast.stmt], before: State) -> tuple[str, State]:
@@ -484,7 +478,7 @@ class Reader:
                 conditions.append(condition)
         if not conditions:
             return not is_or
-        return _several(conditions, place, is_or=is_or)
+        return several(conditions, place, is_or=is_or)
 
     def _compare(self, frame: Frame, nodes: list[ast.expr], ops: list[ast.cmpop], node: ast.expr) -> Value:
         values = [self.evaluate(frame, one) for one in nodes]
@@ -496,7 +490,7 @@ class Reader:
                 return False
             if result is not True:
                 results.append(result)
-        return _several(results, place, is_or=False) if results else True
+        return several(results, place, is_or=False) if results else True
 
     def truth(self, value: Value, frame: Frame, node: ast.AST) -> bool | Condition | Unknown:
         """Return whether a value counts as true in Python."""
@@ -536,82 +530,6 @@ def _loaded(target: ast.expr) -> ast.expr:
     return ast.copy_location(result, target)
 
 
-# Values under conditions
-
-
-def merged(condition: Condition | Unknown, one: Value, other: Value, place: Place) -> Value:
-    """Return `one if condition else other`."""
-    if _is_same(one, other):
-        return one
-    if isinstance(condition, Condition) and condition.unknown is not None:
-        condition = Unknown(condition.unknown.place)
-    if isinstance(condition, Unknown):
-        return _merged_unknown(condition, one, other)
-    if isinstance(one, Unknown) or isinstance(other, Unknown):
-        return one if isinstance(one, Unknown) else other
-    if isinstance(one, bool | Condition) and isinstance(other, bool | Condition):
-        return _merged_truth(condition, one, other, place)
-    first, second = _amount(one, other), _amount(other, one)
-    if first is None or second is None or first.unit != second.unit:
-        return Unknown(place)
-    return _short(
-        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), place
-    )
-
-
-def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
-    """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
-    if one is True and isinstance(other, Condition):
-        return Condition((*other.parts, Part("", condition.place)))
-    if one is True and other is False:
-        return Condition((Part("", condition.place),))
-    return condition
-
-
-def _merged_truth(condition: Condition, one: Value, other: Value, place: Place) -> Value:
-    """Return the same for truth values and conditions."""
-    if one is True:
-        return condition if other is False else _several([condition, other], place, is_or=True)
-    if one is False:
-        opposite = negated(condition, place)
-        return opposite if other is True else _several([opposite, other], place, is_or=False)
-    both = _several([condition, one], place, is_or=False)
-    if other is False:
-        return both
-    rest = [negated(condition, place)] if other is True else [negated(condition, place), other]
-    return _several([both, _several(rest, place, is_or=False)], place, is_or=True)
-
-
-def _amount(value: Value, beside: Value) -> Quantity | None:
-    """Return a number or quantity as a quantity; a number has the unit of the quantity beside it."""
-    if isinstance(value, Quantity):
-        return value
-    if not is_number(value) or not isfinite(value):
-        return None
-    unit = beside.unit if isinstance(beside, Quantity) else ""
-    return Quantity(number_text(value, unit), unit)
-
-
-def _is_same(one: Value, other: Value) -> bool:
-    if one is other:
-        return True
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    return type(one) is type(other) and not isinstance(one, dict) and one == other
-
-
-def _merged_names(
-    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], place: Place
-) -> dict[Any, Value]:
-    result = {}
-    for name in [*ours, *(name for name in others if name not in ours)]:
-        if name in ours and name in others:
-            result[name] = merged(condition, ours[name], others[name], place)
-        else:
-            result[name] = Unknown(place)
-    return result
-
-
 def _copied(state: State) -> State:
     """Return dicts with their lists copied; two names of one list keep one list."""
     copies: dict[int, Value] = {}
@@ -634,171 +552,3 @@ def _copied(state: State) -> State:
         {name: copy(value) for name, value in attributes.items()},
         {key: copy(value) for key, value in outputs.items()},
     )
-
-
-# Conditions
-
-
-def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown:
-    if isinstance(condition, Unknown):
-        return condition
-    if condition.unknown is not None:
-        return Unknown(condition.unknown.place)
-    return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
-
-
-def _several(conditions: list[Condition | Unknown], place: Place, *, is_or: bool) -> Condition | Unknown:
-    """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
-    if len(conditions) == 1:
-        return conditions[0]
-    stated = [condition for condition in conditions if isinstance(condition, Condition)]
-    if len(stated) < len(conditions):
-        return Unknown(place)
-    if is_or:
-        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), place)
-    if any(condition.unknown for condition in stated):
-        return Unknown(place)
-    text = " and ".join(f"({condition.text})" for condition in stated)
-    notes = [part.note for condition in stated for part in condition.parts if part.note]
-    return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)
-
-
-def _checked(condition: Condition, place: Place) -> Condition | Unknown:
-    return condition if len(condition.text) <= MAX_TEXT else Unknown(place)
-
-
-def _short(value: Quantity, place: Place) -> Quantity | Unknown:
-    return value if len(value.text) <= MAX_TEXT else Unknown(place)
-
-
-def compared(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Condition | Unknown:
-    """Return the result of a comparison."""
-    if isinstance(op, ast.Is | ast.IsNot) or right is None or left is None:
-        return _compared_none(op, left, right, place)
-    if isinstance(op, ast.In | ast.NotIn):
-        plain = isinstance(right, list) and all(isinstance(item, bool | int | float | str) for item in right)
-        if plain and isinstance(left, bool | int | float | str):
-            return (left in right) is isinstance(op, ast.In)
-        return Unknown(place)
-    if isinstance(left, bool | int | float | str) and isinstance(right, bool | int | float | str):
-        return _compared_plain(op, left, right, place)
-    symbol = _COMPARISONS[type(op)]
-    one, other = _amount(left, right), _amount(right, left)
-    if one is None or other is None or one.unit != other.unit:
-        return Unknown(place)
-    note = one.note or other.note
-    return _checked(Condition((Part(f"{one.operand} {symbol} {other.operand}", place, note),)), place)
-
-
-def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
-    if isinstance(left, Unknown) or isinstance(right, Unknown) or not (left is None or right is None):
-        return Unknown(place)
-    is_same = left is right
-    if isinstance(op, ast.Is | ast.Eq):
-        return is_same
-    return not is_same if isinstance(op, ast.IsNot | ast.NotEq) else Unknown(place)
-
-
-def _compared_plain(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
-    if isinstance(op, ast.Eq):
-        return bool(left == right)
-    if isinstance(op, ast.NotEq):
-        return bool(left != right)
-    if isinstance(left, str) is not isinstance(right, str):
-        return Unknown(place)
-    match op:
-        case ast.Lt():
-            return bool(left < right)
-        case ast.LtE():
-            return bool(left <= right)
-        case ast.Gt():
-            return bool(left > right)
-    return bool(left >= right)
-
-
-# Arithmetic
-
-_LARGEST = 1e15
-
-
-def operated(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
-    """Return the result of an arithmetic operator."""
-    if is_number(left) and is_number(right):
-        return _computed(op, left, right, place)
-    if isinstance(left, list) and isinstance(right, list) and isinstance(op, ast.Add):
-        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
-    if isinstance(left, list) and isinstance(right, int) and isinstance(op, ast.Mult):
-        return left * right if len(left) * max(right, 0) <= MAX_ITEMS else Unknown(place)
-    if isinstance(left, str) and isinstance(right, str) and isinstance(op, ast.Add):
-        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
-    if isinstance(left, Unknown | Normalized) or isinstance(right, Unknown | Normalized):
-        return Unknown(place)
-    match op:
-        case ast.Add() | ast.Sub():
-            return _sum(op, left, right, place)
-        case ast.Mult() | ast.Div():
-            return _product(op, left, right, place)
-        case ast.Pow() if isinstance(left, Quantity) and right == 2 and left.unit in ("", "m"):
-            unit = f"{left.unit}^2" if left.unit else ""
-            return _short(Quantity(f"{left.operand}^2", unit, False), place)
-    return Unknown(place)
-
-
-def _computed(op: ast.operator, left: float, right: float, place: Place) -> Value:
-    try:
-        match op:
-            case ast.Add():
-                result: float = left + right
-            case ast.Sub():
-                result = left - right
-            case ast.Mult():
-                result = left * right
-            case ast.Div():
-                result = left / right
-            case ast.FloorDiv():
-                result = left // right
-            case ast.Mod():
-                result = left % right
-            case ast.Pow():
-                result = float(left) ** float(right)
-                result = int(result) if isinstance(left, int) and result.is_integer() else result
-            case _:
-                return Unknown(place)
-    except (ArithmeticError, TypeError, ValueError):
-        return Unknown(place)
-    if isinstance(result, complex) or (isinstance(result, int) and abs(result) > _LARGEST):
-        return Unknown(place)
-    return result
-
-
-def _sum(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
-    if isinstance(op, ast.Sub) and right == 0 and is_number(right):
-        return left
-    one, other = _amount(left, right), _amount(right, left)
-    if one is None or other is None or one.unit != other.unit:
-        return Unknown(place)
-    symbol = "+" if isinstance(op, ast.Add) else "-"
-    note = one.note or other.note
-    return _short(Quantity(f"{one.operand} {symbol} {other.operand}", one.unit, False, note), place)
-
-
-def _product(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
-    if isinstance(left, Quantity) and is_number(right) and isfinite(right):
-        symbol = "*" if isinstance(op, ast.Mult) else "/"
-        text = f"{left.operand} {symbol} {number_text(right)}"
-        return _short(Quantity(text, left.unit, False, left.note), place)
-    if is_number(left) and isfinite(left) and isinstance(right, Quantity) and isinstance(op, ast.Mult):
-        return _short(
-            Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), place
-        )
-    if not (isinstance(left, Quantity) and isinstance(right, Quantity)):
-        return Unknown(place)
-    if isinstance(op, ast.Div) and left.unit == right.unit:
-        return _short(Quantity(f"{left.operand} / {right.operand}", "", False), place)
-    if isinstance(op, ast.Mult) and left.unit == right.unit and left.unit in ("", "m"):
-        unit = f"{left.unit}^2" if left.unit else ""
-        product = f"{left.operand}^2" if left.text == right.text else f"{left.operand} * {right.operand}"
-        return _short(Quantity(product, unit, False), place)
-    if isinstance(op, ast.Mult) and "" in (left.unit, right.unit):
-        return _short(Quantity(f"{left.operand} * {right.operand}", left.unit or right.unit, False), place)
-    return Unknown(place)

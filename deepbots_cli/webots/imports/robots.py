@@ -10,7 +10,7 @@ import hashlib
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import atan2, copysign, inf, pi
+from math import inf
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
@@ -20,7 +20,7 @@ from deepbots_cli.webots.nodes import child, is_a, number, real, text, vector, w
 from deepbots_cli.webots.scene import ORIGIN
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame, Quaternion, Triple
+    from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.webots.findings import WorldFindings
     from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene
     from deepbots_cli.webots.shapes import Shape
@@ -365,23 +365,10 @@ def _inverse(frame: Frame) -> Frame:
 
 def _pose(frame: Frame) -> urdf.Pose:
     (x, y, z), turned = frame
-    roll, pitch, yaw = _roll_pitch_yaw(turned)
+    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(turned))
     return urdf.Pose(
         (_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw))
     )
-
-
-def _roll_pitch_yaw(turned: Quaternion) -> Triple:
-    """Return roll, pitch and yaw (rad); where the pitch is 90 deg up or down, the roll is 0.
-
-    `frames.roll_pitch_yaw` divides by nothing there, but its roll and yaw are two noises: a pole of Webots
-    that stands upright along x came out turned by 0.4 rad.
-    """
-    x, y, z, w = frames.normalized(turned)
-    up = 2 * (w * y - z * x)
-    if abs(up) < 1 - 1e-9:
-        return frames.roll_pitch_yaw((x, y, z, w))
-    return 0.0, copysign(pi / 2, up), atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z))
 
 
 def _axis(axis: Triple) -> Triple:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass, field
 from math import hypot
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
+from deepbots_cli.webots.imports.names import scenario_name
 from deepbots_cli.webots.imports.robots import pose_of
 from deepbots_cli.webots.nodes import number, numbers, real, rotation, text, vector, walk
 
@@ -19,7 +22,6 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.shapes import Shape
     from deepbots_cli.webots.syntax import Node
 
-_PIT_RADIUS_PER_WIDTH = 1.1774100225154747  # sqrt(2 ln 2): the radius of the rim over the width of the bell
 MAX_OBJECTS = 60
 LARGEST_SUBSTEP = 8  # ms; the largest at which physics is within 1 % of its closed forms
 
@@ -30,6 +32,8 @@ class Surroundings:
 
     world: list[tuple[str, str]] = field(default_factory=list)
     objects: dict[str, str] = field(default_factory=dict)
+    pictures: dict[str, bytes] = field(default_factory=dict)
+    """PNG files that the entries name."""
     left_out: list[tuple[str, str]] = field(default_factory=list)
     """Places and sentences about parts of the world without a counterpart."""
 
@@ -47,7 +51,7 @@ def surroundings(
         entries.append(("substeps", str(substeps)))
     if scene.gravity != (0.0, 0.0, -9.81):
         entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
-    done = _arena(scene, result) | _terrain(scene, result)
+    done = _arena(scene, result) | _terrain(world, scene, result)
     needed = set(used)
     for body in scene.bodies:
         if body.robot is None and body.node not in done and body.index in objects:
@@ -86,18 +90,43 @@ def _arena(scene: Scene, result: Surroundings) -> set[Node]:
     return set()
 
 
-def _terrain(scene: Scene, result: Surroundings) -> set[Node]:
-    for node in _written(scene, "Pit"):
-        if not _is_at_origin(node):
+def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
+    """Add the first grid that stays and lies around the origin, such as a Pit, as a picture of its heights."""
+    for body in scene.bodies:
+        is_alone = body.robot is None and body.parent is None and not body.is_free
+        if not is_alone or [geometry.shape.kind for geometry in body.geometries] != ["grid"]:
             continue
-        height = numbers(node, "size")[2]
-        radius = number(node, "pitRadius") * _PIT_RADIUS_PER_WIDTH
-        parts = ["type: pit", f"height: {plain(height)} m", f"radius: {radius:.4g} m"]
-        if noise := number(node, "noiseAmplitude"):
-            parts.append(f"noise: {plain(min(noise, 1.0))}")
+        (geometry,) = body.geometries
+        shape = geometry.shape
+        low, high = min(shape.heights), max(shape.heights)
+        (x, y, z), turned = frames.compose(body.frame, geometry.frame)
+        middle = (x + shape.size[0] / 2, y + shape.size[1] / 2, z + low)
+        if max(map(abs, middle)) > 1e-6 or abs(turned[3]) < 1 - 1e-9 or high - low < 1e-3:
+            continue
+        file = f"{scenario_name(world.path.stem)}_terrain.png"
+        result.pictures[file] = _picture(shape, low, high)
+        parts = [
+            f"type: heightfield, file: {file}, size: {plain(*shape.size)} m, height: {plain(high - low)} m"
+        ]
+        friction = scene.contact(geometry.material, "default").friction
+        if friction != 1.0:
+            parts.append(f"friction: {plain(friction)}")
         result.world.append(("terrain", f"{{{', '.join(parts)}}}"))
-        return {real(node)}
+        return {body.node}
     return set()
+
+
+def _picture(shape: Shape, low: float, high: float) -> bytes:
+    """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest y."""
+    levels = [round((height - low) / (high - low) * 65535) for height in shape.heights]
+    rows = [levels[at : at + shape.columns] for at in range(0, len(levels), shape.columns)]
+    pixels = b"".join(b"\0" + struct.pack(f">{len(row)}H", *row) for row in reversed(rows))
+    header = struct.pack(">IIBBBBB", shape.columns, len(rows), 16, 0, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(pixels, 9)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
 # Objects

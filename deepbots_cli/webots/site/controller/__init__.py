@@ -1,22 +1,22 @@
 """Webots' module `controller`, for worlds that deepbots runs."""
 
 from deepbots_cli.webots.api import MISSING_CLASSES
+from deepbots_cli.webots.cameras import Camera, RangeFinder
 from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.devices import (
     LED,
-    Camera,
     Connector,
     Display,
-    LightSensor,
     Microphone,
     Pen,
-    Radar,
-    RangeFinder,
     Skin,
     Speaker,
     VacuumGripper,
 )
 from deepbots_cli.webots.joints import Brake, Motor, PositionSensor
+from deepbots_cli.webots.lidar import Lidar, LidarPoint
+from deepbots_cli.webots.light import LightSensor
+from deepbots_cli.webots.radar import Radar, RadarTarget
 from deepbots_cli.webots.radio import Emitter, Receiver
 from deepbots_cli.webots.sensors import (
     GPS,
@@ -26,8 +26,6 @@ from deepbots_cli.webots.sensors import (
     DistanceSensor,
     Gyro,
     InertialUnit,
-    Lidar,
-    LidarPoint,
     TouchSensor,
 )
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
@@ -60,6 +58,7 @@ __all__ = [
     "Pen",
     "PositionSensor",
     "Radar",
+    "RadarTarget",
     "RangeFinder",
     "Receiver",
     "Robot",

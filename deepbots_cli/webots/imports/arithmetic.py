@@ -1,0 +1,102 @@
+"""Arithmetic with numbers and quantities."""
+
+from __future__ import annotations
+
+import ast
+from math import isfinite
+
+from deepbots_cli.webots.imports.conditions import amount, short
+from deepbots_cli.webots.imports.values import (
+    Normalized,
+    Place,
+    Quantity,
+    Unknown,
+    Value,
+    is_number,
+    number_text,
+)
+
+MAX_ITEMS = 1000
+
+_LARGEST = 1e15
+
+
+def operated(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    """Return the result of an arithmetic operator."""
+    if is_number(left) and is_number(right):
+        return _computed(op, left, right, place)
+    if isinstance(left, list) and isinstance(right, list) and isinstance(op, ast.Add):
+        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, list) and isinstance(right, int) and isinstance(op, ast.Mult):
+        return left * right if len(left) * max(right, 0) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, str) and isinstance(right, str) and isinstance(op, ast.Add):
+        return left + right if len(left) + len(right) <= MAX_ITEMS else Unknown(place)
+    if isinstance(left, Unknown | Normalized) or isinstance(right, Unknown | Normalized):
+        return Unknown(place)
+    match op:
+        case ast.Add() | ast.Sub():
+            return _sum(op, left, right, place)
+        case ast.Mult() | ast.Div():
+            return _product(op, left, right, place)
+        case ast.Pow() if isinstance(left, Quantity) and right == 2 and left.unit in ("", "m"):
+            unit = f"{left.unit}^2" if left.unit else ""
+            return short(Quantity(f"{left.operand}^2", unit, False), place)
+    return Unknown(place)
+
+
+def _computed(op: ast.operator, left: float, right: float, place: Place) -> Value:
+    try:
+        match op:
+            case ast.Add():
+                result: float = left + right
+            case ast.Sub():
+                result = left - right
+            case ast.Mult():
+                result = left * right
+            case ast.Div():
+                result = left / right
+            case ast.FloorDiv():
+                result = left // right
+            case ast.Mod():
+                result = left % right
+            case ast.Pow():
+                result = float(left) ** float(right)
+                result = int(result) if isinstance(left, int) and result.is_integer() else result
+            case _:
+                return Unknown(place)
+    except (ArithmeticError, TypeError, ValueError):
+        return Unknown(place)
+    if isinstance(result, complex) or (isinstance(result, int) and abs(result) > _LARGEST):
+        return Unknown(place)
+    return result
+
+
+def _sum(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    if isinstance(op, ast.Sub) and right == 0 and is_number(right):
+        return left
+    one, other = amount(left, right), amount(right, left)
+    if one is None or other is None or one.unit != other.unit:
+        return Unknown(place)
+    symbol = "+" if isinstance(op, ast.Add) else "-"
+    note = one.note or other.note
+    return short(Quantity(f"{one.operand} {symbol} {other.operand}", one.unit, False, note), place)
+
+
+def _product(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
+    if isinstance(left, Quantity) and is_number(right) and isfinite(right):
+        symbol = "*" if isinstance(op, ast.Mult) else "/"
+        text = f"{left.operand} {symbol} {number_text(right)}"
+        return short(Quantity(text, left.unit, False, left.note), place)
+    if is_number(left) and isfinite(left) and isinstance(right, Quantity) and isinstance(op, ast.Mult):
+        return short(Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), place)
+    if not (isinstance(left, Quantity) and isinstance(right, Quantity)):
+        return Unknown(place)
+    if isinstance(op, ast.Div) and left.unit == right.unit:
+        return short(Quantity(f"{left.operand} / {right.operand}", "", False), place)
+    if isinstance(op, ast.Mult) and left.unit == right.unit and left.unit in ("", "m"):
+        unit = f"{left.unit}^2" if left.unit else ""
+        product = f"{left.operand}^2" if left.text == right.text else f"{left.operand} * {right.operand}"
+        return short(Quantity(product, unit, False), place)
+    if isinstance(op, ast.Mult) and "" in (left.unit, right.unit):
+        return short(Quantity(f"{left.operand} * {right.operand}", left.unit or right.unit, False), place)
+    return Unknown(place)

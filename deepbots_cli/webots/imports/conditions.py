@@ -1,0 +1,181 @@
+"""Values under conditions, and conditions: comparisons, `and`, `or`, `not`."""
+
+from __future__ import annotations
+
+import ast
+from math import isfinite
+from typing import Any
+
+from deepbots_cli.webots.imports.values import (
+    MAX_TEXT,
+    Condition,
+    Part,
+    Place,
+    Quantity,
+    Unknown,
+    Value,
+    is_number,
+    number_text,
+)
+
+_COMPARISONS: dict[type, str] = {
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+}
+
+
+def merged(condition: Condition | Unknown, one: Value, other: Value, place: Place) -> Value:
+    """Return `one if condition else other`."""
+    if _is_same(one, other):
+        return one
+    if isinstance(condition, Condition) and condition.unknown is not None:
+        condition = Unknown(condition.unknown.place)
+    if isinstance(condition, Unknown):
+        return _merged_unknown(condition, one, other)
+    if isinstance(one, Unknown) or isinstance(other, Unknown):
+        return one if isinstance(one, Unknown) else other
+    if isinstance(one, bool | Condition) and isinstance(other, bool | Condition):
+        return _merged_truth(condition, one, other, place)
+    first, second = amount(one, other), amount(other, one)
+    if first is None or second is None or first.unit != second.unit:
+        return Unknown(place)
+    return short(
+        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), place
+    )
+
+
+def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
+    """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
+    if one is True and isinstance(other, Condition):
+        return Condition((*other.parts, Part("", condition.place)))
+    if one is True and other is False:
+        return Condition((Part("", condition.place),))
+    return condition
+
+
+def _merged_truth(condition: Condition, one: Value, other: Value, place: Place) -> Value:
+    """Return the same for truth values and conditions."""
+    if one is True:
+        return condition if other is False else several([condition, other], place, is_or=True)
+    if one is False:
+        opposite = negated(condition, place)
+        return opposite if other is True else several([opposite, other], place, is_or=False)
+    both = several([condition, one], place, is_or=False)
+    if other is False:
+        return both
+    rest = [negated(condition, place)] if other is True else [negated(condition, place), other]
+    return several([both, several(rest, place, is_or=False)], place, is_or=True)
+
+
+def amount(value: Value, beside: Value) -> Quantity | None:
+    """Return a number or quantity as a quantity; a number has the unit of the quantity beside it."""
+    if isinstance(value, Quantity):
+        return value
+    if not is_number(value) or not isfinite(value):
+        return None
+    unit = beside.unit if isinstance(beside, Quantity) else ""
+    return Quantity(number_text(value, unit), unit)
+
+
+def _is_same(one: Value, other: Value) -> bool:
+    if one is other:
+        return True
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    return type(one) is type(other) and not isinstance(one, dict) and one == other
+
+
+def merged_names(
+    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], place: Place
+) -> dict[Any, Value]:
+    result = {}
+    for name in [*ours, *(name for name in others if name not in ours)]:
+        if name in ours and name in others:
+            result[name] = merged(condition, ours[name], others[name], place)
+        else:
+            result[name] = Unknown(place)
+    return result
+
+
+# Conditions
+
+
+def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown:
+    if isinstance(condition, Unknown):
+        return condition
+    if condition.unknown is not None:
+        return Unknown(condition.unknown.place)
+    return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
+
+
+def several(conditions: list[Condition | Unknown], place: Place, *, is_or: bool) -> Condition | Unknown:
+    """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
+    if len(conditions) == 1:
+        return conditions[0]
+    stated = [condition for condition in conditions if isinstance(condition, Condition)]
+    if len(stated) < len(conditions):
+        return Unknown(place)
+    if is_or:
+        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), place)
+    if any(condition.unknown for condition in stated):
+        return Unknown(place)
+    text = " and ".join(f"({condition.text})" for condition in stated)
+    notes = [part.note for condition in stated for part in condition.parts if part.note]
+    return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)
+
+
+def _checked(condition: Condition, place: Place) -> Condition | Unknown:
+    return condition if len(condition.text) <= MAX_TEXT else Unknown(place)
+
+
+def short(value: Quantity, place: Place) -> Quantity | Unknown:
+    return value if len(value.text) <= MAX_TEXT else Unknown(place)
+
+
+def compared(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Condition | Unknown:
+    """Return the result of a comparison."""
+    if isinstance(op, ast.Is | ast.IsNot) or right is None or left is None:
+        return _compared_none(op, left, right, place)
+    if isinstance(op, ast.In | ast.NotIn):
+        plain = isinstance(right, list) and all(isinstance(item, bool | int | float | str) for item in right)
+        if plain and isinstance(left, bool | int | float | str):
+            return (left in right) is isinstance(op, ast.In)
+        return Unknown(place)
+    if isinstance(left, bool | int | float | str) and isinstance(right, bool | int | float | str):
+        return _compared_plain(op, left, right, place)
+    symbol = _COMPARISONS[type(op)]
+    one, other = amount(left, right), amount(right, left)
+    if one is None or other is None or one.unit != other.unit:
+        return Unknown(place)
+    note = one.note or other.note
+    return _checked(Condition((Part(f"{one.operand} {symbol} {other.operand}", place, note),)), place)
+
+
+def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+    if isinstance(left, Unknown) or isinstance(right, Unknown) or not (left is None or right is None):
+        return Unknown(place)
+    is_same = left is right
+    if isinstance(op, ast.Is | ast.Eq):
+        return is_same
+    return not is_same if isinstance(op, ast.IsNot | ast.NotEq) else Unknown(place)
+
+
+def _compared_plain(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+    if isinstance(op, ast.Eq):
+        return bool(left == right)
+    if isinstance(op, ast.NotEq):
+        return bool(left != right)
+    if isinstance(left, str) is not isinstance(right, str):
+        return Unknown(place)
+    match op:
+        case ast.Lt():
+            return bool(left < right)
+        case ast.LtE():
+            return bool(left <= right)
+        case ast.Gt():
+            return bool(left > right)
+    return bool(left >= right)

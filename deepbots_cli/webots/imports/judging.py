@@ -1,0 +1,343 @@
+"""Observations, rewards and endings of a project, read from the class of its supervisor."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Sequence
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from deepbots_cli.webots.imports.conditions import negated
+from deepbots_cli.webots.imports.names import Names
+from deepbots_cli.webots.imports.reader import Frame, Reader
+from deepbots_cli.webots.imports.task import Entry, Item, Task, Todo, whole
+from deepbots_cli.webots.imports.values import (
+    Condition,
+    Normalized,
+    Otherwise,
+    Part,
+    Place,
+    Quantity,
+    Space,
+    Unknown,
+    Value,
+    is_number,
+    number_text,
+)
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.imports.code import ClassCode, Code, ModuleCode
+
+_AXES = ("x", "y", "z")
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+_NO_NAMES = frozenset(
+    ["self", "np", "numpy", "math", "abs", "round", "float", "int", "not", "and", "or", "len"]
+)
+_TIME = re.compile(r"time (>=?) (\S+) s")
+_STEP = re.compile(r"step (>=?) (\d+)")
+_SUCCESS = re.compile(r"solved|success|reached|goal|escaped", re.IGNORECASE)
+_RETURN = re.compile(r"episode_return >=? \S+")
+
+
+# Observations
+
+
+def read_observation(task: Task, reader: Reader, space: Value, names: Names) -> None:
+    """Read `get_observations` into `observation` and `augment`."""
+    result = reader.call("get_observations", [])
+    if result is None:
+        return
+    returned, value = result
+    if not isinstance(value, list):
+        places = [one.place for one in returned]
+        if isinstance(value, Unknown):
+            places.append(value.place)
+        if places:
+            task.observation.append(Todo(places[-1], "the observation"))
+        return
+    labels = _labels(reader)
+    keys: set[str] = set()
+    for position, item in enumerate(value):
+        label = labels[position] if len(labels) == len(value) else ""
+        _observe(task, item, label, position, space, names, keys)
+    task.observation = _joined_vectors(task.observation)
+
+
+def _labels(reader: Reader) -> list[str]:
+    """Return the names in the list that `get_observations` returns last, "" for anything else."""
+    _, function = reader.cls.methods["get_observations"]
+    for node in reversed(list(ast.walk(function))):
+        value = node.value if isinstance(node, ast.Return) else None
+        if isinstance(value, ast.Call) and value.args:
+            value = value.args[0]
+        if isinstance(value, ast.List | ast.Tuple):
+            return [one.id if isinstance(one, ast.Name) else "" for one in value.elts]
+    return []
+
+
+def _observe(
+    task: Task, item: Value, label: str, position: int, space: Value, names: Names, keys: set[str]
+) -> None:
+    note, extra = "", ""
+    match item:
+        case Normalized(value=value, low=low, high=high):
+            ends = (low, high)
+            if (item.new_low, item.new_high) != (-1, 1):
+                note = f"the project maps it to {number_text(item.new_low)} .. {number_text(item.new_high)}"
+            extra = "" if item.clips else ", clip: false"
+        case Quantity() if isinstance(space, Space) and position < len(space.low):
+            value, ends = item, (space.low[position], space.high[position])
+            note = "the project does not scale it"
+            if not all(map(isfinite, ends)) or ends[0] >= ends[1]:
+                task.observation.append(Todo(_text_place(item), "its range"))
+                return
+        case Quantity():
+            task.observation.append(Todo(_text_place(item), "its range"))
+            return
+        case Unknown(place):
+            task.observation.append(Todo(place, f"value {position} of the observation"))
+            return
+        case _:
+            about = f"value {position} of the observation, which does not change"
+            task.observation.append(Todo(Place("get_observations", 0, f"`{str(item)[:20]}`"), about))
+            return
+    ends_text = f"{number_text(ends[0])} .. {number_text(ends[1], value.unit)}"
+    key = value.text
+    if value.sensor is None and not _is_reading(value):
+        key = names.new(label or _argument_name(item) or value.text, "value")
+        task.augment.append(Entry(key, value.text, value.note))
+    if key in keys:
+        return
+    keys.add(key)
+    task.observation.append(Entry(key, f"{{range: {ends_text}{extra}}}" if extra else ends_text, note))
+
+
+def _argument_name(item: Value) -> str:
+    """Return the name of the variable that the project normalizes, or ""."""
+    match = re.search(r"\((\w+),", item.place.python) if isinstance(item, Normalized) else None
+    return match.group(1) if match and not match.group(1).isdigit() else ""
+
+
+def _text_place(value: Quantity) -> Place:
+    return Place("observation", 0, value.text)
+
+
+def _is_reading(value: Quantity) -> bool:
+    return re.fullmatch(r"[a-z_]\w*\.[a-z_]\w*(\.[a-z_]\w*)?", value.text) is not None
+
+
+def _joined_vectors(items: list[Item]) -> list[Item]:
+    """Return entries with x, y and z of one reading in one range as one entry."""
+    result: list[Item] = []
+    position = 0
+    while position < len(items):
+        three = items[position : position + 3]
+        if len(three) == 3 and all(isinstance(one, Entry) for one in three):
+            stems = [one.key.rpartition(".") for one in three if isinstance(one, Entry)]
+            values = {one.value for one in three if isinstance(one, Entry)}
+            is_one = len({stem for stem, _, _ in stems}) == 1 and len(values) == 1
+            if is_one and tuple(last for _, _, last in stems) == _AXES:
+                result.append(Entry(stems[0][0], values.pop(), getattr(three[0], "note", "")))
+                position += 3
+                continue
+        result.append(items[position])
+        position += 1
+    return result
+
+
+# Rewards and endings
+
+
+def read_reward(task: Task, reader: Reader) -> None:
+    """Read `get_reward` into `reward`."""
+    result = reader.call("get_reward", [Unknown(Place("get_reward", 0, "action"))])
+    if result is None:
+        return
+    _, value = result
+    if isinstance(value, bool):
+        value = int(value)
+    if is_number(value) and isfinite(value):
+        task.reward.append(Entry("alive" if value > 0 else "each_step", number_text(value)))
+    elif isinstance(value, Quantity):
+        term = f"{value.operand} / {_divisor(value.unit)}" if value.unit else value.text
+        task.reward.append(Entry("task", term, value.note))
+    else:
+        task.reward.append(whole(reader.cls, "get_reward", "the reward"))
+
+
+def _divisor(unit: str) -> str:
+    return unit if re.fullmatch(r"\w+", unit) else f"({unit})"
+
+
+def read_endings(task: Task, reader: Reader, names: Names) -> None:
+    """Read `is_done` into `termination` and `truncation`."""
+    result = reader.call("is_done", [])
+    if result is None:
+        return
+    returned, _ = result
+    barred: list[Condition | Unknown] = []
+    for one in returned:
+        if one.value is False or one.value is None:
+            if conditions := _stated(one.path):
+                barred.append(conditions[0] if len(conditions) == 1 else Unknown(one.place))
+            continue
+        for condition in _ending_conditions([*_opposites(barred), *one.path], one.value, one.place):
+            if isinstance(condition, Unknown):
+                task.failure.append(Todo(condition.place, "an ending"))
+                continue
+            for part in condition.parts:
+                if part.text:
+                    _end(task, part, names, is_success=_names_success(reader, part.place))
+                else:
+                    task.failure.append(Todo(part.place, "an ending"))
+
+
+def _stated(path: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
+    """Return the conditions of a path but those that an earlier `return` covers."""
+    return [one for one in path if not isinstance(one, Otherwise)]
+
+
+def _opposites(conditions: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
+    """Return the opposites of conditions under which `is_done` returns False before."""
+    return [negated(one, one.place if isinstance(one, Unknown) else one.parts[0].place) for one in conditions]
+
+
+def _ending_conditions(
+    path: Sequence[Condition | Unknown], value: Value, place: Place
+) -> list[Condition | Unknown]:
+    """Return the conditions under which a `return` ends the episode."""
+    if isinstance(value, Unknown):
+        return [value]
+    conditions = _stated(path)
+    if isinstance(value, Condition):
+        conditions.append(value)
+    elif value is not True:
+        return [Unknown(place)]
+    for one in conditions:
+        if isinstance(one, Unknown):
+            return [one]
+        if one.unknown is not None and len(conditions) > 1:
+            return [Unknown(one.unknown.place)]
+    if len(conditions) < 2:
+        return conditions
+    both = " and ".join(f"({one.text})" for one in conditions if isinstance(one, Condition))
+    last = conditions[-1]
+    return [Condition((Part(both, last.parts[0].place if isinstance(last, Condition) else place),))]
+
+
+def _names_success(reader: Reader, place: Place) -> bool:
+    """Return whether the branch of an ending speaks of success, as in `self.is_solved = True`."""
+    for module in reader.code.modules.values():
+        for node in ast.walk(module.tree) if module.file == place.file else ():
+            if isinstance(node, ast.If) and node.test.lineno == place.line:
+                return _SUCCESS.search(" ".join(map(ast.unparse, node.body))) is not None
+    return False
+
+
+def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
+    if match := _TIME.fullmatch(part.text):
+        _limit(task, "max_time", f"{match.group(2)} s")
+    elif match := _STEP.fullmatch(part.text):
+        _limit(task, "max_steps", str(int(match.group(2)) + (match.group(1) == ">")))
+    elif _RETURN.fullmatch(part.text):
+        task.success.append(Entry(names.new("enough", "ending"), part.text, part.note))
+    else:
+        words = [word for word in _IDENTIFIER.findall(part.place.python) if word not in _NO_NAMES]
+        key = names.new(f"{words[0] if words else 'ending'}_limit", "ending")
+        (task.success if is_success else task.failure).append(Entry(key, part.text, part.note))
+
+
+def _limit(task: Task, key: str, value: str) -> None:
+    if not any(isinstance(one, Entry) and one.key == key for one in task.truncation):
+        task.truncation.append(Entry(key, value))
+
+
+def read_solved(task: Task, cls: ClassCode, reader: Reader) -> None:
+    """Read `solved`: a mean of the last episodes above a number."""
+    if "solved" not in cls.methods:
+        return
+    module, function = cls.methods["solved"]
+    for node in ast.walk(function):
+        if not (isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.Gt | ast.GtE)):
+            continue
+        episodes = next(
+            (
+                one.slice.lower
+                for one in ast.walk(node.left)
+                if isinstance(one, ast.Subscript) and isinstance(one.slice, ast.Slice) and one.slice.lower
+            ),
+            None,
+        )
+        calls = [one for one in ast.walk(node.left) if isinstance(one, ast.Call)]
+        if episodes is None or not any(ast.unparse(one.func).endswith("mean") for one in calls):
+            continue
+        frame = Frame(module, {}, None)
+        bar, count = reader.evaluate(frame, node.comparators[0]), reader.evaluate(frame, episodes)
+        if is_number(bar) and isfinite(bar) and isinstance(count, int) and 1 <= -count <= 10_000:
+            task.solved.append(Entry("", f"mean_return >= {number_text(bar)} over {-count} episodes"))
+            return
+    task.solved.append(Todo(module.place(function.body[-1]), "when the task is solved"))
+
+
+def read_limits(task: Task, code: Code, reader: Reader) -> None:
+    """Read the largest number of steps from a loop over a range that steps the environment."""
+    for module in code.modules.values():
+        for node in ast.walk(module.tree):
+            if not (isinstance(node, ast.For) and isinstance(node.iter, ast.Call)):
+                continue
+            if not (isinstance(node.iter.func, ast.Name) and node.iter.func.id == "range"):
+                continue
+            if _steps_environment(node) and node.iter.args:
+                bound = node.iter.args[-1] if len(node.iter.args) < 3 else node.iter.args[1]
+                limit = _constant(bound, module, reader)
+                if isinstance(limit, int) and 0 < limit < 1_000_000:
+                    _limit(task, "max_steps", str(limit))
+                    return
+
+
+def _steps_environment(loop: ast.For) -> bool:
+    """Return whether a loop calls `step` itself, and not in a loop inside."""
+    waiting: list[ast.AST] = list(loop.body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "step":
+            return True
+        if not isinstance(node, ast.For | ast.While):
+            waiting += ast.iter_child_nodes(node)
+    return False
+
+
+def _constant(node: ast.expr, module: ModuleCode, reader: Reader) -> Value:
+    """Return a constant, or an attribute of the supervisor of another name."""
+    if isinstance(node, ast.Attribute) and node.attr in reader.attributes:
+        return reader.attributes[node.attr]
+    if isinstance(node, ast.Name):
+        for one in ast.walk(module.tree):
+            if isinstance(one, ast.Assign) and any(
+                isinstance(target, ast.Name) and target.id == node.id for target in one.targets
+            ):
+                return one.value.value if isinstance(one.value, ast.Constant) else None
+    return reader.evaluate(Frame(module, {}), node)
+
+
+def read_overridden(task: Task, cls: ClassCode) -> None:
+    """Name methods of deepbots that the project writes anew, whose effect is not read."""
+    for name in ("step", "reset", "handle_emitter", "handle_receiver", "run"):
+        if name in cls.methods:
+            _, function = cls.methods[name]
+            if not _only_sets(function):
+                task.agent.append(whole(cls, name, f"an own {name}"))
+
+
+def _only_sets(function: ast.FunctionDef) -> bool:
+    """Return whether a method sets attributes to constants, and calls the method of its base."""
+    for statement in function.body:
+        match statement:
+            case ast.Assign(value=ast.Constant()) | ast.Expr(value=ast.Constant()):
+                pass
+            case ast.Return(value=ast.Call(func=ast.Attribute(value=ast.Call(func=ast.Name(id="super"))))):
+                pass
+            case _:
+                return False
+    return True

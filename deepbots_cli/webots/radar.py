@@ -1,0 +1,161 @@
+"""Radars, as the module `controller` has them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from deepbots_cli import frames
+from deepbots_cli.webots.device import Sensor
+from deepbots_cli.webots.nodes import boolean, number
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.scene import Device as Spec
+    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.syntax import Node
+
+LIGHT_SPEED = 299_792_458.0
+"""In m/s."""
+
+
+@dataclass
+class RadarTarget:
+    """What a radar saw of a solid: the distance (m), the power that came back (dBm), the radial speed (m/s,
+    positive for one that moves away), and the azimuth (rad, positive to the right)."""
+
+    distance: float
+    received_power: float
+    speed: float
+    azimuth: float
+
+
+class Radar(Sensor):
+    """Solids with a `radarCrossSection` within the range and the field of view."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._targets: list[RadarTarget] = []
+        node = spec.node
+        sent = _milliwatts(number(node, "transmittedPower"))
+        gain = 10 ** (number(node, "antennaGain") / 10)
+        frequency = number(node, "frequency") * 1e9
+        wavelength = LIGHT_SPEED / frequency if frequency > 0 else 0.0
+        self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
+        """The power (mW) that a cross section of 1 m^2 throws back from 1 m."""
+
+    def getMinRange(self) -> float:
+        return number(self._spec.node, "minRange")
+
+    def getMaxRange(self) -> float:
+        return number(self._spec.node, "maxRange")
+
+    def getHorizontalFov(self) -> float:
+        return number(self._spec.node, "horizontalFieldOfView")
+
+    def getVerticalFov(self) -> float:
+        return number(self._spec.node, "verticalFieldOfView")
+
+    def getNumberOfTargets(self) -> int:
+        return len(self._targets)
+
+    def getTargets(self) -> list[RadarTarget]:
+        return list(self._targets)
+
+    def forget(self) -> None:
+        self._targets = []
+
+    def sample(self) -> None:
+        seen = [self._target(solid) for solid in self._simulation.scene.radar_targets]
+        targets = self._merged([target for target in seen if target is not None])
+        for target in targets:
+            target.received_power = 10 * math.log10(target.received_power)
+        self._targets = targets
+
+    def _target(self, solid: Node) -> RadarTarget | None:
+        """Return what the radar sees of a solid, with the power in mW; None if it does not see it.
+
+        A solid is seen if a part of it, a ball around its bounding object, is within the range and the field
+        of view. Its values are those of its origin, limited to the range and the field of view.
+        """
+        node, physics = self._spec.node, self._simulation.physics
+        if solid is node:
+            return None
+        place, turned = self._frame()
+        body, inside = self._simulation.scene.places[solid]
+        way = frames.subtract(physics.position(body, inside), place)
+        distance, radius = math.hypot(*way), physics.radius(solid)
+        near, far = self.getMinRange(), self.getMaxRange()
+        if distance == 0 or distance - radius > far or distance + radius < near:
+            return None
+        x, y, z = frames.rotate_back(turned, way)
+        share = math.asin(min(1.0, radius / distance))
+        azimuth, elevation = math.atan2(-y, x), math.asin(max(-1.0, min(1.0, z / distance)))
+        half = self.getHorizontalFov() / 2
+        if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
+            return None
+        if boolean(node, "occlusion") and self._is_hidden(solid, way, distance):
+            return None
+        measured = distance + self._noise(number(node, "rangeNoise"))
+        measured = min(max(measured, near), far)
+        power = self._power * number(solid, "radarCrossSection") / max(measured, 1e-9) ** 4
+        if power <= 0 or power < _milliwatts(number(node, "minDetectableSignal")):
+            return None
+        own, other = (
+            physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, inside))
+        )
+        speed = frames.dot(frames.subtract(other, own), way) / distance + self._noise(
+            number(node, "speedNoise")
+        )
+        if not self._sees_speed(speed):
+            return None
+        azimuth = min(max(azimuth, -half), half) + self._noise(number(node, "angularNoise"))
+        return RadarTarget(measured, power, speed, azimuth)
+
+    def _sees_speed(self, speed: float) -> bool:
+        node = self._spec.node
+        low, high = number(node, "minRadialSpeed"), number(node, "maxRadialSpeed")
+        if (low or high) and not low <= speed <= high:
+            return False
+        return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
+
+    def _is_hidden(self, solid: Node, way: tuple[float, float, float], distance: float) -> bool:
+        """Return whether something else is on the way to a solid."""
+        physics, robot = self._simulation.physics, self._spec.body.robot
+        skipped = None if robot is None else robot.index
+        unit = frames.scaled(way, 1 / distance)
+        geom = physics.rays(self._frame()[0], [unit], distance, skipped)[0][1]
+        return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.places[solid][0]
+
+    def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:
+        """Return targets with those made one that the radar cannot tell apart: means, weighted by power."""
+        node = self._spec.node
+        cell, cell_speed = number(node, "cellDistance"), number(node, "cellSpeed")
+        if cell <= 0:
+            return targets
+        merged: list[RadarTarget] = []
+        while targets:
+            first, *others = targets
+            same = [
+                other
+                for other in others
+                if abs(other.distance - first.distance) < cell
+                and (cell_speed <= 0 or abs(other.speed - first.speed) < cell_speed)
+            ]
+            targets = [other for other in others if other not in same]
+            merged.append(_mean([first, *same]))
+        return merged
+
+
+def _mean(targets: list[RadarTarget]) -> RadarTarget:
+    powers = [target.received_power for target in targets]
+    total = sum(powers)
+    distance, speed, azimuth = (
+        sum(getattr(target, name) * power for target, power in zip(targets, powers, strict=True)) / total
+        for name in ("distance", "speed", "azimuth")
+    )
+    return RadarTarget(distance, total, speed, azimuth)
+
+
+def _milliwatts(dbm: float) -> float:
+    return float(10 ** (dbm / 10))

@@ -1,0 +1,163 @@
+"""The side of the simulation: starts the processes of controllers, and does what they ask for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+from multiprocessing.connection import Pipe
+from typing import IO, TYPE_CHECKING, Any
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.webots.device import Device
+from deepbots_cli.webots.remote.messages import (
+    Call,
+    Create,
+    Exit,
+    Failed,
+    Raised,
+    Reference,
+    Result,
+    replaced,
+)
+from deepbots_cli.webots.runner import (
+    CONTROLLER_ENVIRONMENT,
+    GRACE_S,
+    Controller,
+    ControllerError,
+    Prefixed,
+    Runner,
+)
+from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
+from deepbots_cli.webots.tree import Field, Node
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+_API = (Device, Field, Keyboard, Node, Robot)
+"""The classes whose objects stay here; a process has a reference to each."""
+PACKAGES = "DEEPBOTS_CONTROLLER_PACKAGES"
+"""The variable of the environment with further folders from which controllers import."""
+
+
+class ProcessRunner(Runner):
+    """Runs each controller in a process of its own; `Runner` decides whose turn it is."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        """Prepare a run, with the arguments of `Runner`.
+
+        Raises:
+            UsageError: Processes of this system cannot inherit a pipe.
+        """
+        if os.name != "posix":
+            raise UsageError("--processes needs Linux or macOS")
+        super().__init__(*arguments, **options)
+        self._processes: list[subprocess.Popen[str]] = []
+
+    def _finish(self) -> None:
+        for process in self._processes:
+            process.kill()
+        for one in self.controllers:
+            if one.thread is not None:
+                one.thread.join(GRACE_S)
+
+    def _enter(self, one: Controller) -> None:
+        """Do nothing: a process has its own surroundings."""
+
+    def _leave(self, one: Controller) -> None:
+        """Do nothing: a process has its own surroundings."""
+
+    def _execute(self, one: Controller) -> None:
+        ours, theirs = Pipe()
+        with ours:
+            with theirs:
+                process = self._start(one, theirs.fileno())
+            readers = [
+                threading.Thread(target=_pass_on, args=(source, Prefixed(target, lambda: one.name)))
+                for source, target in ((process.stdout, self._output), (process.stderr, self._errors))
+            ]
+            for reader in readers:
+                reader.start()
+            failure = _Requests(ours).serve()
+        code = process.wait()
+        for reader in readers:
+            reader.join(GRACE_S)
+        if failure or code < 0:
+            raise ControllerError(failure or f"its process was ended by signal {-code}")
+        raise SystemExit(code)
+
+    def _start(self, one: Controller, pipe: int) -> subprocess.Popen[str]:
+        changes = {name: os.environ.get(name, value) for name, value in CONTROLLER_ENVIRONMENT.items()}
+        changes |= {"PYTHONUNBUFFERED": "1", PACKAGES: os.pathsep.join(self.packages)}
+        process = subprocess.Popen(
+            python_command("deepbots_cli.webots.remote", str(pipe), str(one.program), *one.arguments),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=[pipe],
+            cwd=one.program.parent,
+            env=python_environment(changes),
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+        )
+        self._processes.append(process)
+        return process
+
+
+def _pass_on(source: IO[str] | None, target: Prefixed) -> None:
+    for line in source or ():
+        target.write(line)
+    target.close()
+
+
+class _Requests:
+    """The requests of one controller, and the objects that it has references to."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._objects: dict[int, Any] = {}
+        self._numbers: dict[tuple[type, Any], int] = {}
+        self._last = 0
+
+    def serve(self) -> str:
+        """Answer requests until the process ends; returns why its program failed, or an empty text."""
+        while True:
+            try:
+                request = self._pipe.recv()
+            except (EOFError, OSError):
+                return ""
+            if isinstance(request, Failed):
+                return request.description
+            answer = self._answer(request)
+            try:
+                self._pipe.send(answer)
+            except OSError:
+                return ""
+            if isinstance(answer, Exit):
+                return ""
+
+    def _answer(self, request: Create | Call) -> Result | Raised | Exit:
+        try:
+            return Result(replaced(self._do(request), _API, self._reference))
+        except SystemExit:
+            return Exit(0)
+        except Exception as error:  # noqa: BLE001  # the program gets it
+            return Raised(error)
+
+    def _do(self, request: Create | Call) -> Any:
+        if isinstance(request, Create):
+            return {"Keyboard": Keyboard, "Robot": Robot, "Supervisor": Supervisor}[request.kind]()
+        for number in request.unused:
+            thing = self._objects.pop(number)
+            del self._numbers[type(thing), thing]
+        arguments = replaced(request.arguments, Reference, lambda one: self._objects[one.number])
+        return getattr(self._objects[request.number], request.method)(*arguments, **request.options)
+
+    def _reference(self, thing: Any) -> Reference:
+        key = type(thing), thing
+        if key not in self._numbers:
+            self._last += 1
+            self._numbers[key], self._objects[self._last] = self._last, thing
+        return Reference(self._numbers[key], type(thing).__name__)

@@ -1,0 +1,293 @@
+"""Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding objects.
+
+Shapes have the base color of their appearance, without textures, and are lit from the camera.
+"""
+
+from __future__ import annotations
+
+import atexit
+from functools import cache
+from math import cos, pi, sin, tan
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
+from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import IDENTITY_ROTATION
+from deepbots_cli.webots.findings import WorldFindings
+from deepbots_cli.webots.model import GRID_DEPTH_M
+from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, vector
+from deepbots_cli.webots.shapes import Shape, compose, shape_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.webots.physics import Physics
+    from deepbots_cli.webots.scene import Visual
+    from deepbots_cli.webots.syntax import Node
+
+    Image = NDArray[np.uint8]
+
+NEAR_M, FAR_M = 0.01, 1000.0
+"""The range of distances that are drawn."""
+CONE_SIDES = 32
+MAX_PIXELS = 4096
+"""The largest width and height of a picture."""
+UNAVAILABLE = (
+    "cannot see, because MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or"
+    " libosmesa6)"
+)
+
+
+_OPEN: WeakSet[Pictures] = WeakSet()
+
+
+def _close_all() -> None:
+    for pictures in tuple(_OPEN):
+        pictures.close()
+
+
+@cache
+def _context() -> Any:
+    """Return a context of OpenGL around which all pictures are drawn, so that none stays with a thread: each
+    controller has a thread of its own."""
+    context = mj.GLContext(8, 8)
+    atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context
+    return context
+
+
+def require_opengl() -> None:
+    """Check that pictures can be drawn.
+
+    Raises:
+        EngineError: There is no OpenGL.
+    """
+    if not (is_available() and opens_context()):
+        raise EngineError(UNAVAILABLE)
+
+
+class Pictures:
+    """Draws one world; the model is built for the first picture."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self._model: Any = None
+        self._renderers: dict[tuple[int, int], Any] = {}
+        _OPEN.add(self)
+
+    def close(self) -> None:
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+    def colors(self, frame: Frame, size: tuple[int, int], fov: float, near: float = NEAR_M) -> Image:
+        """Return the picture of a camera that looks along x of a frame, shape (height, width, 3).
+
+        `size` is width and height; `fov` is the horizontal field of view, rad.
+
+        Raises:
+            EngineError: There is no OpenGL.
+        """
+        return self._draw(frame, size, fov, near, has_depth=False)  # type: ignore[no-any-return]
+
+    def depths(self, frame: Frame, size: tuple[int, int], fov: float) -> NDArray[np.float32]:
+        """Return the distances along x, m, shape (height, width); `FAR_M` where nothing is.
+
+        Raises:
+            EngineError: There is no OpenGL.
+        """
+        return self._draw(frame, size, fov, NEAR_M, has_depth=True)  # type: ignore[no-any-return]
+
+    def _draw(self, frame: Frame, size: tuple[int, int], fov: float, near: float, *, has_depth: bool) -> Any:
+        require_opengl()
+        if self._model is None:
+            self._build()
+        self._follow()
+        with _context().as_current():
+            renderer = self._renderer(size)
+            self._model.vis.map.znear = near
+            renderer.update_scene(self._data)
+            _aim(renderer, frame, near, near * tan(fov / 2) * size[1] / size[0])
+            if has_depth:
+                renderer.enable_depth_rendering()
+            picture = renderer.render().copy()
+            renderer.disable_depth_rendering()
+        return picture
+
+    def _renderer(self, size: tuple[int, int]) -> Any:
+        if size not in self._renderers:
+            width, height = size
+            self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
+            self._renderers[size] = mj.Renderer(self._model, height, width)
+        return self._renderers[size]
+
+    def _follow(self) -> None:
+        """Place the bodies as they are now."""
+        for body, index in self._bodies.items():
+            place, turned = self._physics.frame(self._physics.scene.bodies[body])
+            self._data.mocap_pos[index], self._data.mocap_quat[index] = place, frames.wxyz(turned)
+        mj.mj_kinematics(self._model, self._data)
+        mj.mj_camlight(self._model, self._data)
+
+    def _build(self) -> None:
+        builder = _VisualModel(self._physics)
+        self._model = builder.spec.compile()
+        self._data = mj.MjData(self._model)
+        self._bodies = {
+            index: int(self._model.body_mocapid[element.id]) for index, element in builder.bodies.items()
+        }
+
+
+def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
+    place, turned = frame
+    ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
+    for light in renderer.scene.lights[: renderer.scene.nlight]:
+        light.pos, light.dir = place, ahead  # MuJoCo's shines from where its own camera is
+    for camera in renderer.scene.camera:
+        camera.pos = place
+        camera.forward = ahead
+        camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
+        camera.frustum_center, camera.frustum_width = 0.0, 0.0
+        camera.frustum_top, camera.frustum_bottom = top, -top
+        camera.frustum_near, camera.frustum_far = near, FAR_M
+
+
+class _VisualModel:
+    """The visible shapes of a world, on bodies that are placed from outside."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._scene = physics.scene
+        self.spec = spec = mj.MjSpec()
+        spec.stat.extent = 1.0
+        spec.stat.center = (0.0, 0.0, 0.0)
+        spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M
+        spec.visual.quality.offsamples = 0
+        spec.visual.headlight.ambient = (0.45,) * 3
+        spec.visual.headlight.diffuse = (0.55,) * 3
+        spec.visual.headlight.specular = (0.0,) * 3
+        spec.compiler.alignfree = False
+        self._findings = WorldFindings()
+        self._count = 0
+        self._add_sky()
+        self.bodies = {
+            body.index: spec.worldbody.add_body(name=f"b{body.index}", mocap=True)
+            for body in self._scene.bodies
+        }
+        for visual in self._scene.visuals:
+            self._add(visual)
+
+    def _add_sky(self) -> None:
+        sky = next((real(node) for node in self._scene.nodes if real(node).type == "Background"), None)
+        color = (*(numbers(sky, "skyColor") if sky is not None else ()), 0.0, 0.0, 0.0)[:3]
+        self.spec.add_texture(
+            name="sky",
+            type=mj.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mj.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=color,
+            rgb2=color,
+            width=16,
+            height=96,
+        )
+
+    def _add(self, visual: Visual) -> None:
+        geometry = child(visual.node, "geometry")
+        shape = None if geometry is None else self._shape(geometry, visual.scale)
+        if shape is None:
+            return
+        parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
+        fields = self._fields(shape)
+        place, turned = visual.frame
+        if shape.kind == "grid":
+            middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
+            place = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
+        parent.add_geom(
+            pos=place,
+            quat=frames.wxyz(turned),
+            rgba=_color(visual.node),
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+            **fields,
+        )
+
+    def _shape(self, geometry: Node, scale: Triple) -> Shape | None:
+        if geometry.type == "Cone":
+            return _cone(number(geometry, "bottomRadius"), number(geometry, "height"), scale)
+        return shape_of(geometry, scale, self._scene.files, self._findings)
+
+    def _fields(self, shape: Shape) -> dict[str, Any]:
+        types = mj.mjtGeom
+        match shape.kind:
+            case "box":
+                return {"type": types.mjGEOM_BOX, "size": [part / 2 for part in shape.size]}
+            case "sphere":
+                return {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
+            case "cylinder" | "capsule":
+                kind = types.mjGEOM_CYLINDER if shape.kind == "cylinder" else types.mjGEOM_CAPSULE
+                return {"type": kind, "size": [shape.size[0], shape.size[1] / 2, 0.0]}
+            case "plane":
+                x, y = (*shape.size, 1.0, 1.0)[:2]
+                return {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
+            case "grid":
+                return {"type": types.mjGEOM_HFIELD, "hfieldname": self._grid(shape)}
+        return {"type": types.mjGEOM_MESH, "meshname": self._mesh(shape)}
+
+    def _grid(self, shape: Shape) -> str:
+        heights = np.array(shape.heights, np.float64)
+        rise = max(float(np.ptp(heights)), 1e-6)
+        name = self._name()
+        self.spec.add_hfield(
+            name=name,
+            size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
+            nrow=len(heights) // shape.columns,
+            ncol=shape.columns,
+            userdata=((heights - heights.min()) / rise).tolist(),
+        )
+        return name
+
+    def _mesh(self, shape: Shape) -> str:
+        name = self._name()
+        mesh = self.spec.add_mesh(name=name)
+        mesh.uservert = np.array(shape.vertices, np.float64).ravel()
+        mesh.userface = np.array(shape.faces, np.int32).ravel()
+        mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_SHELL
+        return name
+
+    def _name(self) -> str:
+        self._count += 1
+        return f"s{self._count}"
+
+
+def _cone(radius: float, height: float, scale: Triple) -> Shape:
+    """Return a cone around z, of which the base is below."""
+    rim: list[Triple] = [
+        (radius * cos(2 * pi * k / CONE_SIDES), radius * sin(2 * pi * k / CONE_SIDES), -height / 2)
+        for k in range(CONE_SIDES)
+    ]
+    points = [*rim, (0.0, 0.0, height / 2), (0.0, 0.0, -height / 2)]
+    faces = []
+    for k in range(CONE_SIDES):
+        after = (k + 1) % CONE_SIDES
+        faces += [(k, after, CONE_SIDES), (after, k, CONE_SIDES + 1)]
+    scaled = [(x * scale[0], y * scale[1], z * scale[2]) for x, y, z in points]
+    return Shape("mesh", vertices=scaled, faces=faces)
+
+
+def _color(node: Node) -> Sequence[float]:
+    """Return the color and opacity of a Shape node."""
+    appearance = child(node, "appearance")
+    if appearance is None:
+        return (0.8, 0.8, 0.8, 1.0)
+    if is_a(appearance, "PBRAppearance"):
+        return (*vector(appearance, "baseColor"), 1.0 - number(appearance, "transparency"))
+    material = child(appearance, "material") if is_a(appearance, "Appearance") else None
+    if material is None:
+        return (0.8, 0.8, 0.8, 1.0)
+    return (*vector(material, "diffuseColor"), 1.0 - number(material, "transparency"))
