@@ -284,8 +284,13 @@ class AgentEnvironment(gym.Env[Any, Any]):
     def get_observations(self) -> Any:
         return self.seat.observation(self._observed)
 
-    def get_reward(self) -> float:
+    @property
+    def reward(self) -> float:
+        """The reward of the agent for the last step."""
         return self._result[0]
+
+    def get_reward(self) -> float:
+        return self.reward
 
     def get_info(self) -> Info:
         return dict(self._result[1])
