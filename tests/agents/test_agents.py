@@ -182,6 +182,9 @@ def test_pettingzoo_accepts_the_environment(several: Path) -> None:
         ),
         ("role.agent=middle", "there is no agent `middle`"),
         ("agents.left.signals={apart: 1 m}", "`apart` of `left` is already a signal of all agents"),
+        ("robots.right.count=3", "a robot with copies together with several agents is not supported yet"),
+        ("agents.right.each=right", "a robot with copies together with several agents"),
+        ("agents.right.goal={achieved: apart}", "a `goal` together with several agents is not supported yet"),
         ("observation.gap=0 .. 1 m", "`observation` at the top level cannot be combined with `agents`"),
     ],
 )
