@@ -147,6 +147,7 @@ def test_a_mistake_about_a_shared_policy_is_one_finding(carts: Path, right: str,
     assert errors == [headline]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:We recommend agents to be named", "ignore:Observation numpy array is all")
 def test_a_team_of_equal_robots_is_an_environment_and_learns_one_policy(tmp_path: Path) -> None:
     pytest.importorskip("pettingzoo")
