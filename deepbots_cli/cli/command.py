@@ -463,8 +463,9 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
     @wraps(command)
     def call(*, agent: str | None, against: list[str] | None, **given: Any) -> None:
         drivers = _drivers_of_others(agent, against or ())
-        if agent is not None and isinstance(given.get("run"), Path):
-            drivers = _policies_of_run(given["run"], agent) | drivers
+        source = given.get("run") or given.get("shown")
+        if agent is not None and source is not None:
+            drivers = _policies_of_run(Path(source), agent) | drivers
         others, folders = _role_entries(drivers)
         if folders and "permissions" in given:
             allowed = given["permissions"]

@@ -42,7 +42,6 @@ from deepbots_cli.compiler.agents import (
     report_foreign_values,
     report_own_names,
     report_role_alone,
-    report_unsupported,
     with_sections,
 )
 from deepbots_cli.compiler.controllers import RobotBuilder, commanded
@@ -198,7 +197,6 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         (of_other_agents(own.findings, name, divided.drivers) for name, own in agents.items()),
     )
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
-    report_unsupported(document, programs)
     report_topics_of_no_agent(document, programs.values())
     report_own_names(document, programs, divided.sections)
     report_foreign_values(document, programs, divided.drivers)

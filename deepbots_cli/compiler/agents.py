@@ -40,7 +40,8 @@ _KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {
     "frame_stack",
     _SIGNALS,
 }
-_NOT_YET = 'remove it; see "Not yet" in docs/several-agents.md'
+_COPIES = "a robot with copies", "write each robot; agents with `like` and `policy` have one policy"
+_GOAL = "a `goal`", "put the target into the observation, and the distance to it into the reward"
 _REQUIRED = ("action", "observation", "reward")
 _MODEL_SUFFIX = ".zip"
 BEST_MODEL = "models/agent/best.zip"
@@ -67,6 +68,9 @@ def divide(document: Document) -> AgentDocuments | None:
     """Return the scenarios of the agents; None after a finding that leaves none."""
     root = document.root
     assert root is not None
+    _report_unsupported(document)
+    if document.findings.errors:
+        return None
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
     agents = {
         name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
@@ -99,6 +103,24 @@ def divide(document: Document) -> AgentDocuments | None:
         if document.findings.errors
         else AgentDocuments(documents, drivers, sections, dict(_mirrors(document)), tests)
     )
+
+
+def _report_unsupported(document: Document) -> None:
+    """Report copies and goals, which only a scenario with one agent may have."""
+    root = document.root
+    agents = [(AGENTS, name) for name in entries_at(root, AGENTS)]
+    robots = [("robots", name) for name in entries_at(root, "robots")]
+    unsupported = [
+        *((*path, "each", *_COPIES) for path in (("agent",), *agents)),
+        *((*path, "count", *_COPIES) for path in robots),
+        *((*path, "goal", *_GOAL) for path in ((), *agents)),
+    ]
+    for *path, key, what, instead in unsupported:
+        entry = entries_at(root, *path).get(key)
+        if entry is not None:
+            headline = f"{what} together with several agents is not supported yet"
+            document.findings.add("DB108", entry.key.span, headline, instead)
+            return
 
 
 def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
@@ -538,16 +560,6 @@ def _without_controller(robot: Node, *, is_heard: bool) -> Node:
 
 
 # Results
-
-
-def report_unsupported(document: Document, programs: Mapping[str, Program]) -> None:
-    """Report parts of an agent that only a scenario with one agent may have."""
-    for name, program in programs.items():
-        agent = program.agent
-        if agent.goal is not None or agent.copies is not None:
-            what = "a `goal`" if agent.goal is not None else "copies of a robot (`each`)"
-            headline = f"{what} together with several agents is not supported yet"
-            document.findings.add("DB108", _key_of(document, name).span, headline, _NOT_YET)
 
 
 def report_own_names(

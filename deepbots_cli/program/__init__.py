@@ -44,7 +44,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.levels import Levels
-from deepbots_cli.program.members import Member, Others, members_of
+from deepbots_cli.program.members import Member, Others, joint_name, members_of
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Direction, Link, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
@@ -163,7 +163,24 @@ class Program:
         if not self.agent.critic:
             return self
         agents = {name: agent.with_critic for name, agent in self.agents.items()}
-        programs = {name: member.program.with_critic for name, member in self.members.items()}
+        if self.others is not None:
+            return replace(self, agents=agents, others=self.others.with_critic)
+        return self._with_members(
+            agents, {name: each.program.with_critic for name, each in self.members.items()}
+        )
+
+    def with_critic_of(self, name: str) -> Program:
+        """Return the program of all agents in which only one of them has the values of its critic, too."""
+        member = self.members[name]
+        own = {joint_name(name, entry.name) for entry in member.program.agent.critic}
+        entries = tuple(entry for entry in self.agent.critic if entry.name in own)
+        agents = {key: replace(agent, critic=entries).with_critic for key, agent in self.agents.items()}
+        programs = {key: each.program for key, each in self.members.items()}
+        return self._with_members(agents, programs | {name: member.program.with_critic})
+
+    def _with_members(self, agents: Mapping[str, Agent], programs: Mapping[str, Program]) -> Program:
+        """Return the program of all agents with other observations, given the agent of all and the program of
+        each."""
         names = {name: member.names for name, member in self.members.items()}
         (agent,) = agents.values()
         members = members_of(programs, names, agent)

@@ -181,6 +181,11 @@ class Others:
         )
 
     @property
+    def with_critic(self) -> Others:
+        """The same agents in the worlds of a training, which compute what the critic of the agent sees."""
+        return replace(self, world=self.world.with_critic_of(self.agent))
+
+    @property
     def text(self) -> str:
         """Who acts for each other agent, such as `prey (flee)`."""
         return ", ".join(f"{name} ({self.models.get(name, driver)})" for name, driver in self.drivers.items())

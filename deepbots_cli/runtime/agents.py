@@ -155,15 +155,15 @@ class Seat(Place):
 def own_info(member: Member, of_all: Mapping[str, Any]) -> Info:
     """Return the info of a step as it is for an agent, with the masks of all agents."""
     terms = of_all["reward_terms"]
-    end = of_all.get("agent_endings", {}).get(member.name)
-    endings = of_all["endings"] if end is None else end.endings
-    return {
-        **{name: value for name, value in of_all.items() if name != "agent_endings"},
-        "is_success": member.has_succeeded(endings) if end is None else end.is_success,
-        "ended_by": of_all["ended_by"] if end is None else end.endings[0],
-        "endings": endings,
+    own: Info = {
+        **of_all,
+        "is_success": member.has_succeeded(of_all["endings"]),
         "reward_terms": {name: terms[joint] for name, joint in member.terms.items()},
     }
+    end = own.pop("agent_endings", {}).get(member.name)
+    if end is not None:
+        own |= {"is_success": end.is_success, "ended_by": end.endings[0], "endings": end.endings}
+    return own
 
 
 def seats_of(world: Supervisor) -> dict[str, Seat]:
@@ -185,9 +185,7 @@ def joint_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[
     if isinstance(world.action_space, gym.spaces.Box):
         # A third of the time of the general way; the world refuses what is not finite.
         arrays = [np.asarray(actions[name]) for name in seats]
-        if all(
-            array.shape == seat.action_space.shape for array, seat in zip(arrays, seats.values(), strict=True)
-        ):
+        if [array.shape for array in arrays] == [seat.action_space.shape for seat in seats.values()]:
             return np.concatenate(arrays)
     for name, seat in seats.items():
         chosen, numbers = seat.parts(actions[name])
@@ -284,8 +282,13 @@ class AgentEnvironment(gym.Env[Any, Any]):
     def get_observations(self) -> Any:
         return self.seat.observation(self._observed)
 
-    def get_reward(self) -> float:
+    @property
+    def reward(self) -> float:
+        """The reward of the agent for the last step."""
         return self._result[0]
+
+    def get_reward(self) -> float:
+        return self.reward
 
     def get_info(self) -> Info:
         return dict(self._result[1])

@@ -89,22 +89,26 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         """
         if not self.agents:
             raise UsageError("call reset() before step()")
-        acting = list(self.agents)
-        resting = {name: seat.still for name, seat in self._seats.items() if name not in acting}
-        together = joint_action(self.world, self._seats, {**actions, **resting})
+        acting = self.agents
+        if len(acting) < len(self._seats):
+            resting = {name: seat.still for name, seat in self._seats.items() if name not in acting}
+            actions = {**actions, **resting}
+        together = joint_action(self.world, self._seats, actions)
         self._observed, _, terminated, truncated, info = self.world.step(together)
         alone = self.world.agent_endings
-        ends = {name: terminated or name in alone for name in acting}
-        cuts = {name: truncated and name not in alone for name in acting}
+        ends, cuts = dict.fromkeys(acting, terminated), dict.fromkeys(acting, truncated)
+        for name in alone.keys() & ends.keys():
+            ends[name], cuts[name] = True, False
         self.agents = [name for name in acting if not (ends[name] or cuts[name])]
-        observations = self._observations()
         self._show()
+        seats = [(name, self._seats[name]) for name in acting]
+        infos = {name: seat.info(info) for name, seat in seats}
         return (
-            {name: observations[name] for name in acting},
-            {name: self._seats[name].reward(info) for name in acting},
+            {name: seat.observation(self._observed) for name, seat in seats},
+            {name: sum(own["reward_terms"].values()) for name, own in infos.items()},
             ends,
             cuts,
-            {name: self._seats[name].info(info) for name in acting},
+            infos,
         )
 
     def state(self) -> Any:

@@ -114,7 +114,7 @@ class BatchPlayer(Player):
             self._endings[world] = {
                 **ended,
                 "truncated": bool(outcome.truncated[world]),
-                "succeeded": successful_agents(self.program, info["endings"]),
+                "succeeded": successful_agents(self.program, info["endings"], info.get("agent_endings", {})),
             }
         return self._read()
 

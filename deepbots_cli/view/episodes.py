@@ -82,6 +82,8 @@ class Showing:
             {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         )
         chosen = compiled.program.variant(self.case, self.stage)
+        if run is not None and run.program.members and chosen.others is not None:
+            run = run.of_agent(chosen.others.agent)
         return ShowingState(
             chosen, compiled.findings, files, shown, run, compiled=compiled, parameters=parameters
         )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -21,6 +22,7 @@ from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.port import ZERO_VECTOR, Engine, RayReader, cast_rays
 from deepbots_cli.program import Program, generated
+from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.task import Choices
 from deepbots_cli.program.world import Variant
@@ -209,9 +211,14 @@ class WorldFrame:
         return f"{'time limit' if self.truncated else 'failure'}: {self.ended_by}"
 
 
-def successful_agents(program: Program, endings: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of those of several agents for which these endings are a success."""
-    return tuple(name for name, member in program.members.items() if member.has_succeeded(endings))
+def successful_agents(
+    program: Program, endings: Sequence[str], ended_alone: Mapping[str, AgentEnding] = MappingProxyType({})
+) -> tuple[str, ...]:
+    """Return the names of those of several agents for which the episode is a success, given the endings of the
+    world, and those of the agents that ended before."""
+    outcomes = {name: member.has_succeeded(endings) for name, member in program.members.items()}
+    outcomes |= {name: ending.is_success for name, ending in ended_alone.items()}
+    return tuple(name for name, is_success in outcomes.items() if is_success)
 
 
 def observation_fields(program: Program, units: ShownUnits) -> tuple[PlottedField, ...]:
@@ -426,7 +433,7 @@ class FrameReader:
             ended_by=env.ended_by,
             is_success=env.is_success,
             truncated=env.truncated,
-            succeeded=successful_agents(env.scenario, env.endings),
+            succeeded=successful_agents(env.scenario, env.endings, env.agent_endings),
         )
 
     def links(self) -> dict[LinkName, Frame]:

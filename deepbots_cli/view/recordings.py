@@ -146,6 +146,7 @@ class TopicEncoder:
             "ended_by": frame.ended_by or "",
             "is_success": frame.is_success,
             "truncated": frame.truncated,
+            **({"succeeded": list(frame.succeeded)} if frame.succeeded else {}),
         }
         for key, beams in layout.sensor_rays.items():
             topics[f"/scan/{key}"] = _scan(
@@ -520,6 +521,7 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
         ended_by=msgspec.convert(world["ended_by"], str) or None,
         is_success=bool(world["is_success"]),
         truncated=bool(world["truncated"]),
+        succeeded=tuple(msgspec.convert(world.get("succeeded", []), list[str])),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-CARTS = """\
+WORLD = """\
 deepbots: 1
 name: Carts
 world: {timestep: 32 ms, arena: {size: 4 4 m}}
@@ -11,14 +11,25 @@ robots:
     urdf: cartpole
     sensors: {angle: {type: joint_position, joint: pole_hinge}}
     actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: drive * 5 rad/s}
+    apply: {wheels: LEFT * 5 rad/s}
   right:
     urdf: cartpole
     pose: {y: 1 m}
     sensors: {angle: {type: joint_position, joint: pole_hinge}}
     actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: drive * 5 rad/s}
+    apply: {wheels: RIGHT * 5 rad/s}
 signals: {apart: "distance(left, right)"}
+truncation: {max_steps: 60}
+reset: {joints: {left.pole_hinge: uniform(-5 .. 5 deg), right.pole_hinge: uniform(-5 .. 5 deg)}}
+"""
+"""The world, without agents. LEFT and RIGHT stand for the variables of the action."""
+OF_TWO = WORLD.replace("LEFT", "drive").replace("RIGHT", "drive")
+"""The world of two agents, each of which has a variable `drive`."""
+OF_ONE = WORLD.replace("LEFT", "drive_left").replace("RIGHT", "drive_right")
+"""The world of one agent that drives both carts."""
+CARTS = (
+    OF_TWO
+    + """\
 agents:
   left:
     robots: [left]
@@ -31,6 +42,5 @@ agents:
 endings:
   left_fell:  {when: tilt(left.pole) > 30 deg, success: right, failure: left}
   right_fell: {when: tilt(right.pole) > 30 deg, success: left, failure: right}
-truncation: {max_steps: 60}
-reset: {joints: {left.pole_hinge: uniform(-5 .. 5 deg), right.pole_hinge: uniform(-5 .. 5 deg)}}
 """
+)

@@ -18,8 +18,10 @@ from deepbots_cli.insight.diagnosis import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
 from deepbots_cli.learning.records import PoolGames
 from deepbots_cli.learning.run import Run
+from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
+from deepbots_cli.view.replay import ReplayPlayer
 from tests.agents.test_joint_training import SHARED, written
 
 HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late: {when: step > 13")
@@ -187,9 +189,13 @@ def test_the_model_of_agents_that_compete_is_called_the_newest(
     assert " newest " in capsys.readouterr().out
 
 
-def test_the_caption_of_a_picture_names_the_agent_that_succeeds(hopeless: Path) -> None:
+def test_the_caption_of_a_picture_names_the_agent_that_succeeds(hopeless: Path, tmp_path: Path) -> None:
     pytest.importorskip("viser")
+    pytest.importorskip("mcap")
     player = open_player(Showing(str(hopeless)).open())
     with closing(player):
         last = [*player.episode(1, 0)][-1]
-    assert last.ending == "success of left: late"
+        recordings.record(player, tmp_path / "one.mcap", 1, [0])
+    with closing(ReplayPlayer(Showing(str(tmp_path / "one.mcap")).open())) as replayed:
+        recorded = [*replayed.episode(1, 0)][-1]
+    assert last.ending == recorded.ending == "success of left: late"

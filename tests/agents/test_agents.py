@@ -18,31 +18,17 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import joint_action, seats_of
+from tests.agents.carts import OF_ONE, OF_TWO
 
-SHARED = """\
-deepbots: 1
-name: Carts
-parameters: {push: uniform(0.5 .. 1)}
-world: {timestep: 32 ms, arena: {size: 4 4 m}}
-robots:
-  left:
-    urdf: cartpole
-    sensors: {angle: {type: joint_position, joint: pole_hinge, noise: 0.01 rad}}
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: LEFT * 5 rad/s}
-  right:
-    urdf: cartpole
-    pose: {y: 1 m}
-    sensors: {angle: {type: joint_position, joint: pole_hinge, noise: 0.01 rad}}
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: RIGHT * 5 rad/s}
-signals:
-  apart: distance(left, right)
-truncation: {max_steps: 60}
-reset: {joints: {left.pole_hinge: uniform(-5 .. 5 deg), right.pole_hinge: uniform(-5 .. 5 deg)}}
-"""
+
+def _noisy(carts: str) -> str:
+    """Return the carts with noise of their sensors, and a parameter that each episode draws."""
+    noisy = carts.replace("joint: pole_hinge}", "joint: pole_hinge, noise: 0.01 rad}")
+    return noisy + "parameters: {push: uniform(0.5 .. 1)}\n"
+
+
 SEVERAL = (
-    SHARED.replace("LEFT", "drive").replace("RIGHT", "drive")
+    _noisy(OF_TWO)
     + """\
 agents:
   left:
@@ -60,7 +46,7 @@ endings:
 """
 )
 ONE = (
-    SHARED.replace("LEFT", "drive_left").replace("RIGHT", "drive_right")
+    _noisy(OF_ONE)
     + """\
 action: {drive_left: -1 .. 1, drive_right: -1 .. 1}
 augment:
@@ -196,6 +182,9 @@ def test_pettingzoo_accepts_the_environment(several: Path) -> None:
         ),
         ("role.agent=middle", "there is no agent `middle`"),
         ("agents.left.signals={apart: 1 m}", "`apart` of `left` is already a signal of all agents"),
+        ("robots.right.count=3", "a robot with copies together with several agents is not supported yet"),
+        ("agents.right.each=right", "a robot with copies together with several agents"),
+        ("agents.right.goal={achieved: apart}", "a `goal` together with several agents is not supported yet"),
         ("observation.gap=0 .. 1 m", "`observation` at the top level cannot be combined with `agents`"),
     ],
 )

@@ -15,6 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.errors import BatchError
+from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import own_episode, result_of, steps
 from deepbots_cli.runtime.agents import joint_action, seats_of
@@ -111,7 +112,7 @@ def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> 
     )
     with closing(api.make(carts)) as world:
         driver = AgentsDriver(world, {"left": "ahead", "right": "zero"})
-        episode = result_of(steps(world, driver), 0)
+        episode = result_of(steps(world, driver, Start(3)), 0)
         left, right = (own_episode(member, episode) for member in world.scenario.members.values())
     assert (left.ended_by, left.is_success) == ("left_fell", False)
     assert (right.ended_by, right.is_success) == ("right_fell", True)

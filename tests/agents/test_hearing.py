@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
+from deepbots_cli.cli import main
 from deepbots_cli.runtime.agents import joint_action, seats_of
 from tests.agents.carts import CARTS
 
@@ -131,3 +133,10 @@ def test_an_agent_learns_and_lint_has_no_doubts(carts: Path, tmp_path: Path) -> 
     assert codes <= {"DB708"}  # that falling ends the payments, which is the point here
     carts.write_text(HEARING + "train: {algorithm: PPO, total_timesteps: 128, n_steps: 64, batch_size: 32}\n")
     assert deepbots_cli.train(carts, run=tmp_path / "run", seed=0).steps == 128
+    pytest.importorskip("onnx")
+    folder = tmp_path / "bundle"
+    assert main(["export", str(tmp_path / "run"), "--agent", "left", "-o", str(folder)]) == 0
+    inputs = {entry["name"]: entry for entry in json.loads((folder / "bundle.json").read_text())["inputs"]}
+    assert inputs["left.mate"]["supplied_by"] == "messages of right"
+    assert inputs["left.mate"]["latency_s"] == 0.032
+    assert "left.mate: another robot sends this" in (folder / "README.md").read_text()

@@ -21,6 +21,7 @@ from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.view.episodes import Player, Showing
 from tests.agents.test_joint_training import SHARED, written
 from tests.worlds import RAIL
 
@@ -102,6 +103,14 @@ def test_an_agent_of_a_run_is_evaluated_against_a_driver(trained: Path) -> None:
             observed, reward, terminated, truncated, _ = world.step(action[0])
             total, ended = total + float(reward), terminated or truncated
     assert result.outcomes[0].total_return == pytest.approx(total)
+
+
+def test_an_agent_of_a_run_is_shown_with_its_own_return(trained: Path) -> None:
+    overrides = ("role={agent: left, others: {right: lean}}",)
+    with closing(Player(Showing(str(trained), overrides=overrides).open())) as player:
+        seen = [next(iter(frame.agents.values())) for frame in player.episode(1, 0)]
+        assert [*seen[-1].terms] == [term.name for term in player.program.agent.reward]
+    assert seen[-1].episode_return == pytest.approx(sum(sum(one.terms.values()) for one in seen[1:]))
 
 
 def test_players_of_equal_agents_take_both_sides(trained: Path) -> None:

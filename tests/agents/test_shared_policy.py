@@ -29,6 +29,23 @@ SHARED = CARTS.replace(
 ALONE = SHARED.replace("success: right, failure: left}", "ends: left, failure: left}").replace(
     "success: left, failure: right}", "ends: right, failure: right}"
 )
+TEAM = (
+    SHARED.replace("success: right, failure: left", "failure: all")
+    .replace("success: left, failure: right", "failure: all")
+    .replace("policy: left}\n", "policy: left}\n  third: {like: left, robots: [third], policy: left}\n")
+    .replace(
+        "signals:",
+        """\
+  third:
+    urdf: cartpole
+    pose: {y: -1 m}
+    sensors: {angle: {type: joint_position, joint: pole_hinge}}
+    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
+    apply: {wheels: drive * 5 rad/s}
+signals:""",
+    )
+)
+"""Three equal robots, each of which has an agent."""
 
 
 @pytest.fixture
@@ -129,3 +146,28 @@ def test_a_mistake_about_a_shared_policy_is_one_finding(carts: Path, right: str,
     carts.write_text(CARTS.replace("{like: left, robots: [right]}", right))
     errors = [finding.headline for finding in api.lint(carts) if finding.severity == "error"]
     assert errors == [headline]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:We recommend agents to be named", "ignore:Observation numpy array is all")
+def test_a_team_of_equal_robots_is_an_environment_and_learns_one_policy(tmp_path: Path) -> None:
+    pytest.importorskip("pettingzoo")
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
+    from pettingzoo.utils import parallel_to_aec
+
+    file = tmp_path / "team.yaml"
+    file.write_text(TEAM + PPO)
+    with closing(deepbots_cli.parallel_env(file)) as environment:
+        assert environment.possible_agents == ["left", "right", "third"]
+        parallel_api_test(environment, num_cycles=100)
+        api_test(parallel_to_aec(environment), num_cycles=20)
+    parallel_seed_test(lambda: deepbots_cli.parallel_env(file), num_cycles=10)
+    with pytest.warns(RuntimeWarning, match="there is no display"):
+        render_test(
+            lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(file, render_mode=render_mode))
+        )
+    deepbots_cli.train(file, run=tmp_path / "run", seed=1, total_timesteps=64)
+    learners = load_model(Run.open(tmp_path / "run"), "best").learners  # type: ignore[attr-defined]  # of several
+    weights = [learner.weights() for learner in learners.values()]
+    for name, tensor in weights[0].items():
+        assert all(np.array_equal(tensor, other[name]) for other in weights[1:])

@@ -25,29 +25,20 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.rollout.worlds import BatchWorlds
+from tests.agents.carts import OF_ONE, OF_TWO
 from tools.benchmarks.report import Row, options, pairs, ratio, show
 
-SHARED = """\
-deepbots: 1
-name: Carts
-world: {timestep: 32 ms, engine: mujoco, arena: {size: 6 6 m}}
-robots:
-  left:
-    urdf: cartpole
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: LEFT * 5 rad/s}
-  right:
-    urdf: cartpole
-    pose: {y: 1 m}
-    actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
-    apply: {wheels: RIGHT * 5 rad/s}
-signals:
-  apart: distance(left, right)
-truncation: {max_steps: 400}
-reset: {joints: {left.pole_hinge: uniform(-5 .. 5 deg), right.pole_hinge: uniform(-5 .. 5 deg)}}
-"""
+
+def _in_mujoco(carts: str) -> str:
+    """Return longer episodes in a larger arena."""
+    changed = carts.replace(
+        "timestep: 32 ms, arena: {size: 4 4 m}", "timestep: 32 ms, engine: mujoco, arena: {size: 6 6 m}"
+    )
+    return changed.replace("max_steps: 60", "max_steps: 400")
+
+
 TWO = (
-    SHARED.replace("LEFT", "drive").replace("RIGHT", "drive")
+    _in_mujoco(OF_TWO)
     + """\
 agents:
   left:
@@ -61,7 +52,7 @@ endings: {apart_far: {when: apart > 3 m, failure: all}}
 """
 )
 ONE = (
-    SHARED.replace("LEFT", "drive_left").replace("RIGHT", "drive_right")
+    _in_mujoco(OF_ONE)
     + """\
 action: {drive_left: -1 .. 1, drive_right: -1 .. 1}
 augment:

@@ -44,7 +44,7 @@ Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-4
 ## Beside the paper
 """
 BESIDE = """\
-Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes did. Each page lists
+Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes did. Pages list
 differences."""
 OTHERS = """\
 ## Other scenarios
@@ -148,8 +148,11 @@ def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
 
 def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
     names = [_link(standing.experiment) for standing in standings if Headline.of(standing) is None]
-    if names := [*names, *(f"`{name}`" for name in REASONS)]:
-        yield from (*wrapped(f"Not measured: {', '.join(names)}."), "")
+    by_matches = [f"[`{name}`](scenarios/{name}.md)" for name in REASONS]
+    text = f"[Match-ups](several-agents.md#measured): {', '.join(by_matches)}."
+    if names:
+        text = f"Not measured: {', '.join(names)}. {text}"
+    yield from (*wrapped(text), "")
 
 
 def _link(experiment: Experiment) -> str:

@@ -45,6 +45,9 @@ class ObservedNames:
         self._program = program
         self._describe = Readings(program, timestep)
         self.definitions = self._describe.deployment.definitions
+        self._heard = {
+            f"{link.receiver}.{value.name}": (link, value) for link in program.links for value in link.values
+        }
         self._whole: dict[str, Value] = {}
         self._on_board = {
             robot.name: TreePrinter(math, OnBoard(self, robot), memories.per_timestep)
@@ -106,6 +109,9 @@ class ObservedNames:
             return item(
                 self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part
             )
+        if name in self._heard:
+            link, value = self._heard[name]
+            return item(self.input(self._describe.heard(link, value)), value.components, part)
         return item(self._last_action(name), self.acted[name], part)
 
     def _once(self, key: str, printer: TreePrinter, trees: Sequence[Scalar]) -> Value:

@@ -14,7 +14,7 @@ from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import SPACE
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import NoiseModel, Robot, Sensor
+from deepbots_cli.program.robots import Link, MessageField, NoiseModel, Robot, Sensor
 from deepbots_cli.program.topics import VECTORS
 from deepbots_cli.program.values import Expression
 from deepbots_cli.robots.model import Pose
@@ -141,6 +141,26 @@ class Readings:
             max_age_s=None,
         )
         return Reading(info, tuple(Name(value.name, part) for part in parts))
+
+    def heard(self, link: Link, value: Expression) -> Reading:
+        """Describe what a robot hears from another one. It arrives a timestep after it was sent, and after
+        the latency of the link."""
+        entry, route = MessageField.from_expression(value), link.route
+        slowest = 0.0 if route.latency is None else route.latency.typed.type.interval.high
+        name, parts = f"{link.receiver}.{value.name}", value.components or (None,)
+        info = self._input(
+            name,
+            robot=link.receiver,
+            source="supervisor",
+            supplied_by=self._supplied_by.get(name, f"messages of {link.sender}"),
+            shape=(len(parts),),
+            dtype=entry.dtype,
+            components=value.components,
+            unit=unit_text(entry.unit),
+            range=None,
+            latency=self._program.world.timestep + (slowest if math.isfinite(slowest) else 0.0),
+        )
+        return Reading(info, tuple(Name(name, part) for part in parts))
 
     def _input(
         self,
