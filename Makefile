@@ -30,6 +30,12 @@ train: setup ## train and evaluate the CartPole
 view: $(VENV)/ready-to-view ## a robot in the browser, and how it finds a ball
 	$(BIN)/deepbots view find_ball --driver around --open
 
+.PHONY: studio
+studio: $(VENV)/ready-for-studio ## write, see and train a scenario on one page of the browser, in the folder studio
+	@mkdir -p studio
+	@test -n "$$(ls studio/*.yaml 2>/dev/null)" || $(BIN)/deepbots new mine studio --template cartpole
+	$(BIN)/deepbots studio studio --open
+
 .PHONY: test
 test: dev ## the tests, with a few of many cases that show one fact
 	$(PYTEST) -m "not slow and not editors and not browser"
@@ -102,6 +108,11 @@ $(VENV)/ready-to-train: $(PROJECTS) | $(VENV)/made
 $(VENV)/ready-to-view: $(PROJECTS) | $(VENV)/made
 	@echo "installing what the page in the browser needs; this takes a few minutes the first time"
 	@$(PIP) -e ./deepbots_robot -e '.[view]'
+	@touch $@
+
+$(VENV)/ready-for-studio: $(PROJECTS) | $(VENV)/made
+	@echo "installing what the studio needs; this takes a few minutes the first time"
+	@$(PIP) -e ./deepbots_robot -e '.[studio]'
 	@touch $@
 
 $(VENV)/ready-for-docs: $(PROJECTS) | $(VENV)/made

@@ -114,7 +114,8 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
 def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
     """Return the chart of a training as ECharts takes it."""
     lines = [_line("return", curves.returns, 0), _line("evaluated return", curves.evaluations, 0, marks=True)]
-    if has_successes or curves.successes:
+    has_successes = has_successes or bool(curves.successes)
+    if has_successes:
         lines += [
             _line("success", _percent(curves.successes), 1),
             _line("evaluated success", _percent(curves.evaluated_successes), 1, marks=True),
@@ -136,7 +137,14 @@ def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
         "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22},
         "yAxis": [
             {"type": "value", "name": "return", "scale": True},
-            {"type": "value", "name": "success %", "min": 0, "max": 100, "splitLine": {"show": False}},
+            {
+                "type": "value",
+                "name": "success %",
+                "min": 0,
+                "max": 100,
+                "splitLine": {"show": False},
+                "show": has_successes,
+            },
         ],
         "series": [line for line in [*lines, *terms] if line["data"]],
     }

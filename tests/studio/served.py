@@ -105,7 +105,7 @@ class StudioTab:
         script = """(() => { const line = [...document.querySelectorAll('.cm-line')].find(
             line => line.innerText.startsWith(%s)); line.scrollIntoView({block: 'nearest'});
             const range = document.createRange(); range.selectNodeContents(line);
-            const box = range.getBoundingClientRect(); return [box.right, box.y + box.height / 2]; })()"""
+            const box = range.getBoundingClientRect(); return [box.x + 2, box.y + box.height / 2]; })()"""
         x, y = self.wait(script % json.dumps(begin))
         for kind in ("mousePressed", "mouseReleased"):
             self.tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)

@@ -1,0 +1,61 @@
+"""The pictures of docs/studio.md: `python -m tools.studio_pictures` needs Chromium and takes a minute."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+from deepbots_cli.processes import python_command, python_environment
+from tests.studio.served import BACKSPACE, ENTER, ESCAPE, StudioTab, served
+from tests.view.browser import browser
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+_WITHOUT_NOTICE = (
+    "document.querySelector('iframe').contentDocument.head.insertAdjacentHTML('beforeend',"
+    " '<style>.mantine-Notifications-root {display: none}</style>')"
+)
+_HAS_ENDED = "/mine-1: finished/.test(document.querySelector('.studio-work').innerText)"
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name, browser() as new_tab:
+        folder = Path(name)
+        words = ("new", "mine", "--template", "cartpole")
+        subprocess.run(
+            python_command("deepbots_cli", *words), cwd=folder, env=python_environment(), check=True
+        )
+        with served(folder, "mine.yaml") as studio:
+            page = StudioTab(new_tab(), studio.address, 1440, 860)
+            page.click("Train")
+            page.wait(_HAS_ENDED, 300)
+            page.tab.run(_WITHOUT_NOTICE)
+            time.sleep(10)  # the evaluation, and the messages of the page
+            page.tab.see(str(IMAGES / "studio.png"))
+
+            page.click("Dark")
+            page.click_line("  alive: 1")
+            page.press(ENTER)
+            for letter in "upright: 15 deg":
+                page.type(letter)
+            page.press(ESCAPE)
+            page.wait("document.querySelectorAll('.studio-row').length > 0")
+            page.tab.run("document.querySelector('.studio-row summary').click()")
+            page.wait("document.querySelector('.studio-explanation').innerText.length > 40")
+            time.sleep(6)
+            page.tab.run(_WITHOUT_NOTICE)
+            time.sleep(1)
+            page.tab.see(str(IMAGES / "studio_finding.png"))
+
+            page.press(BACKSPACE, len("upright: 15 deg") + 3)
+            narrow = StudioTab(new_tab(), studio.address, 420, 820)
+            narrow.open_tab("Runs")
+            narrow.wait("document.querySelector('table')?.innerText.includes('mine-1')")
+            narrow.tab.run("document.querySelector('.studio-work').scrollIntoView()")
+            time.sleep(3)
+            narrow.tab.see(str(IMAGES / "studio_narrow.png"))
+
+
+if __name__ == "__main__":
+    main()
