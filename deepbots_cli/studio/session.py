@@ -157,7 +157,7 @@ class Session:
             self.language.remove(path)
             self._tell("files")
 
-    def change(self, file: OpenFile, base: int, text: str) -> bool:
+    def change(self, file: OpenFile, base: int | str, text: str) -> bool:
         """Take the text of a browser, as `OpenFile.change` does."""
         is_same = file.change(base, text)
         self.language.update(file)
@@ -173,14 +173,16 @@ class Session:
         """Write a file, and restart the robot with it.
 
         Raises:
-            UsageError: The file cannot be written.
+            UsageError: The file cannot be written, or another program has changed it.
         """
-        file.save()
-        self._keep_draft(file)
-        self.language.update_all()
-        self._restart_robot()
-        self._stamps = file_stamps(self._watched())
-        self._tell("text")
+        try:
+            file.save()
+            self._keep_draft(file)
+            self.language.update_all()
+            self._restart_robot()
+            self._stamps = file_stamps(self._watched())
+        finally:
+            self._tell("text")
 
     def _restart_robot(self) -> None:
         """Read the files of the robot again; parameters whose text has changed take the new text."""
