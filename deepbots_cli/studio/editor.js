@@ -71,6 +71,7 @@ export default {
       CM.basicSetup,
       CM.EditorState.tabSize.of(2),
       CM.indentUnit.of("  "),
+      CM.Prec.highest(CM.indentService.of(indentation)),
       this.language.of([]),
       this.dark.of([]),
       this.writing.of([]),
@@ -256,6 +257,15 @@ export default {
     },
   },
 };
+
+// A new line is indented as the line before, and deeper below a key without a value. The parser of YAML in
+// CodeMirror returns to column 0 behind a comment.
+function indentation(context, position) {
+  const line = context.lineAt(position, -1);
+  const before = line.text.slice(0, position - line.from);
+  const deeper = /:\s*(#.*)?$/.test(before) ? context.unit : 0;
+  return /^\s*/.exec(before)[0].length + deeper;
+}
 
 // Return the one change that turns a text into another, null for equal texts.
 function difference(before, after) {

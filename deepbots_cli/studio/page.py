@@ -429,5 +429,6 @@ class StudioPage:
         self._is_dark = not self._is_dark
         self._dark.set_value(self._is_dark)
         self._editor.set_dark(self._is_dark)
+        self._training.set_dark(self._is_dark)
         self._address = ""
         self._show_robot()
