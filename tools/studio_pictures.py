@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from deepbots_cli.processes import python_command, python_environment
-from tests.studio.served import BACKSPACE, ENTER, ESCAPE, StudioTab, served
+from tests.studio.served import ENTER, ESCAPE, StudioTab, served
 from tests.view.browser import browser
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
@@ -30,17 +30,19 @@ def main() -> None:
             page = StudioTab(new_tab(), studio.address, 1440, 860)
             page.click("Train")
             page.wait(_HAS_ENDED, 300)
+            page.wait("document.body.innerText.includes('train of runs/mine-1 has ended')", 120)
+            page.wait("!document.body.innerText.includes('has ended')")
             page.tab.run(_WITHOUT_NOTICE)
-            time.sleep(10)  # the evaluation, and the messages of the page
+            time.sleep(1)
             page.tab.see(str(IMAGES / "studio.png"))
 
-            page.click("Dark")
             page.click_line("  alive: 1")
             page.press(ENTER)
             for letter in "upright: 15 deg":
                 page.type(letter)
             page.press(ESCAPE)
             page.wait("document.querySelectorAll('.studio-row').length > 0")
+            page.click("Dark")  # the robot's page is loaded again, and takes the focus
             page.tab.run("document.querySelector('.studio-row summary').click()")
             page.wait("document.querySelector('.studio-explanation').innerText.length > 40")
             time.sleep(6)
@@ -48,7 +50,6 @@ def main() -> None:
             time.sleep(1)
             page.tab.see(str(IMAGES / "studio_finding.png"))
 
-            page.press(BACKSPACE, len("upright: 15 deg") + 3)
             narrow = StudioTab(new_tab(), studio.address, 420, 820)
             narrow.open_tab("Runs")
             narrow.wait("document.querySelector('table')?.innerText.includes('mine-1')")

@@ -87,7 +87,8 @@ class _RobotUpload:
             ui.notify(f"{name} exists already; choose another name for the file", type="warning")
         else:
             try:
-                path.write_bytes(await event.file.read())
+                with path.open("xb") as file:  # which follows no link
+                    file.write(await event.file.read())
             except OSError as error:
                 ui.notify(f"{name} cannot be written: {error.strerror}", type="warning")
                 return

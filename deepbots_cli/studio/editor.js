@@ -1,7 +1,8 @@
 // The text editor of the studio. Positions are a line from 0 and a column in UTF-16 units.
 //
 // A text is sent with the revision that it is based on. While the answer is awaited, no further text is sent;
-// a text of the server that arrives meanwhile is kept until then.
+// a text of the server that arrives meanwhile is kept until then. If the answer changes places that were typed
+// at since, the next text is sent with the text that it is based on, and the server merges both.
 import * as CM from "nicegui-codemirror";
 
 const SEND_AFTER_MS = 60;
@@ -51,7 +52,8 @@ async function ask(what, body) {
 
 export default {
   template: `<div class="studio-editor"></div>`,
-  data: () => ({ path: "", revision: 0, base: "", waiting: false, pushed: null, timer: 0, findings: [] }),
+  data: () => ({ path: "", revision: 0, base: "", waiting: false, behind: false, pushed: null,
+    timer: 0, findings: [] }),
   mounted() {
     this.dark = new CM.Compartment();
     this.writing = new CM.Compartment();
@@ -69,6 +71,7 @@ export default {
       CM.basicSetup,
       CM.EditorState.tabSize.of(2),
       CM.indentUnit.of("  "),
+      CM.Prec.highest(CM.indentService.of(indentation)),
       this.language.of([]),
       this.dark.of([]),
       this.writing.of([]),
@@ -99,9 +102,10 @@ export default {
       return true;
     },
     show(path, text, revision, readOnly, dark) {
-      this.send();
+      this.leave();
       clearTimeout(this.timer);
-      Object.assign(this, { path, revision, base: text, waiting: false, pushed: null, findings: [] });
+      Object.assign(this, { path, revision, base: text, waiting: false, behind: false, pushed: null,
+        findings: [] });
       this.view.setState(CM.EditorState.create({ doc: text, extensions: this.extensions }));
       this.view.dispatch({ effects: [
         this.language.reconfigure(this.yaml ?? []),
@@ -121,21 +125,28 @@ export default {
     },
     send() {
       const text = this.text();
-      if (!this.path || this.waiting || text == this.base) return;
+      if (!this.path || this.waiting || (text == this.base && !this.behind)) return;
       this.waiting = true;
       this.sent = text;
-      this.$emit("change", this.path, this.revision, text);
+      this.$emit("change", this.path, this.behind ? this.base : this.revision, text);
+    },
+    // Send what was typed last into a file that is no longer shown; no answer to it is awaited.
+    leave() {
+      const text = this.text();
+      if (this.path && this.waiting && text != this.sent) this.$emit("change", this.path, this.sent, text);
+      else this.send();
     },
     confirm(path, revision, merged) {
       if (path != this.path) return;
       this.waiting = false;
       this.revision = revision;
       this.base = this.sent;
+      this.behind = false;
       if (merged != null) this.rebase(merged);
       const pushed = this.pushed;
       this.pushed = null;
       if (pushed && pushed.revision > this.revision) this.receive(path, pushed.text, pushed.revision);
-      if (this.text() != this.base) this.schedule();
+      if (this.text() != this.base || this.behind) this.schedule();
     },
     // Text from the server
     receive(path, text, revision) {
@@ -144,7 +155,7 @@ export default {
         this.pushed = { text, revision };
         return;
       }
-      if (this.text() != this.base) return this.send(); // the answer has both changes
+      if (this.text() != this.base || this.behind) return this.send(); // the answer has both changes
       this.revision = revision;
       this.rebase(text);
     },
@@ -152,7 +163,6 @@ export default {
     rebase(text) {
       const changes = difference(this.base, text);
       const typed = this.text() == this.base ? null : difference(this.base, this.text());
-      this.base = text;
       if (!changes) return;
       if (typed) {
         if (changes.from > typed.to) {
@@ -160,9 +170,11 @@ export default {
           changes.from += moved;
           changes.to += moved;
         } else if (changes.to >= typed.from) {
-          return; // both at one place: what is typed counts, and is sent next
+          this.behind = true;
+          return;
         }
       }
+      this.base = text;
       this.view.dispatch({ changes, annotations: fromServer.of(true) });
     },
     // Findings
@@ -245,6 +257,15 @@ export default {
     },
   },
 };
+
+// A new line is indented as the line before, and deeper below a key without a value. The parser of YAML in
+// CodeMirror returns to column 0 behind a comment.
+function indentation(context, position) {
+  const line = context.lineAt(position, -1);
+  const before = line.text.slice(0, position - line.from);
+  const deeper = /:\s*(#.*)?$/.test(before) ? context.unit : 0;
+  return /^\s*/.exec(before)[0].length + deeper;
+}
 
 // Return the one change that turns a text into another, null for equal texts.
 function difference(before, after) {

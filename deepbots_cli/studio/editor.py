@@ -20,18 +20,22 @@ from deepbots_cli.studio.language import EditorFinding
 _BUNDLE = Path(nicegui.__file__).parent / "elements" / "codemirror" / "dist"
 
 
+OnChange = Callable[[Path, int | str, str], OpenFile | None]
+
+
 class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUNDLE)}):
     """The editor in one browser.
 
     Completion and hover are fetched from `complete` and `hover` of the server, with the path of the file.
     """
 
-    def __init__(self, on_change: Callable[[int, str], None], on_key: Callable[[str], None]) -> None:
-        """`on_change` gets the revision that a text is based on, and the text. `on_key` gets `save`, `train`
-        or `next`."""
+    def __init__(self, on_change: OnChange, on_key: Callable[[str], None]) -> None:
+        """`on_change` gets a path, the revision or the text that a text is based on, and the text; it returns
+        the file, None if the path is not open. `on_key` gets `save` or `train`."""
         super().__init__()
         self._file: OpenFile | None = None
         self._sent = 0
+        self._takes = False
         self.on("change", lambda event: self._changed(event, on_change))
         self.on("command", lambda event: on_key(str(event.args)))
 
@@ -42,7 +46,7 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
 
     def refresh(self) -> None:
         """Send the text if it has changed since the browser got or sent it."""
-        if self._file is not None and self._file.revision != self._sent:
+        if self._file is not None and self._file.revision != self._sent and not self._takes:
             self._sent = self._file.revision
             self.run_method("receive", str(self._file.path), self._file.text, self._file.revision)
 
@@ -57,15 +61,20 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
     def set_dark(self, dark: bool) -> None:
         self.run_method("setDark", dark)
 
-    def _changed(self, event: GenericEventArguments, on_change: Callable[[int, str], None]) -> None:
+    def _changed(self, event: GenericEventArguments, on_change: OnChange) -> None:
         """Take the text of the browser, and confirm it."""
         path, base, text = event.args
-        if self._file is None or path != str(self._file.path) or not isinstance(text, str):
+        if not isinstance(path, str) or not isinstance(base, int | str) or not isinstance(text, str):
             return
-        on_change(int(base), text)
-        self._sent = self._file.revision
-        confirmed = self._file.text == text
-        self.run_method("confirm", path, self._file.revision, None if confirmed else self._file.text)
+        # A text that was typed just before another file was shown belongs to the file before.
+        self._takes = True
+        try:
+            file = on_change(Path(path), base, text)
+        finally:
+            self._takes = False
+        if file is not None and file is self._file:
+            self._sent = file.revision
+            self.run_method("confirm", path, file.revision, None if file.text == text else file.text)
 
 
 def _row(finding: EditorFinding) -> dict[str, Any]:

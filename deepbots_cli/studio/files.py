@@ -10,9 +10,12 @@ import codecs
 import hashlib
 import json
 import os
+import re
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,8 +24,9 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.lsp.workspace import common_prefix
 
-_MAX_REVISIONS = 50
-"""The number of earlier texts that a late change of a browser can be based on."""
+_MAX_REVISIONS = 10_000
+"""The number of earlier texts that a late change of a browser can be based on; a browser that was away for a
+minute missed up to 1 000."""
 _MAX_DRAFT_BYTES = 8 * MAX_BYTES
 
 
@@ -34,7 +38,7 @@ class Form(NamedTuple):
 
     def encode(self, text: str) -> bytes:
         name = "utf-8-sig" if self.mark else "utf-8"
-        return text.replace("\n", self.newline).encode(name, "surrogatepass")
+        return text.replace("\n", self.newline).encode(name)
 
 
 class TextEdit(NamedTuple):
@@ -60,19 +64,87 @@ def edited(text: str, edits: Sequence[TextEdit]) -> str:
     return text
 
 
-def merged(base: str, one: str, other: str) -> str | None:
-    """Return the text with both changes of `base`; None if they overlap."""
-    if base == one or one == other:
+def merged(base: str, typed: str, other: str) -> str:
+    """Return the text with both changes of `base`, by lines and, within a line that both changed, by words.
+    Where both changed the same word, that of `typed` counts. Two insertions at one place are both kept.
+    """
+    if typed in (base, other):
         return other
-    if base == other:
-        return one
-    first, second = difference(base, one), difference(base, other)
-    if first.start > second.start:
-        first, second = second, first
-    # Two insertions at one place have no order.
-    if first.end > second.start or first.start == second.start:
-        return None
-    return edited(base, [first, second])
+    if other == base:
+        return typed
+    first, second = sorted((difference(base, typed), difference(base, other)))
+    if first.end <= second.start and first.start != second.start:
+        return edited(base, [first, second])
+    return _merged_tokens(_lines(base), _lines(typed), _lines(other), _merged_words)
+
+
+def _merged_words(base: str, typed: str, other: str) -> str:
+    return _merged_tokens(_words(base), _words(typed), _words(other), _merged_word)
+
+
+def _merged_word(base: str, typed: str, other: str) -> str:
+    if base or other in typed:
+        return typed
+    return other if typed in other else typed + other
+
+
+_Merge = Callable[[str, str, str], str]
+
+
+def _merged_tokens(base: list[str], typed: list[str], other: list[str], conflict: _Merge) -> str:
+    """Return the text with both changes; `conflict` merges tokens that both changed."""
+    changes = sorted(
+        (start, end, new, is_typed)
+        for tokens, is_typed in ((typed, True), (other, False))
+        for start, end, new in _replacements(base, tokens)
+    )
+    parts: list[str] = []
+    at = 0
+    while changes:
+        start, end, *_ = changes[0]
+        group = [changes.pop(0)]
+        while changes and (changes[0][0] < end or changes[0][:2] == (start, end)):
+            group.append(changes.pop(0))
+            end = max(end, group[-1][1])
+        parts += base[at:start]
+        both = [_replaced(base[start:end], start, group, is_typed) for is_typed in (True, False)]
+        before = "".join(base[start:end])
+        if before == both[0]:
+            parts.append(both[1])
+        elif before == both[1]:
+            parts.append(both[0])
+        else:
+            parts.append(conflict(before, *both))
+        at = end
+    return "".join([*parts, *base[at:]])
+
+
+_Replacement = tuple[int, int, list[str], bool]
+
+
+def _replacements(before: list[str], after: list[str]) -> list[tuple[int, int, list[str]]]:
+    return [
+        (start, end, after[first:last])
+        for kind, start, end, first, last in SequenceMatcher(None, before, after).get_opcodes()
+        if kind != "equal"
+    ]
+
+
+def _replaced(tokens: list[str], offset: int, changes: Sequence[_Replacement], is_typed: bool) -> str:
+    """Return tokens, which begin at `offset`, after the changes of one side."""
+    tokens = list(tokens)
+    for start, end, new, side in reversed(changes):
+        if side == is_typed:
+            tokens[start - offset : end - offset] = new
+    return "".join(tokens)
+
+
+def _lines(text: str) -> list[str]:
+    return text.splitlines(keepends=True)
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"\w+|\W", text)
 
 
 @dataclass(eq=False)
@@ -87,6 +159,7 @@ class OpenFile:
         outside: The text of the file on disk if another program changed it while `text` was not saved.
         is_restored: Whether the text comes from the draft of an earlier session.
         read_only: Whether the studio may not write the file.
+        is_gone: Whether the file was removed while it was open.
     """
 
     path: Path
@@ -96,9 +169,11 @@ class OpenFile:
     outside: str | None = None
     is_restored: bool = False
     read_only: bool = False
+    is_gone: bool = False
     form: Form = Form()
     _stamp: tuple[int, int] = (0, 0)
-    _earlier: deque[tuple[int, str]] = field(default_factory=lambda: deque(maxlen=_MAX_REVISIONS))
+    _earlier: deque[TextEdit] = field(default_factory=lambda: deque(maxlen=_MAX_REVISIONS))
+    """For each revision before the present one, the edit that returns to it."""
 
     @classmethod
     def open(cls, path: Path, *, read_only: bool = False) -> OpenFile:
@@ -113,24 +188,37 @@ class OpenFile:
 
     @property
     def is_modified(self) -> bool:
-        return self.text != self.saved
+        return self.is_gone or self.text != self.saved
 
-    def change(self, base: int, text: str) -> bool:
-        """Take the text of a browser that is based on the revision `base`.
+    def change(self, base: int | str, text: str) -> bool:
+        """Take the text of a browser.
+
+        Args:
+            base: The revision that the text is based on, or the text that it is based on.
 
         Returns:
             Whether the present text is that of the browser. Otherwise it also has a change that the browser
-            does not know. Where both changed the same place, the text of the browser counts.
+            does not know. Where both changed the same words, the text of the browser counts.
 
         Raises:
             UsageError: The text is too large.
         """
-        if len(text.encode("utf-8", "surrogatepass")) > MAX_BYTES:
+        text = _clean(text)
+        if len(text.encode()) > MAX_BYTES:
             raise UsageError(f"{self.path.name} would have more than {MAX_BYTES:,} bytes")
-        before = self.text if base == self.revision else dict(self._earlier).get(base)
-        both = None if before is None else merged(before, text, self.text)
-        self._set(text if both is None else both)
+        before = base if isinstance(base, str) else self._text_of(base)
+        self._set(text if before is None else merged(before, text, self.text))
         return self.text == text
+
+    def _text_of(self, revision: int) -> str | None:
+        """Return the text of an earlier revision, None if it is too old."""
+        age = self.revision - revision
+        if not 0 <= age <= len(self._earlier):
+            return None
+        text = self.text
+        for number in range(age):
+            text = edited(text, [self._earlier[-1 - number]])
+        return text
 
     def edit(self, edits: Sequence[TextEdit]) -> None:
         """Change the text by edits whose offsets are those of the present text."""
@@ -140,13 +228,20 @@ class OpenFile:
         """Write the text to the file.
 
         Raises:
-            UsageError: The file cannot be written.
+            UsageError: The file cannot be written, or another program has changed it.
         """
         if self.read_only:
             raise UsageError(f"{self.path.name} belongs to deepbots or another project; save a copy of it")
+        self.read_outside()
+        if self.outside is not None:
+            raise UsageError(
+                f"another program has changed {self.path.name}; take its text or keep this one, then save"
+            )
+        if not self.is_modified:
+            return
         with atomic_write(self.path) as draft:
             draft.write_bytes(self.form.encode(self.text))
-        self.saved, self.outside, self.is_restored = self.text, None, False
+        self.saved, self.is_restored, self.is_gone = self.text, False, False
         self._stamp = _stamp(self.path)
 
     def read_outside(self) -> bool:
@@ -161,14 +256,17 @@ class OpenFile:
         if stamp == self._stamp:
             return False
         self._stamp = stamp
-        if stamp == (0, 0):
-            return False  # the file is gone; the text stays, and can be saved
+        was_gone, self.is_gone = self.is_gone, stamp == (0, 0)
+        if self.is_gone:
+            return not was_gone  # the text stays, and can be saved
         try:
             text, self.form = read_text(self.path)
         except UsageError:
-            return False
+            return was_gone
+        before = self.outside
         if text == self.saved:
-            return False
+            self.outside = None
+            return was_gone or before is not None
         if self.is_modified and text != self.text:
             self.outside = text
         else:
@@ -179,8 +277,7 @@ class OpenFile:
     def take_outside(self) -> None:
         """Replace the text by that of the file on disk."""
         if self.outside is not None:
-            self.saved = self.outside
-            self.outside, self.is_restored = None, False
+            self.saved, self.outside, self.is_restored = self.outside, None, False
             self._set(self.saved)
 
     def keep_own(self) -> None:
@@ -195,7 +292,7 @@ class OpenFile:
 
     def _set(self, text: str) -> None:
         if text != self.text:
-            self._earlier.append((self.revision, self.text))
+            self._earlier.append(difference(text, self.text))
             self.text, self.revision = text, self.revision + 1
 
 
@@ -221,7 +318,13 @@ def read_text(path: Path) -> tuple[str, Form]:
         raise UsageError(f"{path.name} is no text in UTF-8") from error
     first, _, _ = text.partition("\n")
     form = Form("\r\n" if first.endswith("\r") else "\n", content.startswith(codecs.BOM_UTF8))
-    return text.replace("\r\n", "\n").replace("\r", "\n"), form
+    return _clean(text), form
+
+
+def _clean(text: str) -> str:
+    """Return a text whose lines end in `\\n`, without halves of characters, which UTF-8 has none of."""
+    whole = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    return whole.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -253,21 +356,28 @@ class Drafts:
             self._folder.mkdir(parents=True, exist_ok=True)
             path = self._path(file.path)
             draft = path.with_suffix(".new")
-            draft.write_text(json.dumps({"path": str(file.path), "text": file.text}), encoding="utf-8")
+            content = {"path": str(file.path), "text": file.text, "saved": file.saved}
+            draft.write_text(json.dumps(content), encoding="utf-8")
             os.replace(draft, path)
             self._kept[file.path] = file.text
 
     def restore(self, file: OpenFile) -> None:
-        """Give a file that was just opened its unsaved text of an earlier session."""
+        """Give a file that was just opened its unsaved text of an earlier session.
+
+        If the file was changed since, both texts are offered as after a change outside.
+        """
         try:
             with self._path(file.path).open("rb") as stream:
                 content = json.loads(stream.read(_MAX_DRAFT_BYTES))
-            text = content["text"]
+            text, saved = content["text"], content["saved"]
         except (OSError, ValueError, TypeError, KeyError, RecursionError):
             return
-        if isinstance(text, str) and text != file.text:
-            file.change(file.revision, text)
-            file.is_restored = True
+        if isinstance(text, str) and isinstance(saved, str) and text != file.text:
+            with suppress(UsageError):  # a draft that is too large is none of the studio's
+                file.change(file.revision, text)
+                file.is_restored = True
+                if saved != file.saved:
+                    file.saved, file.outside = saved, file.saved
 
     def _path(self, path: Path) -> Path:
         digest = hashlib.sha256(str(path).encode("utf-8", "surrogatepass")).hexdigest()[:16]

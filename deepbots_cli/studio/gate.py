@@ -22,6 +22,8 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 ROBOT_PATH = "/robot/"
+_ROBOT_SOCKETS = {"/robot": "/", "/robot/": "/", "/robot/drive": "/drive"}
+"""The web sockets of the robot's page, and their paths there; viser opens its own without the last slash."""
 _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:;"
     " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
@@ -68,7 +70,7 @@ class Guarded:
             else:
                 await _answer(send, refusal.status, refusal.text.encode(), refusal.headers)
             return
-        if f"{path}/".startswith(ROBOT_PATH):  # viser opens its web socket without the last slash
+        if f"{path}/".startswith(ROBOT_PATH):
             if is_socket:
                 await _pass_socket(self._robot_address(), scope, receive, send)
             else:
@@ -106,7 +108,7 @@ def _limited(receive: Receive) -> Receive:
 
 
 def _with_policy(send: Send, ancestors: str) -> Send:
-    """Return a sender that adds the headers of safety to answers."""
+    """Return a sender that adds the headers of safety to answers without; a stricter policy stays."""
     policy = _POLICY.format(ancestors)
     added = {
         "content-security-policy": policy,
@@ -116,8 +118,9 @@ def _with_policy(send: Send, ancestors: str) -> Send:
 
     async def sending(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
-            kept = [(name, value) for name, value in message["headers"] if name.decode().lower() not in added]
-            message["headers"] = kept + [(name.encode(), value.encode()) for name, value in added.items()]
+            present = {name.decode("latin-1").lower() for name, _ in message["headers"]}
+            new = [(name.encode(), text.encode()) for name, text in added.items() if name not in present]
+            message["headers"] = [*message["headers"], *new]
         await send(message)
 
     return sending
@@ -166,11 +169,11 @@ async def _pass_socket(address: str, scope: Scope, receive: Receive, send: Send)
     from websockets.exceptions import WebSocketException
 
     await receive()  # the message that asks for the connection
-    if not address:
+    path = _ROBOT_SOCKETS.get(scope["path"])
+    if not address or path is None:
         await send({"type": "websocket.close", "code": 1013})
         return
     host, cookie = _cookie(address)
-    path = "/" + f"{scope['path']}/".removeprefix(ROBOT_PATH).rstrip("/")
     try:
         async with connect(
             f"ws://{host}{path}",
@@ -179,6 +182,7 @@ async def _pass_socket(address: str, scope: Scope, receive: Receive, send: Send)
             subprotocols=scope.get("subprotocols") or None,
             max_size=None,
             compression=None,
+            proxy=None,
         ) as wire:
             await send({"type": "websocket.accept", "subprotocol": wire.subprotocol})
             both = [asyncio.create_task(_upwards(receive, wire)), asyncio.create_task(_downwards(wire, send))]

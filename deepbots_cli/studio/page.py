@@ -346,10 +346,11 @@ class StudioPage:
         except UsageError as error:
             ui.notify(str(error), type="warning", position="bottom-left", multi_line=True)
 
-    def _typed(self, base: int, text: str) -> None:
-        if self._file is not None and not self._file.read_only:
-            file = self._file
+    def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
+        file = self._session.files.get(path)
+        if file is not None and not file.read_only:
             self._guarded(lambda: self._session.change(file, base, text))
+        return file
 
     def _key(self, command: str) -> None:
         if command == "save":
@@ -428,5 +429,6 @@ class StudioPage:
         self._is_dark = not self._is_dark
         self._dark.set_value(self._is_dark)
         self._editor.set_dark(self._is_dark)
+        self._training.set_dark(self._is_dark)
         self._address = ""
         self._show_robot()

@@ -19,6 +19,7 @@ from deepbots_cli.studio.trainings import Curves
 Guarded = Callable[[Callable[[], Any]], None]
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
+_GRID_COLOR = "rgba(128, 128, 128, 0.3)"
 
 
 class TrainingTab:
@@ -42,7 +43,8 @@ class TrainingTab:
                 field.classes("studio-number")
         self._text = ui.label("").classes("studio-status").props('role="status"')
         self._command = ui.label("").classes("studio-command")
-        self._chart = ui.echart(_options(Curves(), False)).classes("studio-chart")
+        self._is_dark = False
+        self._chart = ui.echart(_options(Curves(), False, dark=False)).classes("studio-chart")
         self._drawn: object = None
 
     def train(self) -> None:
@@ -74,12 +76,18 @@ class TrainingTab:
             self._text.set_text(f"{training.path.name}: starting ..." if task and task.is_running else "")
             return
         self._text.set_text(f"{run.path.name}: {training.problem or status(run, training.seconds_left)}")
-        key = (run.path, training.curves)
+        key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
             self._drawn = key
             self._chart.options.clear()
-            self._chart.options.update(_options(training.curves, run.success_rate is not None))
+            self._chart.options.update(
+                _options(training.curves, run.success_rate is not None, dark=self._is_dark)
+            )
             self._chart.update()
+
+    def set_dark(self, dark: bool) -> None:
+        self._is_dark = dark
+        self.update()
 
     def _run(self, words: list[str]) -> None:
         def run() -> None:
@@ -111,7 +119,7 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
     return ", ".join(parts)
 
 
-def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
+def _options(curves: Curves, has_successes: bool, *, dark: bool) -> dict[str, Any]:
     """Return the chart of a training as ECharts takes it."""
     lines = [_line("return", curves.returns, 0), _line("evaluated return", curves.evaluations, 0, marks=True)]
     has_successes = has_successes or bool(curves.successes)
@@ -124,6 +132,8 @@ def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
     if stages:
         lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True}
+    text = {"color": "#cccccc" if dark else "#444444"}
+    axis = {"axisLabel": text, "nameTextStyle": text, "splitLine": {"lineStyle": {"color": _GRID_COLOR}}}
     return {
         "color": list(_COLORS),
         "animation": False,
@@ -132,16 +142,18 @@ def _options(curves: Curves, has_successes: bool) -> dict[str, Any]:
         "legend": {
             "type": "scroll",
             "top": 4,
+            "textStyle": text,
             "selected": {line["name"]: False for line in terms},
         },
-        "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22},
+        "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22, **axis},
         "yAxis": [
-            {"type": "value", "name": "return", "scale": True},
+            {"type": "value", "name": "return", "scale": True, **axis},
             {
                 "type": "value",
                 "name": "success %",
                 "min": 0,
                 "max": 100,
+                **axis,
                 "splitLine": {"show": False},
                 "show": has_successes,
             },
@@ -203,7 +215,7 @@ class RunsTab:
                 ui.button(label, on_click=act).props("dense outline no-caps")
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
-        ).props('dense flat no-data-label="no runs yet"')
+        ).props('dense flat hide-pagination no-data-label="no runs yet"')
         self._table.classes("studio-table")
         self._advice = ui.element("div").classes("studio-advice")
 

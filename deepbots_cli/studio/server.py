@@ -60,14 +60,13 @@ def studio(
     if first is not None and not session.may_open(first):
         raise UsageError(f"{first} is no YAML file in {session.folder}")
     host = access.plain_address(host)
-    number = access.free_port(host, port, FIRST_PORT)
+    listener = access.listening_socket(host, port, FIRST_PORT)
+    number = int(listener.getsockname()[1])
     gate = access.Gate(host, number, access.new_token())
     application = application_of(session, gate, first)
     server = uvicorn.Server(
         uvicorn.Config(
             application,
-            host=host,
-            port=number,
             log_level="critical",
             access_log=False,
             lifespan="on",
@@ -75,4 +74,4 @@ def studio(
             ws_max_size=_MAX_TEXT_BYTES,
         )
     )
-    return Studio(session, access.address(host, number, gate.token), server.run)
+    return Studio(session, access.address(host, number, gate.token), lambda: server.run([listener]))

@@ -34,8 +34,8 @@ _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
 
 _TRAINING_VERBS = ("train", "resume")
-_CODE_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
-"""The commands that have the option `--allow-code`."""
+_READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
+"""The commands that have the options `--allow-path` and `--allow-code`."""
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
@@ -112,11 +112,8 @@ class Session:
 
     def may_open(self, path: Path) -> bool:
         """Return whether a file is a scenario file of the folder, after following links."""
-        try:
-            real = path.resolve()
-        except (OSError, RuntimeError):
-            return False
-        return path.suffix in _SUFFIXES and real.is_relative_to(self.folder)
+        real = _real_path(path)
+        return real is not None and path.suffix in _SUFFIXES and real.is_relative_to(self.folder)
 
     def open(self, path: Path) -> OpenFile:
         """Open a file, with its unsaved text of an earlier session.
@@ -124,12 +121,12 @@ class Session:
         Raises:
             UsageError: It is outside of the folder and no scenario reads it, or it is no text file.
         """
-        path = (self.folder / path).absolute()
-        real = path.resolve()
-        if real in self.files:
+        path = self.folder / path
+        real = _real_path(path)
+        if real is not None and real in self.files:
             return self.files[real]
         is_read = any(real in self.language.files_of(other) for other in self.files)
-        if not self.may_open(path) and not is_read:
+        if real is None or (not self.may_open(path) and not is_read):
             raise UsageError(f"{path} is no scenario in {self.folder}; the studio opens no other files")
         file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
         self._drafts.restore(file)
@@ -157,7 +154,7 @@ class Session:
             self.language.remove(path)
             self._tell("files")
 
-    def change(self, file: OpenFile, base: int, text: str) -> bool:
+    def change(self, file: OpenFile, base: int | str, text: str) -> bool:
         """Take the text of a browser, as `OpenFile.change` does."""
         is_same = file.change(base, text)
         self.language.update(file)
@@ -173,14 +170,16 @@ class Session:
         """Write a file, and restart the robot with it.
 
         Raises:
-            UsageError: The file cannot be written.
+            UsageError: The file cannot be written, or another program has changed it.
         """
-        file.save()
-        self._keep_draft(file)
-        self.language.update_all()
-        self._restart_robot()
-        self._stamps = file_stamps(self._watched())
-        self._tell("text")
+        try:
+            file.save()
+            self._keep_draft(file)
+            self.language.update_all()
+            self._restart_robot()
+            self._stamps = file_stamps(self._watched())
+        finally:
+            self._tell("text")
 
     def _restart_robot(self) -> None:
         """Read the files of the robot again; parameters whose text has changed take the new text."""
@@ -238,7 +237,7 @@ class Session:
         Raises:
             UsageError: The folder cannot be written.
         """
-        words = [*words, *self._code(words[0])]
+        words = [*words, *self._allowed(words[0])]
         self.task = self.tasks.start(words, title, folder=self.folder, run=run, output=output)
         if run is not None and words[0] in _TRAINING_VERBS:
             self.watch(run)
@@ -266,7 +265,7 @@ class Session:
     async def call(self, words: Sequence[str]) -> tuple[str, int]:
         """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
         process = await asyncio.create_subprocess_exec(
-            *python_command("deepbots_cli", *words, *self._code(words[0])),
+            *python_command("deepbots_cli", *words, *self._allowed(words[0])),
             cwd=self.folder,
             env=python_environment(),
             stdin=asyncio.subprocess.DEVNULL,
@@ -307,7 +306,8 @@ class Session:
                 self.save(file)
         if self.language.has_errors(self.current):
             raise UsageError("the scenario has errors; mend the findings first")
-        return str(self.current.relative_to(self.folder))
+        name = str(self.current.relative_to(self.folder))
+        return f"./{name}" if name.startswith("-") else name
 
     def watch(self, run: Path) -> None:
         """Show the curve of a run."""
@@ -316,13 +316,17 @@ class Session:
 
     def _new_run(self, stem: str) -> Path:
         """Return the name of a new run directory, relative to the folder."""
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)
         taken = {path.name for path in (self.folder / RUNS_FOLDER).glob(f"{stem}-*")}
         number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in taken)
-        return Path(RUNS_FOLDER, f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', stem)}-{number}")
+        return Path(RUNS_FOLDER, f"{stem}-{number}")
 
-    def _code(self, verb: str) -> list[str]:
-        """Return the option for Python functions, which this server was started with."""
-        return ["--allow-code"] if self.permissions.code and verb in _CODE_VERBS else []
+    def _allowed(self, verb: str) -> list[str]:
+        """Return the options for files and Python functions that this server was started with."""
+        if verb not in _READING_VERBS:
+            return []
+        folders = [f"--allow-path={Path(folder).absolute()}" for folder in self.permissions.folders]
+        return [*folders, "--allow-code"] if self.permissions.code else folders
 
     # Time
 
@@ -414,3 +418,11 @@ class Session:
             sentence = f"unsaved text cannot be kept: {(error.strerror or 'error').lower()}"
             if self.notice != sentence:
                 self.say(sentence)
+
+
+def _real_path(path: Path) -> Path | None:
+    """Return the path without links; None for links in a circle and names that no file has."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError):
+        return None

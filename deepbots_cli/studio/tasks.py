@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.files import unwritable_message
@@ -51,7 +51,7 @@ class TaskRecord(BaseModel, strict=True, frozen=True):
     run: str = ""
     output: str = ""
     started: float = 0.0
-    pid: int = 0
+    pid: int = Field(default=0, ge=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Task:
             return int((self.path / EXIT_NAME).read_bytes()[:10])
         except (OSError, ValueError):
             pass
-        begins = time.time() - self.record.started < _START_S and not (self.path / LOG_NAME).exists()
+        begins = 0 <= time.time() - self.record.started < _START_S and not (self.path / LOG_NAME).exists()
         return None if begins or is_training(self.path) else -9
 
     @property
@@ -92,12 +92,14 @@ class Task:
 
     def stop(self) -> None:
         """End the process as Ctrl-C does; a training keeps its policy."""
-        pid = _read(self.path).pid
-        if pid and self.is_running:
-            try:
+        if not is_training(self.path):
+            return
+        try:
+            pid = _read(self.path).pid
+            if pid:
                 os.kill(pid, signal.SIGINT if sys.platform != "win32" else signal.SIGTERM)
-            except OSError:
-                return  # it has just ended
+        except (OSError, RunError):
+            return  # it has just ended
 
 
 class Tasks:

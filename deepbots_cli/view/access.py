@@ -3,6 +3,8 @@
 Host       must be the host and port of the server, so that no other site can reach it by another name
 Origin     must be this server, if a request has one
 token      the first request sends it, and a cookie keeps it
+site       browsers name the site that a request comes from; pages of other sites and ports, which the cookie
+           would follow within one site, may only link to this one
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8787
 """The port of the first page. A page without a chosen port takes the next free one."""
 _MAX_PORTS = 20
+_BACKLOG = 128
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ class Gate:
             not may_be_called(host, self.host, self.port)
             or origin not in (None, f"http://{host}")
             or (opens_socket and origin is None and self.token)
+            or _comes_from_another_page(headers)
         ):
             return Refusal(403, "Forbidden", "this page is served to its own address only", {})
         if not self.token:
@@ -64,11 +68,17 @@ class Gate:
         token = urllib.parse.parse_qs(query).get("token", [""])[0]
         if secrets.compare_digest(token.encode(), self.token.encode()):
             kept = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
-            return Refusal(302, "Found", "", {"Location": path, "Set-Cookie": kept})
+            here = "/" + urllib.parse.quote(path.lstrip("/"))  # two slashes would begin the name of a host
+            return Refusal(302, "Found", "", {"Location": here, "Set-Cookie": kept})
         sent = [part.strip() for part in headers.get("Cookie", "").split(";")]
         if not any(secrets.compare_digest(part.encode(), cookie.encode()) for part in sent):
             return Refusal(403, "Forbidden", "open the address that deepbots printed, with its token", {})
         return None
+
+
+def _comes_from_another_page(headers: Mapping[str, str]) -> bool:
+    is_foreign = headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
+    return is_foreign and headers.get("Sec-Fetch-Mode", "navigate") != "navigate"
 
 
 def new_token() -> str:
@@ -104,13 +114,29 @@ def free_port(host: str, port: int | None, first: int = FIRST_PORT) -> int:
     Raises:
         UsageError: The host is unknown, or the port is in use.
     """
+    with listening_socket(host, port, first) as probe:
+        return int(probe.getsockname()[1])
+
+
+def listening_socket(host: str, port: int | None, first: int = FIRST_PORT) -> socket.socket:
+    """Return a socket that listens on `port`, or on the first free one from `first` on. No other program can
+    take the port before the server answers.
+
+    Raises:
+        UsageError: The host is unknown, or the port is in use.
+    """
     for number in [port] if port is not None else range(first, first + _MAX_PORTS):
         try:
             family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
-            with socket.socket(family, kind) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                probe.bind(address)
-                return int(probe.getsockname()[1])
+            listener = socket.socket(family, kind)
+            try:
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.bind(address)
+                listener.listen(_BACKLOG)
+            except OSError:
+                listener.close()
+                raise
+            return listener
         except (socket.gaierror, UnicodeError):
             raise UsageError(
                 f"there is no host '{host}'; use 127.0.0.1 for this machine only, or 0.0.0.0 for all its"

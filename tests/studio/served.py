@@ -104,6 +104,7 @@ class StudioTab:
         """Put the cursor at the end of the first visible line that begins so."""
         script = """(() => { const line = [...document.querySelectorAll('.cm-line')].find(
             line => line.innerText.startsWith(%s)); line.scrollIntoView({block: 'nearest'});
+            document.querySelector('.cm-scroller').scrollLeft = 0;
             const range = document.createRange(); range.selectNodeContents(line);
             const box = range.getBoundingClientRect(); return [box.x + 2, box.y + box.height / 2]; })()"""
         x, y = self.wait(script % json.dumps(begin))

@@ -1,0 +1,457 @@
+"""Who may use a studio: what other pages, other users of the machine and files from elsewhere try."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui")
+import uvicorn
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.errors import UsageError
+from deepbots_cli.studio.gate import Guarded
+from deepbots_cli.studio.session import Session
+from deepbots_cli.studio.tasks import Task, TaskRecord, Tasks, write_record
+from deepbots_cli.view import access
+
+TOKEN = "a-token-of-22-letters-"
+SCENARIO = "deepbots: 1\nname: Mine\n"
+
+
+async def _inner(scope, receive, send) -> None:
+    """An application that answers everything; `/output` has a policy of its own."""
+    if scope["type"] == "lifespan":
+        while True:
+            message = await receive()
+            await send({"type": f"{message['type']}.complete"})
+            if message["type"] == "lifespan.shutdown":
+                return
+    elif scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.accept"})
+        await send({"type": "websocket.close", "code": 1000})
+    else:
+        own = [(b"content-security-policy", b"sandbox")] if scope["path"] == "/output" else []
+        await send({"type": "http.response.start", "status": 200, "headers": own})
+        await send({"type": "http.response.body", "body": b"secret"})
+
+
+@contextmanager
+def _serving(robot_address: str = "") -> Iterator[int]:
+    """A server in a thread; yields its port."""
+    listener = access.listening_socket(access.LOOPBACK, 0)
+    port = listener.getsockname()[1]
+    application = Guarded(_inner, access.Gate(access.LOOPBACK, port, TOKEN), lambda: robot_address)
+    server = uvicorn.Server(uvicorn.Config(application, log_level="critical", lifespan="on"))
+    thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+    thread.start()
+    try:
+        yield port
+    finally:
+        server.should_exit = True
+        thread.join(10)
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    with _serving() as number:
+        yield number
+
+
+def _ask(port: int, line: str = "GET / HTTP/1.1", **headers: str | None) -> tuple[int, dict[str, str], str]:
+    """Send a request as it is written. Returns status, headers and body; a status of 0 is a closed line."""
+    values = {"Host": f"127.0.0.1:{port}", "Connection": "close"}
+    values |= {name.replace("_", "-"): value for name, value in headers.items()}
+    lines = [line, *(f"{name}: {value}" for name, value in values.items() if value is not None), "", ""]
+    with closing(socket.create_connection(("127.0.0.1", port), 10)) as wire:
+        wire.sendall("\r\n".join(lines).replace("PORT", str(port)).encode("latin-1"))
+        content = b""
+        while part := wire.recv(1 << 16):
+            content += part
+            if b"HTTP/1.1 101" in content:
+                break
+    head, _, body = content.decode("latin-1").partition("\r\n\r\n")
+    if not head:
+        return 0, {}, ""
+    status, *fields = head.split("\r\n")
+    pairs = (field.partition(": ") for field in fields)
+    answer = {name.lower(): value for name, _, value in pairs}
+    if answer.get("transfer-encoding") == "chunked":
+        body = "".join(body.split("\r\n")[1::2])
+    return int(status.split()[1]), answer, body
+
+
+OPENS_SOCKET = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec_WebSocket_Version": "13",
+    "Sec_WebSocket_Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+}
+COOKIE = {"Cookie": f"deepbots-PORT={TOKEN}"}
+OWN = {"Origin": "http://127.0.0.1:PORT"}
+
+
+def _paths() -> Iterator[tuple[str, dict[str, str | None]]]:
+    for path in (
+        "/",
+        "//",
+        "/.",
+        "/x/../",
+        "/%2e%2e/",
+        "/%2f",
+        "/?",
+        "/?token",
+        "/?token=",
+        "/?token=wrong",
+        f"/?TOKEN={TOKEN}",
+        f"/?key={TOKEN}",
+        f"/?token={TOKEN}x",
+        f"/?token={TOKEN[:-1]}",
+        f"/?token[]={TOKEN}",
+        f"/{TOKEN}",
+        f"/?x=1;token={TOKEN}",
+        "/robot",
+        "/robot/",
+        "//robot/",
+        "/robot//",
+        "/robot/drive",
+        "/robot/../studio/output/0001",
+        "/studio/output/0001",
+        "/studio/output/../../../etc/passwd",
+        "/studio/output/%2e%2e%2f%2e%2e%2fetc%2fpasswd",
+        "/_nicegui_ws/socket.io/?EIO=4&transport=polling",
+        "/_nicegui/3.0.0/static/nicegui.js",
+        "/_nicegui/client/x/upload/1",
+        "/favicon.ico",
+        "http://127.0.0.1:PORT/",
+    ):
+        yield f"GET {path} HTTP/1.1", {}
+    for method in ("POST", "PUT", "DELETE", "OPTIONS", "HEAD", "PATCH", "TRACE", "get"):
+        yield f"{method} /studio/complete HTTP/1.1", {}
+
+
+def _headers() -> Iterator[tuple[str, dict[str, str | None]]]:
+    for headers in (
+        {"Cookie": "deepbots-PORT=wrong"},
+        {"Cookie": "deepbots-PORT="},
+        {"Cookie": f"deepbots-1={TOKEN}"},
+        {"Cookie": f"deepbots={TOKEN}"},
+        {"Cookie": f"x=deepbots-PORT={TOKEN}"},
+        {"Cookie": f'deepbots-PORT="{TOKEN}"'},
+        {"Cookie": f"deepbots-PORT={TOKEN}, x=1"},
+        {"Cookie": "é=\xff"},
+        {"Authorization": f"Bearer {TOKEN}"},
+        {"X_Token": TOKEN},
+    ):
+        yield "GET / HTTP/1.1", headers
+    # With the cookie, by another name or from another page.
+    for headers in (
+        {"Host": "evil.example"},
+        {"Host": "evil.example:PORT"},
+        {"Host": "127.0.0.1"},
+        {"Host": "127.0.0.1:1"},
+        {"Host": "127.0.0.1:PORT.evil.example"},
+        {"Host": "127.0.0.1:PORT@evil.example"},
+        {"Host": "0.0.0.0:PORT"},
+        {"Host": "2130706433:PORT"},
+        {"Host": ""},
+        {"Host": "evil.example", "X_Forwarded_Host": "127.0.0.1:PORT"},
+        {"Origin": "null"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "https://127.0.0.1:PORT"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "http://localhost:PORT"},
+        {"Origin": "http://127.0.0.1:PORT.evil.example"},
+        {"Sec_Fetch_Site": "same-site", "Sec_Fetch_Mode": "no-cors"},
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "cors"},
+    ):
+        yield "GET / HTTP/1.1", COOKIE | headers
+    # Web sockets.
+    for path in (
+        "/",
+        "/robot",
+        "/robot/",
+        "/robot/drive",
+        "/_nicegui_ws/socket.io/?EIO=4&transport=websocket",
+    ):
+        for headers in ({}, OWN, COOKIE, COOKIE | {"Origin": "http://evil.example"}):
+            yield f"GET {path} HTTP/1.1", OPENS_SOCKET | headers
+    yield f"GET /?token={TOKEN} HTTP/1.1", OPENS_SOCKET | OWN
+
+
+REFUSED = [*_paths(), *_headers()]
+
+
+def test_nothing_passes_without_the_token(port):
+    assert len(REFUSED) >= 40
+    for line, headers in REFUSED:
+        status, answer, body = _ask(port, line, **headers)
+        assert status in (0, 400, 403, 405), (line, headers, status)
+        assert "secret" not in body, (line, headers)
+        assert "set-cookie" not in answer, (line, headers)
+        if status == 403 and "Upgrade" not in headers:
+            assert "frame-ancestors 'none'" in answer["content-security-policy"]
+
+
+def test_the_token_opens_the_page_and_leaves_its_address(port):
+    status, answer, body = _ask(port, f"GET /?token={TOKEN}&x=1 HTTP/1.1")
+    assert (status, answer["location"], body) == (302, "/", "")
+    assert answer["set-cookie"] == f"deepbots-{port}={TOKEN}; Path=/; HttpOnly; SameSite=Strict"
+    status, answer, body = _ask(port, **COOKIE, Sec_Fetch_Site="cross-site", Sec_Fetch_Mode="navigate")
+    assert (status, body) == (200, "secret")
+    assert answer["x-content-type-options"] == "nosniff"
+    assert answer["referrer-policy"] == "no-referrer"
+    assert "frame-ancestors 'none'" in answer["content-security-policy"]
+    assert _ask(port, **OPENS_SOCKET, **COOKIE, **OWN)[0] == 101
+
+
+@pytest.mark.parametrize(
+    "path", ["//evil.example/", "/\\evil.example", "/%2fevil.example", "/%0d%0aX-Y:%20z"]
+)
+def test_the_token_leads_to_no_other_place(port, path):
+    status, answer, _ = _ask(port, f"GET {path}?token={TOKEN} HTTP/1.1")
+    assert status in (302, 400)
+    assert not re.match(r"[/\\]{2}|\w+:", answer.get("location", "/"))
+    assert "x-y" not in answer
+
+
+def test_a_file_keeps_its_stricter_policy(port):
+    assert _ask(port, "GET /output HTTP/1.1", **COOKIE)[1]["content-security-policy"] == "sandbox"
+
+
+def test_only_the_page_and_the_two_sockets_of_the_robot_are_passed_on():
+    # A robot that takes every connection, and notes what it is asked.
+    asked: list[bytes] = []
+    with closing(socket.create_server(("127.0.0.1", 0))) as robot:
+
+        def take() -> None:
+            while True:
+                try:
+                    wire, _ = robot.accept()
+                except OSError:
+                    return
+                asked.append(wire.recv(1 << 16))
+                wire.close()
+
+        threading.Thread(target=take, daemon=True).start()
+        with _serving(f"http://127.0.0.1:{robot.getsockname()[1]}/?token=of-the-robot") as port:
+            for path in ("/robot", "/robot/drive"):
+                _ask(port, f"GET {path} HTTP/1.1", **OPENS_SOCKET, **COOKIE, **OWN)
+            allowed, asked[:] = list(asked), []
+            for path in ("/robot/x%0d%0aX-Y:%20z", "/robot/../", "/robot//", "/robot/drive/..", "/robot/%2e"):
+                _ask(port, f"GET {path} HTTP/1.1", **OPENS_SOCKET, **COOKIE, **OWN)
+                assert _ask(port, f"GET {path} HTTP/1.1", **COOKIE)[0] == 404
+    assert [content.split()[1] for content in allowed] == [b"/", b"/drive"]
+    assert not asked
+
+
+# Files
+
+
+def test_no_file_outside_of_the_folder_is_opened(tmp_path):
+    folder = tmp_path / "mine"
+    (folder / "within").mkdir(parents=True)
+    for path in (
+        tmp_path / "other.yaml",
+        folder / "a.yaml",
+        folder / "within" / "b.yaml",
+        folder / "key.txt",
+    ):
+        path.write_text(SCENARIO, encoding="utf-8")
+    (tmp_path / "mine-too").mkdir()
+    (tmp_path / "mine-too" / "c.yaml").write_text(SCENARIO, encoding="utf-8")
+    (folder / "link.yaml").symlink_to(tmp_path / "other.yaml")
+    (folder / "out").symlink_to(tmp_path)
+    (folder / "loop.yaml").symlink_to(folder / "loop.yaml")
+    (folder / "text.yaml").symlink_to("/etc/passwd")
+    os.mkfifo(folder / "pipe.yaml")
+
+    async def run() -> None:
+        session = Session(folder)
+        for name in (
+            tmp_path / "other.yaml",
+            "../other.yaml",
+            "within/../../other.yaml",
+            "../mine-too/c.yaml",
+            "link.yaml",
+            "out/other.yaml",
+            "loop.yaml",
+            "text.yaml",
+            "pipe.yaml",
+            "key.txt",
+            "/etc/passwd",
+            "/dev/zero",
+            "none.yaml",
+            "within",
+            "a.yaml\0",
+        ):
+            with pytest.raises(UsageError):
+                session.open(Path(name))
+        assert {path.name for path in session.scenarios()} >= {"a.yaml", "b.yaml"}
+        assert not {path.name for path in session.scenarios()} & {"link.yaml", "other.yaml", "text.yaml"}
+        assert session.open(Path("within/b.yaml")).path == folder / "within" / "b.yaml"
+        await session.close()
+
+    asyncio.run(run())
+
+
+def test_what_a_scenario_may_not_read_is_not_opened(tmp_path):
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "pyproject.toml").touch()
+    (tmp_path / "other.yaml").write_text(SCENARIO, encoding="utf-8")
+    (folder / "a.yaml").write_text("deepbots: 1\nextends: ../other.yaml\n", encoding="utf-8")
+
+    async def run() -> None:
+        session = Session(folder)
+        file = session.open(Path("a.yaml"))
+        await _until(lambda: session.language.checked_revision(file.path) == file.revision)
+        assert session.language.has_errors(file.path)
+        with pytest.raises(UsageError, match="opens no other files"):
+            session.open(Path("../other.yaml"))
+        await session.close()
+
+    asyncio.run(run())
+
+
+async def _until(condition, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        await asyncio.sleep(0.02)
+
+
+# Commands
+
+
+@pytest.mark.parametrize("code", [False, True])
+def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_path, code):
+    (tmp_path / "a.yaml").write_text(SCENARIO, encoding="utf-8")
+    other = tmp_path / "other"
+
+    async def run() -> None:
+        session = Session(tmp_path, Permissions((other,), code=code))
+        task = session.run(["try", "none.yaml"], "try")
+        assert ("--allow-code" in task.record.words) == code
+        assert f"--allow-path={other}" in task.record.words
+        await _until(lambda: not task.is_running)
+        await session.close()
+
+    asyncio.run(run())
+
+
+def test_the_name_of_a_file_is_no_option(tmp_path):
+    (tmp_path / "--allow-code.yaml").write_text(SCENARIO, encoding="utf-8")
+    (tmp_path / "runs" / "a_b-1").mkdir(parents=True)
+
+    async def run() -> None:
+        session = Session(tmp_path)
+        session.current = session.open(Path("--allow-code.yaml")).path
+        assert session.saved_name() == "./--allow-code.yaml"
+        await session.close()
+
+    asyncio.run(run())
+
+
+def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
+    sleeping = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    try:
+        path = tmp_path / "0001"
+        path.mkdir()
+        record = TaskRecord(words=("train",), title="train", folder="/", started=1e12, pid=sleeping.pid)
+        write_record(path, record)
+        (task,) = Tasks(tmp_path).all
+        assert not task.is_running
+        task.stop()
+        time.sleep(0.1)
+        assert sleeping.poll() is None
+        (path / "task.json").write_text(json.dumps(record.model_dump() | {"pid": -1}), encoding="utf-8")
+        assert not Tasks(tmp_path).all
+        Task(path, record).stop()
+        assert sleeping.poll() is None
+    finally:
+        sleeping.send_signal(signal.SIGKILL)
+        sleeping.wait()
+
+
+# The studio itself
+
+
+@pytest.mark.slow
+def test_a_running_studio_refuses_the_same(tmp_path):
+    from tests.studio.served import served
+
+    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+    with served(tmp_path, "mine.yaml") as studio:
+        for line, headers in REFUSED:
+            headers = {name: value and value.replace(TOKEN, "wrong") for name, value in headers.items()}
+            status, answer, _ = _ask(studio.port, line.replace(TOKEN, "wrong"), **headers)
+            assert status in (0, 400, 403, 405), (line, headers, status)
+            assert "set-cookie" not in answer
+        cookie = {"Cookie": f"deepbots-{studio.port}={studio.token}"}
+        status, answer, body = _ask(studio.port, "GET / HTTP/1.1", **cookie)
+        assert status == 200
+        assert "frame-ancestors 'none'" in answer["content-security-policy"]
+        assert studio.token not in body
+        for path in (
+            "/studio/output/0001",
+            "/studio/output/../../mine.yaml",
+            "/studio/output/..%2f..%2fmine.yaml",
+            "/openapi.json",
+            "/docs",
+            "/_nicegui/3.18.0/static/../../../../../etc/passwd",
+            "/_nicegui/3.18.0/static/%2e%2e/%2e%2e/%2e%2e/main.py",
+            "/_nicegui/3.18.0/resources/x/..%2f..%2fetc%2fpasswd",
+            "/_nicegui/3.18.0/esm/nicegui-codemirror/..%2f..%2f..%2f..%2fnicegui.py",
+        ):
+            # Other paths than those of files show the page.
+            body = _ask(studio.port, f"GET {path} HTTP/1.1", **cookie)[2]
+            assert not any(part in body for part in ("deepbots: 1", "root:", "swagger", "import asyncio")), (
+                path
+            )
+
+
+@pytest.mark.slow
+def test_the_process_of_the_robot_asks_for_its_own_token(tmp_path):
+    from deepbots_cli.document.shipped import scenario_names
+    from deepbots_cli.studio.robot import Robot
+
+    assert "cartpole" in scenario_names()
+
+    async def run() -> str:
+        robot = Robot(Permissions(), lambda: None)
+        robot.show("cartpole")
+        await _until(lambda: bool(robot.address), 60)
+        address = robot.address
+        await asyncio.to_thread(check, address)
+        await robot.close()
+        return address
+
+    def check(address: str) -> None:
+        host, _, query = address.removeprefix("http://").partition("/?token=")
+        assert host.startswith("127.0.0.1:")
+        assert len(query) > 16
+        for path, headers in (("/", {}), ("/?token=wrong", {}), ("/", {"Origin": "http://evil.example"})):
+            connection = http.client.HTTPConnection(host, timeout=10)
+            connection.request("GET", path, headers=headers)
+            assert connection.getresponse().status == 403
+            connection.close()
+        with open(f"/proc/{os.getpid()}/cmdline", "rb") as file:
+            assert query.encode() not in file.read()
+
+    asyncio.run(run())
