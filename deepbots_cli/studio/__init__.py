@@ -5,6 +5,7 @@ language.py       findings, completion, hover and fixes of the open files, by th
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
 tasks.py          commands that run in processes of their own, and survive the server
+task_process.py   what runs in such a process
 trainings.py      the learning curve and the time left of a training, from its files
 session.py        the state of the studio, free of the page: files, robot, tasks, runs
 gate.py           the checks in front of the server, and the page of the robot behind its address

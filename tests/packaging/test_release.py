@@ -23,7 +23,7 @@ def test_links_of_the_readme_lead_into_the_repository_where_no_files_lie_beside_
     own = [target.removeprefix(f"{REPOSITORY}/") for target in targets if target.startswith(REPOSITORY)]
     assert len(own) > 10
     for kind, tag, name in (target.split("#")[0].split("/", 2) for target in own):
-        assert (kind == "raw", tag) == (name.endswith(".gif"), "v1")
+        assert (kind == "raw", tag) == (name.endswith((".gif", ".png")), "v1")
         assert (ROOT / name).exists(), name
 
 

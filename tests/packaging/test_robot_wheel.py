@@ -158,7 +158,7 @@ def test_make_and_the_workflow_install_both_from_the_clone() -> None:
         for path in (ROOT / "Makefile", ROOT / ".github" / "workflows" / "systems.yml")
     ]
     installing = [line for text in texts for line in text.splitlines() if re.search(r"-e ['\"]\.\[", line)]
-    assert len(installing) == 5
+    assert len(installing) == 6
     assert all("-e ./deepbots_robot " in line for line in installing)
 
 
