@@ -67,6 +67,7 @@ class _Routes:
     def add_to(self, application: FastAPI) -> None:
         application.add_route("/studio/complete", self._complete, methods=["POST"])
         application.add_route("/studio/hover", self._hover, methods=["POST"])
+        application.add_route("/studio/picture", self._picture, methods=["GET"])
         application.add_route("/studio/output/{number}", self._output, methods=["GET"])
 
     async def _complete(self, request: Request) -> Response:
@@ -87,6 +88,10 @@ class _Routes:
             return None
         is_place = isinstance(text, str) and type(line) is int and type(column) is int
         return (path, text, line, column) if is_place and path in self._session.files else None
+
+    async def _picture(self, _: Request) -> Response:
+        content = await self._session.picture()
+        return Response(content, media_type="image/png") if content else Response("no picture\n", 404)
 
     async def _output(self, request: Request) -> Response:
         number = request.path_params["number"]

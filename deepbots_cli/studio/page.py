@@ -25,12 +25,13 @@ _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
 _TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
 _PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
-_DRAWS_BY_SOFTWARE = """(() => {
+_DRAWS = """(() => {
   const gl = document.createElement("canvas").getContext("webgl2");
   const names = gl?.getExtension("WEBGL_debug_renderer_info");
   const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /swiftshader|llvmpipe|software|basic render/i.test(name); })()"""
+  return !gl ? "not" : /swiftshader|llvmpipe|software|basic render/i.test(name) ? "by software" : ""; })()"""
+"""Whether the browser draws with WebGL."""
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
@@ -57,6 +58,8 @@ class StudioPage:
         self._changed_parameters: dict[str, str] = {}
         self._dark = ui.dark_mode(value=None)
         self._is_dark = False
+        self._shows_picture = False
+        self._picture_key: tuple[object, ...] = ()
         ui.page_title(f"deepbots studio: {session.folder.name}")
         self._add_header()
         with ui.element("main").classes("studio-main"):
@@ -80,10 +83,14 @@ class StudioPage:
         try:
             if await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S):
                 self._toggle_dark()
-            if await ui.run_javascript(_DRAWS_BY_SOFTWARE, timeout=_BROWSER_S):
-                self._session.robot.slow_down()
+            drawing = await ui.run_javascript(_DRAWS, timeout=_BROWSER_S)
         except TimeoutError:
             return  # a busy browser; the page works with the defaults
+        if drawing == "by software":
+            self._session.robot.slow_down()
+        elif drawing == "not":
+            self._shows_picture = True
+            self._show_robot()
 
     # Parts
 
@@ -125,6 +132,8 @@ class StudioPage:
         self._parameters = ui.element("div").classes("studio-bar")
         self._parameters.set_visibility(False)
         self._frame = ui.element("iframe").props('title="The robot"').classes("studio-frame")
+        self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
+        self._picture.classes("studio-picture").set_visibility(False)
 
     def _add_work(self) -> None:
         with ui.tabs().props("dense no-caps align=left") as tabs:
@@ -317,12 +326,25 @@ class StudioPage:
         if drivers != self._driver.options or driver != self._driver.value:
             self._driver.set_options(drivers, value=driver)
         self._show_parameters(dict(state.changed) if state else {})
-        if robot.address != self._address:
+        if self._shows_picture:
+            self._show_picture()
+        elif robot.address != self._address:
             self._address = robot.address
             # A new page of the robot has a new address; the number makes the browser load it.
             dark = "&darkMode" if self._is_dark else ""
             source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
             self._frame.props(f'src="{source}"')
+
+    def _show_picture(self) -> None:
+        """Show a picture in place of the live page, for a browser that cannot draw it."""
+        robot = self._session.robot
+        key = (robot.reference, robot.state.loaded if robot.state else 0)
+        if key != self._picture_key:
+            self._picture_key = key
+            self._frame.set_visibility(False)
+            self._picture.set_visibility(True)
+            self._picture.props(f'src="studio/picture?change={abs(hash(key)) % 10**8}"')
+            self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
 
     def _show_parameters(self, changed: dict[str, str]) -> None:
         if changed == self._changed_parameters:

@@ -45,6 +45,7 @@ class TrainingTab:
         self._command = ui.label("").classes("studio-command")
         self._is_dark = False
         self._chart = ui.echart(_options(Curves(), False, dark=False)).classes("studio-chart")
+        self._chart.set_visibility(False)
         self._drawn: object = None
 
     def train(self) -> None:
@@ -79,6 +80,7 @@ class TrainingTab:
         key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
             self._drawn = key
+            self._chart.set_visibility(bool(training.curves.returns))
             self._chart.options.clear()
             self._chart.options.update(
                 _options(training.curves, run.success_rate is not None, dark=self._is_dark)

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 from deepbots_cli.document import Permissions
@@ -275,6 +276,16 @@ class Session:
         output, messages = await process.communicate()
         code = process.returncode or 0
         return (messages if code and not output else output).decode("utf-8", "replace"), code
+
+    async def picture(self) -> bytes:
+        """Return a picture (PNG) of what the robot is shown of, at the start of an episode; empty if there is
+        none, for example because the scenario has errors."""
+        if not self.robot.reference:
+            return b""
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "robot.png")
+            _, code = await self.call(["render", self.robot.reference, "-o", str(path)])
+            return await asyncio.to_thread(path.read_bytes) if code == 0 else b""
 
     @property
     def training_task(self) -> Task | None:
