@@ -19,9 +19,9 @@ _MAX_LINE_BYTES = 1 << 20
 _FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
 """The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
 both cores, and a letter typed in the text was shown after a second."""
-_PATIENCE_S = 10.0
-"""The time in s after which a process that does not answer is ended by the next save: a reset may draw
-forever."""
+_START_S, _PATIENCE_S = 40.0, 10.0
+"""The times in s after which a process that has not started, or does not answer, is ended by the next save: a
+reset may draw forever."""
 _MAX_CRASHES = 3
 """The number of crashes without a reload in between after which the process is not started again."""
 
@@ -42,7 +42,7 @@ class Robot:
         self._process: asyncio.subprocess.Process | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._loads = 0
-        self._asked_at: float | None = None
+        self._deadline: float | None = None
         self.reference = ""
         self.driver: str | None = None
         self.frame_rate = _FRAME_RATE
@@ -71,15 +71,16 @@ class Robot:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the process has not read the files for 10 s after it was asked to."""
-        return self._asked_at is not None and time.monotonic() - self._asked_at > _PATIENCE_S
+        """Whether the process has not read the files long after it was asked to."""
+        return self._deadline is not None and time.monotonic() > self._deadline
 
     def _ask(self, loads: int) -> None:
         """Note that the process is to read the files."""
         self._loads = loads
-        if self._asked_at is None or loads == 1:
-            self._asked_at = time.monotonic()
-        asyncio.get_running_loop().call_later(1.1 * _PATIENCE_S, self._look)
+        wait = _START_S if loads == 1 else _PATIENCE_S
+        if self._deadline is None or loads == 1:
+            self._deadline = time.monotonic() + wait
+        asyncio.get_running_loop().call_later(wait + 1.0, self._look)
 
     def _look(self) -> None:
         if self.is_stuck and self._process is not None:
@@ -142,7 +143,7 @@ class Robot:
             self._ask(1)
             await self._listen(process)
             code = await process.wait()
-            self._process = self._asked_at = None
+            self._process = self._deadline = None
             if self.state is not None and self.state.state == "failed":
                 self.problem = self.state.text
                 break
@@ -169,7 +170,7 @@ class Robot:
             with suppress(ValidationError):  # a print of a library
                 self.state = RobotState.model_validate_json(line)
                 if self.state.loaded >= self._loads:
-                    self._asked_at = None
+                    self._deadline = None
                 if self.state.state == "running":
                     self.problem = ""
                 self._on_change()
