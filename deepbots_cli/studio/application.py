@@ -50,6 +50,7 @@ def application_of(session: Session, gate: access.Gate, first: Path | None) -> G
         root=root,
         title="deepbots studio",
         dark=None,
+        language="en-US",
         tailwind=False,
         show_welcome_message=False,
         binding_refresh_interval=0.5,

@@ -18,7 +18,7 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
 
 async def new_scenario(session: Session) -> Path | None:
     """Ask for name and origin, and write the scenario. Returns its file, None if nothing was written."""
-    with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+    with ui.dialog().props('aria-label="A new scenario"') as dialog, ui.card().classes("studio-dialog"):
         ui.label("A new scenario").classes("studio-name")
         name = ui.input("Name", placeholder="mine").props("autofocus")
         kind = ui.radio(["template", "copy of a shipped scenario", "robot file"], value="template")

@@ -6,7 +6,7 @@ they do in its protocol and in the editor of the page.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -114,12 +114,6 @@ class Language:
         """Return the other files that a scenario reads, robot files among them."""
         analysis = self._analysis(path)
         return [] if analysis is None else [each for each in analysis.paths.values() if each != path]
-
-    def parameters(self, path: Path) -> Mapping[str, str]:
-        """Return the parameters of a scenario as they are written."""
-        analysis = self._analysis(path)
-        section = analysis.data.get("parameters") if analysis and isinstance(analysis.data, dict) else None
-        return {name: str(value) for name, value in section.items()} if isinstance(section, dict) else {}
 
     def is_scenario(self, file: OpenFile) -> bool:
         """Return whether a file is a scenario rather than a file that scenarios include."""
@@ -235,6 +229,17 @@ class Language:
         self._findings[document.path] = tuple(rows)
         self._checked[document.path] = version or 0
         self._on_findings(document.path)
+
+
+def written_parameters(text: str) -> dict[str, str]:
+    """Return the parameters of the text of a scenario as they are written; those of other files are not
+    among them."""
+    source, root, _ = Document("", 0, text, Path()).read()
+    section = root.entries.get("parameters") if isinstance(root, MappingNode) else None
+    if section is None or not isinstance(section.value, MappingNode):
+        return {}
+    spans = {name: entry.value.span for name, entry in section.value.entries.items()}
+    return {name: source.text[span.start : span.end] for name, span in spans.items()}
 
 
 def _finding(shown: types.Diagnostic) -> EditorFinding:

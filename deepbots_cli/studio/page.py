@@ -46,6 +46,10 @@ def add_style() -> None:
     ui.add_css(_STYLE.read_text("utf-8"), shared=True)
 
 
+def _dialog(name: str) -> ui.dialog:
+    return ui.dialog().props(f'aria-label="{name}"')
+
+
 class StudioPage:
     """The elements of one browser, kept in step with the session."""
 
@@ -62,7 +66,7 @@ class StudioPage:
         self._picture_key: tuple[object, ...] = ()
         ui.page_title(f"deepbots studio: {session.folder.name}")
         self._add_header()
-        with ui.element("main").classes("studio-main"):
+        with ui.element("div").classes("studio-main"):  # in the element `main` of NiceGUI
             with ui.element("section").classes("studio-text").props('aria-label="Text"'):
                 self._add_text()
             with ui.element("section").classes("studio-robot").props('aria-label="Robot"'):
@@ -96,7 +100,7 @@ class StudioPage:
 
     def _add_header(self) -> None:
         with ui.element("header").classes("studio-header"):
-            ui.label("deepbots").classes("studio-name")
+            ui.label("deepbots").classes("studio-name").props('role="heading" aria-level="1"')
             self._files = ui.select([], on_change=lambda event: self._choose(event.value)).props(
                 'dense outlined aria-label="File"'
             )
@@ -237,7 +241,7 @@ class StudioPage:
         lines = unified_diff(
             file.outside.splitlines(), file.text.splitlines(), "on disk", "in the editor", lineterm=""
         )
-        with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+        with _dialog("Both versions of the file") as dialog, ui.card().classes("studio-dialog"):
             ui.label("Lines with - are on disk only, lines with + in the editor only.")
             shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
             ui.code(shown, language="diff").classes("studio-code")
@@ -435,14 +439,14 @@ class StudioPage:
 
     async def _explain(self) -> None:
         """Ask for a word, and show what `deepbots explain` says."""
-        with ui.dialog() as dialog, ui.card().classes("studio-dialog"):
+        with _dialog("Explain") as dialog, ui.card().classes("studio-dialog"):
             word = ui.input("A key, a code of a finding, or a term", placeholder="reward").props("autofocus")
             word.on("keydown.enter", lambda: dialog.submit(word.value))
             ui.button("Explain", on_click=lambda: dialog.submit(word.value)).props("no-caps")
         asked = await dialog
         if asked:
             text, _ = await self._session.call(["explain", "--", str(asked).strip()])
-            with ui.dialog() as answer, ui.card().classes("studio-dialog"):
+            with _dialog("Explanation") as answer, ui.card().classes("studio-dialog"):
                 ui.code(text, language="text").classes("studio-code")
                 ui.button("Close", on_click=answer.close).props("flat no-caps")
             answer.open()

@@ -219,6 +219,9 @@ class RunsTab:
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
         ).props('dense flat hide-pagination no-data-label="no runs yet"')
         self._table.classes("studio-table")
+        for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
+            box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
+            self._table.add_slot(f"{slot}-selection", box)
         self._advice = ui.element("div").classes("studio-advice")
 
     def update(self) -> None:
@@ -343,7 +346,9 @@ class CommandTab:
             self._link = ui.link("open the result", "", new_tab=True)
             self._link.set_visibility(False)
         self._command = ui.label("").classes("studio-command")
-        self._output = ui.element("pre").classes("studio-output").props('tabindex="0" aria-label="Output"')
+        self._output = (
+            ui.element("pre").classes("studio-output").props('tabindex="0" role="region" aria-label="Output"')
+        )
         with self._output:
             self._text = ui.label("")
         self._shown: tuple[object, ...] = ()

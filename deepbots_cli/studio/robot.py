@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +19,9 @@ _MAX_LINE_BYTES = 1 << 20
 _FRAME_RATE, _FRAME_RATE_OF_SOFTWARE = 30, 8
 """The pictures per second, and those for browsers without a graphics card: at 30, drawing by software took
 both cores, and a letter typed in the text was shown after a second."""
+_START_S, _PATIENCE_S = 40.0, 10.0
+"""The times in s after which a process that has not started, or does not answer, is ended by the next save: a
+reset may draw forever."""
 _MAX_CRASHES = 3
 """The number of crashes without a reload in between after which the process is not started again."""
 
@@ -36,7 +40,9 @@ class Robot:
         """`on_change` is called after each change of the attributes."""
         self._permissions, self._on_change = permissions, on_change
         self._process: asyncio.subprocess.Process | None = None
-        self._task: asyncio.Task[None] | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._loads = 0
+        self._deadline: float | None = None
         self.reference = ""
         self.driver: str | None = None
         self.frame_rate = _FRAME_RATE
@@ -57,10 +63,29 @@ class Robot:
     def save(self, changed: tuple[str, ...]) -> None:
         """Read the files again; the parameters `changed` take the values of the file."""
         self.crashes = 0
-        if self._process is None:
+        if self._process is None or self.is_stuck:
             self._start()
         else:
             self._send(Command(verb="reload", names=changed))
+            self._ask(self._loads + 1)
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the process has not read the files long after it was asked to."""
+        return self._deadline is not None and time.monotonic() > self._deadline
+
+    def _ask(self, loads: int) -> None:
+        """Note that the process is to read the files."""
+        self._loads = loads
+        wait = _START_S if loads == 1 else _PATIENCE_S
+        if self._deadline is None or loads == 1:
+            self._deadline = time.monotonic() + wait
+        asyncio.get_running_loop().call_later(wait + 1.0, self._look)
+
+    def _look(self) -> None:
+        if self.is_stuck and self._process is not None:
+            self.problem = "the simulation does not answer; change the file and save it, or press Restart"
+            self._on_change()
 
     def set_driver(self, name: str) -> None:
         self.driver = name
@@ -77,7 +102,7 @@ class Robot:
 
     def restart(self) -> None:
         """Begin the episode anew; a process that is gone is started."""
-        if self._process is None:
+        if self._process is None or self.is_stuck:
             self.crashes = 0
             self._start()
         else:
@@ -85,40 +110,28 @@ class Robot:
 
     async def close(self) -> None:
         """End the process."""
-        task, self._task = self._task, None
-        if task is not None:
-            task.cancel()
-            with suppress(asyncio.CancelledError):
-                await task
+        await _canceled(self._tasks)
         await self._end()
 
     def _start(self) -> None:
-        previous = self._task
+        previous = set(self._tasks)
 
         async def run() -> None:
-            if previous is not None:
-                previous.cancel()
-                with suppress(asyncio.CancelledError):
-                    await previous
+            await _canceled(previous)
             await self._end()
             await self._run()
 
         self.state, self.problem = None, ""
-        self._task = asyncio.get_running_loop().create_task(run())
+        task = asyncio.get_running_loop().create_task(run())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
         self._on_change()
 
     async def _run(self) -> None:
         """Run the process, and start it again after a crash."""
         while self.crashes < _MAX_CRASHES:
             self.state = None
-            process = self._process = await asyncio.create_subprocess_exec(
-                *python_command("deepbots_cli.studio.robot_process"),
-                stdin=asyncio.subprocess.PIPE,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.DEVNULL,
-                env=python_environment(),
-                limit=_MAX_LINE_BYTES,
-            )
+            process = self._process = await _open_process()
             request = RobotRequest(
                 reference=self.reference,
                 driver=self.driver,
@@ -127,9 +140,10 @@ class Robot:
                 frame_rate=self.frame_rate,
             )
             self._write(f"{request.model_dump_json()}\n")
+            self._ask(1)
             await self._listen(process)
             code = await process.wait()
-            self._process = None
+            self._process = self._deadline = None
             if self.state is not None and self.state.state == "failed":
                 self.problem = self.state.text
                 break
@@ -155,6 +169,8 @@ class Robot:
                 return
             with suppress(ValidationError):  # a print of a library
                 self.state = RobotState.model_validate_json(line)
+                if self.state.loaded >= self._loads:
+                    self._deadline = None
                 if self.state.state == "running":
                     self.problem = ""
                 self._on_change()
@@ -173,6 +189,34 @@ class Robot:
             with suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
+
+
+async def _canceled(tasks: Iterable[asyncio.Task[None]]) -> None:
+    """Cancel tasks, and wait until they have ended."""
+    tasks = list(tasks)
+    for task in tasks:
+        task.cancel()
+    if tasks:
+        await asyncio.wait(tasks)
+
+
+async def _open_process() -> asyncio.subprocess.Process:
+    opening = asyncio.ensure_future(
+        asyncio.create_subprocess_exec(
+            *python_command("deepbots_cli.studio.robot_process"),
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+            env=python_environment(),
+            limit=_MAX_LINE_BYTES,
+        )
+    )
+    try:
+        # Python 3.11 can wait forever for a process whose opening was canceled.
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        (await opening).kill()
+        raise
 
 
 def _ended_by(code: int) -> str:

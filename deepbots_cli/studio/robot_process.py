@@ -93,15 +93,21 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> 
     threading.Thread(target=read, daemon=True).start()
     loaded, looks, shown = 1, 0, ""
 
+    def obey(command: Command) -> None:
+        nonlocal loaded, looks
+        try:
+            _obey(page, command)
+        finally:
+            loaded += command.verb == "reload"
+            looks = -1
+
     def must_end() -> bool:
-        nonlocal loaded, looks, shown
+        nonlocal looks, shown
         while not lines.empty():
             command = lines.get()
             if command is None:
                 return True
-            loaded += command.verb == "reload"
-            page.submit(lambda command=command: _obey(page, command))  # type: ignore[misc]
-            looks = -1
+            page.submit(lambda command=command: obey(command))  # type: ignore[misc]
         looks += 1
         if looks % _STATE_INTERVAL == 0:
             text = _state(page, loaded).model_dump_json()

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.files import read_at_most, refuse_links_within
 from deepbots_cli.studio.session import Session
 from deepbots_cli.view import access
 
 FIRST_PORT = 8750
 """The port of the first studio. A studio without a chosen port takes the next free one."""
 _MAX_TEXT_BYTES = 4 << 20
+_LOCK_NAME, _OWNER_NAME = "lock", "address"
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ def studio(
         port: The port; None takes the first free one from `FIRST_PORT` on.
 
     Raises:
-        UsageError: There is no such file or folder, or the address cannot be used.
+        UsageError: There is no such file or folder, another studio shows it, or the address cannot be used.
         MissingExtraError: NiceGUI is not installed.
     """
     path = Path(source)
@@ -62,6 +66,7 @@ def studio(
     host = access.plain_address(host)
     listener = access.listening_socket(host, port, FIRST_PORT)
     number = int(listener.getsockname()[1])
+    lock = _lock(session, access.address(host, number, ""))
     gate = access.Gate(host, number, access.new_token())
     application = application_of(session, gate, first)
     server = uvicorn.Server(
@@ -74,4 +79,42 @@ def studio(
             ws_max_size=_MAX_TEXT_BYTES,
         )
     )
-    return Studio(session, access.address(host, number, gate.token), lambda: server.run([listener]))
+
+    def serve() -> None:
+        with lock:
+            server.run([listener])
+
+    return Studio(session, access.address(host, number, gate.token), serve)
+
+
+def _lock(session: Session, address: str) -> AbstractContextManager[object]:
+    """Return the lock of the folder, which ends with the process.
+
+    Raises:
+        UsageError: Another studio has it, or the folder of the studio has links.
+    """
+    from filelock import FileLock, Timeout
+
+    state = session.state_folder
+    if state.is_symlink():
+        raise UsageError(f"{state} is a symbolic link; remove it, and start the studio again")
+    refuse_links_within(state)
+    try:
+        state.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(state / _LOCK_NAME)
+        lock.acquire(timeout=0)
+        (state / _OWNER_NAME).write_text(f"{address} (process {os.getpid()})", encoding="utf-8")
+    except Timeout:
+        raise UsageError(
+            f"another studio shows {session.folder}: {_owner(state)}; use its page, or end it first"
+        ) from None
+    except OSError:  # in a folder that cannot be written, nothing can be lost
+        return nullcontext()
+    return lock
+
+
+def _owner(state: Path) -> str:
+    try:
+        return read_at_most(state / _OWNER_NAME, 200).decode("utf-8", "replace")
+    except OSError:
+        return "its address is unknown"

@@ -10,17 +10,18 @@ import asyncio
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.learning.listing import ListedRun, list_runs
 from deepbots_cli.processes import python_command, python_environment
-from deepbots_cli.studio.files import Drafts, OpenFile
-from deepbots_cli.studio.language import Language
+from deepbots_cli.studio.files import Drafts, OpenFile, read_text
+from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
 from deepbots_cli.studio.tasks import Task, Tasks
 from deepbots_cli.studio.trainings import WatchedTraining
@@ -47,6 +48,7 @@ class Session:
 
     Attributes:
         folder: The folder, beyond which no file is opened but those that its scenarios read.
+        state_folder: The folder of drafts and tasks, which need not exist.
         files: The open files by path, in the order of opening.
         current: The scenario that the robot shows and that commands get.
         training: The training whose curve is shown, if any.
@@ -60,19 +62,21 @@ class Session:
         self.permissions = permissions
         self.files: dict[Path, OpenFile] = {}
         self.current: Path | None = None
-        self.robot = Robot(permissions, lambda: self._tell("robot"))
+        self.robot = Robot(permissions, self._robot_changed)
         self.training: WatchedTraining | None = None
         self.task: Task | None = None
         self.runs: list[ListedRun] = []
         self.notice = ""
+        self._problem = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None
-        state = self.folder / RUNS_FOLDER / STUDIO_FOLDER
-        self.tasks = Tasks(state / "tasks")
-        self._drafts = Drafts(state / "drafts")
-        self._written: dict[str, str] = {}
+        self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
+        self.tasks = Tasks(self.state_folder / "tasks")
+        self._drafts = Drafts(self.state_folder / "drafts")
+        self._written: dict[tuple[Path, str], str] = {}
         self._stamps: Mapping[Path, object] = {}
         self._was_running: set[Path] = set()
+        self._last_draft = self._last_runs = 0.0
 
     @property
     def language(self) -> Language:
@@ -95,6 +99,12 @@ class Session:
     def _tell(self, topic: Topic) -> None:
         for listener in list(self._listeners):
             listener(topic)
+
+    def _robot_changed(self) -> None:
+        problem, self._problem = self._problem, self.robot.problem
+        if self._problem and self._problem != problem:
+            self.say(self._problem)
+        self._tell("robot")
 
     # Files
 
@@ -143,7 +153,7 @@ class Session:
         file = self.open(path)
         if self.current != file.path:
             self.current = file.path
-            self._written = {}
+            self._written = self._saved_parameters()
             self.robot.show(file.path)
         self._tell("files")
 
@@ -186,15 +196,27 @@ class Session:
         """Read the files of the robot again; parameters whose text has changed take the new text."""
         if self.current is None:
             return
-        now = dict(self.language.parameters(self.current))
-        changed = tuple(name for name, text in now.items() if self._written.get(name, text) != text)
+        # The analysis of a text that was typed just now is not done yet.
+        now = self._saved_parameters()
+        changed = {
+            name for (path, name), text in now.items() if self._written.get((path, name), text) != text
+        }
         self._written = now
-        self.robot.save(changed)
+        self.robot.save(tuple(changed))
+
+    def _saved_parameters(self) -> dict[tuple[Path, str], str]:
+        """Return the parameters as they are written in each saved file that the current scenario reads."""
+        if self.current is None:
+            return {}
+        parameters = {}
+        for path in (self.current, *self.language.files_of(self.current)):
+            with suppress(UsageError):
+                text = self.files[path].saved if path in self.files else read_text(path)[0]
+                parameters.update({(path, name): value for name, value in written_parameters(text).items()})
+        return parameters
 
     def set_parameter(self, name: str, value: str) -> None:
         """Change a parameter of the running world."""
-        if self.current is not None and not self._written:
-            self._written = dict(self.language.parameters(self.current))
         self.robot.set_parameter(name, value)
 
     def write_parameters(self) -> None:
@@ -315,7 +337,9 @@ class Session:
         for file in self.files.values():
             if file.is_modified and not file.read_only:
                 self.save(file)
-        if self.language.has_errors(self.current):
+        # Right after a change, the command finds the errors itself.
+        is_checked = self.language.checked_revision(self.current) == self.files[self.current].revision
+        if is_checked and self.language.has_errors(self.current):
             raise UsageError("the scenario has errors; mend the findings first")
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name
@@ -343,24 +367,30 @@ class Session:
 
     async def run_forever(self) -> None:
         """Watch files, tasks and trainings until it is canceled."""
-        last_draft = last_runs = 0.0
         self._adopt_running_tasks()
         while True:
-            self._look_at_files()
-            now = time.monotonic()
-            if now - last_draft > _DRAFT_INTERVAL_S:
-                last_draft = now
-                for file in self.files.values():
-                    self._keep_draft(file)
-            self._look_at_tasks()
-            if self._listeners and now - last_runs > _RUNS_INTERVAL_S:
-                last_runs = now
-                await self.read_runs()
-            training = self.training
-            if self._listeners and training is not None and training.is_due:
-                await asyncio.to_thread(training.read)
-                self._tell("training")
+            try:
+                await self._look()
+            except (DeepbotsError, OSError) as error:  # of a damaged file; drafts must be kept nevertheless
+                if self.notice != str(error):
+                    self.say(str(error))
             await asyncio.sleep(_WATCH_INTERVAL_S)
+
+    async def _look(self) -> None:
+        now = time.monotonic()
+        if now - self._last_draft > _DRAFT_INTERVAL_S:
+            self._last_draft = now
+            for file in self.files.values():
+                self._keep_draft(file)
+        self._look_at_files()
+        self._look_at_tasks()
+        if self._listeners and now - self._last_runs > _RUNS_INTERVAL_S:
+            self._last_runs = now
+            await self.read_runs()
+        training = self.training
+        if self._listeners and training is not None and training.is_due:
+            await asyncio.to_thread(training.read)
+            self._tell("training")
 
     async def close(self) -> None:
         """Keep unsaved texts, and end the robot. Commands go on."""

@@ -1,0 +1,50 @@
+"""The page of the studio without a mouse."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("nicegui")
+from tests.studio.served import TAB, StudioTab, served
+from tests.studio.test_studio_page import SCENARIO
+from tests.view.browser import CHROMIUM, browser
+
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
+
+FOCUS = """(() => { const one = document.activeElement;
+    return one.tagName + ' ' + (one.getAttribute('aria-label') || one.innerText || one.title || ''); })()"""
+
+
+def _tab_to(page: StudioTab, wanted: str, most: int = 60) -> list[str]:
+    """Press Tab until an element is focused; returns what was passed."""
+    passed = []
+    for _ in range(most):
+        page.press(TAB)
+        passed.append(str(page.tab.run(FOCUS)))
+        if wanted in passed[-1]:
+            return passed
+    raise AssertionError(passed)
+
+
+def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
+    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+    with served(tmp_path, "mine.yaml") as studio, browser() as new_tab:
+        page = StudioTab(new_tab(), studio.address)
+        page.wait(
+            "document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'", 60
+        )
+        passed = _tab_to(page, "text of the scenario")
+        assert any("New ..." in each for each in passed)
+        page.press(("End", 35), modifiers=2)
+        page.type("# by the keyboard")
+        page.save()
+        page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save')")
+        assert (tmp_path / "mine.yaml").read_text("utf-8").endswith("n_steps: 128\n# by the keyboard")
+        # Tab leaves the text, and passes the robot.
+        passed = _tab_to(page, "Train")
+        assert any("IFRAME" in each for each in passed)
+        _tab_to(page, "BUTTON Try")
+        _tab_to(page, "BUTTON Train")
+        page.press(("Enter", 13))
+        page.wait("/mine-1: (training|finished)/.test(document.querySelector('.studio-work').innerText)", 90)
+        assert not page.tab.errors

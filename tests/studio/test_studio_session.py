@@ -1,0 +1,340 @@
+"""The session of a studio with its processes, without a page."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nicegui")
+pytest.importorskip("viser")
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio import robot as robots
+from deepbots_cli.studio.server import FIRST_PORT, studio
+from deepbots_cli.studio.session import Session
+from tests.studio.served import Served, served
+from tests.studio.test_studio_page import SCENARIO
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+    return tmp_path
+
+
+class Running:
+    """A session with its loop. `topics` are those that its listener got."""
+
+    def __init__(self, folder: Path) -> None:
+        self.session = Session(folder)
+        self.topics: list[str] = []
+        self.notices: list[str] = []
+
+    async def __aenter__(self) -> Running:
+        self.session.listen(self._heard)
+        self._task = asyncio.create_task(self.session.run_forever())
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        await self.session.close()
+
+    def _heard(self, topic: str) -> None:
+        self.topics.append(topic)
+        if topic == "notice":
+            self.notices.append(self.session.notice)
+
+    async def until(self, condition: Callable[[], Any], seconds: float = 60.0) -> None:
+        end = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < end, (
+                self.session.robot.state,
+                self.session.robot.problem,
+                self.notices,
+            )
+            assert not self._task.done(), self._task.exception()
+            await asyncio.sleep(0.02)
+
+    async def checked(self, path: Path) -> None:
+        file, language = self.session.files[path], self.session.language
+        await self.until(lambda: language.checked_revision(path) == file.revision)
+
+    async def runs(self) -> None:
+        """Wait until the robot runs the files as they are."""
+        robot = self.session.robot
+        await self.until(lambda: robot.state is not None and robot.state.state == "running")
+
+    @property
+    def robot_pid(self) -> int:
+        process = self.session.robot._process
+        assert process is not None
+        return process.pid
+
+
+def _writes(session: Session, text: str) -> None:
+    file = session.files[session.folder / "mine.yaml"]
+    session.change(file, file.revision, text)
+    session.save(file)
+
+
+def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
+    (folder / "base.yaml").write_text("reward:\n  alive: 1\n", encoding="utf-8")
+    text = SCENARIO.replace("reward:\n  alive: 1\n", "extends: base.yaml\n")
+    (folder / "mine.yaml").write_text(text, encoding="utf-8")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            file = session.open(Path("mine.yaml"))
+            session.current = file.path
+            await running.checked(file.path)
+            assert not session.language.has_errors(file.path)
+            session.change(file, file.revision, text.replace("15 deg", "15 parsec"))
+            await running.checked(file.path)
+            (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
+            assert (finding.place, "parsec" in finding.message) == ("4:18", True)
+            with pytest.raises(UsageError, match="the scenario has errors"):
+                session.saved_name()
+            _writes(session, text)
+            # Another program damages the file that the scenario reads.
+            (folder / "base.yaml").write_text("reward:\n  alive: 1 parsec\n", encoding="utf-8")
+            await running.until(lambda: session.language.has_errors(file.path))
+
+    asyncio.run(run())
+
+
+def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            robot = session.robot
+            await running.runs()
+            assert robot.state.parameters == {"fall_angle": "15 deg"}
+
+            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
+            assert robot.state.state == "running"
+
+            _writes(session, SCENARIO.replace("15 deg", "15 parsec"))
+            await running.until(lambda: robot.state.state == "outdated")
+            assert robot.state.parameters == {"fall_angle": "20 deg"}
+
+            _writes(session, SCENARIO)
+            await running.runs()
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "15 deg"})
+
+            # A parameter changes in the running world, and is written into the text on request.
+            session.set_parameter("fall_angle", "0.3 rad")
+            await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
+            file = session.files[folder / "mine.yaml"]
+            assert not file.is_modified
+            session.write_parameters()
+            assert "  fall_angle: 0.3 rad  # the largest lean\n" in file.text
+            # The text wins once it is saved with another value.
+            _writes(session, file.text.replace("0.3 rad", "0.4 rad"))
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.4 rad"})
+            assert robot.state.changed == {}
+            # A save of something else keeps a changed parameter.
+            session.set_parameter("fall_angle", "0.2 rad")
+            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.2 rad"})
+            _writes(session, file.text.replace("alive: 1", "alive: 2"))
+            loaded = robot.state.loaded
+            await running.until(lambda: robot.state.loaded > loaded)
+            assert robot.state.parameters == {"fall_angle": "0.2 rad"}
+
+    asyncio.run(run())
+
+
+@pytest.mark.slow
+def test_a_crashed_robot_is_named_and_started_again(folder):
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            await running.runs()
+            for number in range(3):
+                pid = running.robot_pid
+                os.kill(pid, signal.SIGKILL)
+                await running.until(lambda number=number: session.robot.crashes == number + 1)
+            await running.until(lambda: "ended 3 times" in session.robot.problem)
+            assert "ended (signal 9); it was started again" in running.notices[0]
+            # The next save starts it again.
+            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+            await running.runs()
+
+    asyncio.run(run())
+
+
+@pytest.mark.slow
+def test_a_robot_that_does_not_answer_is_named_and_ended_by_the_next_save(folder, monkeypatch):
+    monkeypatch.setattr(robots, "_PATIENCE_S", 1.0)
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            await running.runs()
+            pid = running.robot_pid
+            os.kill(pid, signal.SIGSTOP)
+            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+            await running.until(lambda: "does not answer" in session.robot.problem)
+            _writes(session, SCENARIO.replace("15 deg", "25 deg"))
+            await running.until(lambda: session.robot.state is None)
+            await running.runs()
+            assert running.robot_pid != pid
+            assert session.robot.state.parameters == {"fall_angle": "25 deg"}
+
+    asyncio.run(run())
+
+
+@pytest.mark.slow
+def test_a_start_that_is_drawn_without_end_leaves_the_editor_free(folder):
+    never = "\nreset:\n  attempts: 100000\n  require: [abs(cart.pole_angle) < -1]\n"
+    (folder / "mine.yaml").write_text(SCENARIO + never, encoding="utf-8")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            file = session.files[folder / "mine.yaml"]
+            await running.checked(file.path)
+            longest = 0.0
+            for number in range(20):
+                session.change(file, file.revision, f"{SCENARIO}# {number}{never}")
+                begin = time.monotonic()
+                await asyncio.sleep(0.2)
+                longest = max(longest, time.monotonic() - begin - 0.2)
+            assert longest < 0.5
+            await running.checked(file.path)
+
+    asyncio.run(run())
+
+
+@pytest.mark.slow
+def test_a_training_outlives_the_session_and_is_found_again(folder):
+    async def first() -> int:
+        async with Running(folder) as running:
+            session = running.session
+            session.current = session.open(Path("mine.yaml")).path
+            await running.checked(session.current)
+            task = session.train(["--timesteps", "20000"])
+            assert task.record.run == "runs/mine-1"
+            await running.until(lambda: session.training is not None and session.training.curves.returns, 120)
+            return len(session.training.curves.returns)
+
+    async def second(points: int) -> None:
+        async with Running(folder) as running:
+            session = running.session
+            assert [task.record.run for task in session.tasks.running] == ["runs/mine-1"]
+            await running.until(lambda: session.training is not None and session.training.curves.returns)
+            assert session.training_task is session.task
+            await running.until(lambda: len(session.training.curves.returns) > points, 120)
+            assert session.training.listed.state == "training"
+            # Stop keeps the policy.
+            session.task.stop()
+            await running.until(lambda: not session.task.is_running)
+            await running.until(lambda: session.training.listed.state != "training")
+            await running.until(lambda: any("mine-1 has ended" in notice for notice in running.notices))
+            assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
+            await session.read_runs()
+            assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]
+
+    asyncio.run(second(asyncio.run(first())))
+    assert [path.name for path in (folder / "runs").iterdir() if path.name[0] != "."] == ["mine-1"]
+
+
+def test_a_run_directory_is_named_after_the_file(folder):
+    name = "a [b]+.yaml"
+    (folder / name).write_text(SCENARIO, encoding="utf-8")
+    (folder / "runs" / "a_b_-1").mkdir(parents=True)
+    session = Session(folder)
+    assert session._new_run(Path(name).stem) == Path("runs", "a_b_-2")
+
+
+# Servers
+
+
+def test_a_second_studio_of_a_folder_names_the_first(folder):
+    first = studio(folder / "mine.yaml")
+    with pytest.raises(UsageError) as refusal:
+        studio(folder)
+    address = first.address.partition("?")[0]
+    assert str(refusal.value) == (
+        f"another studio shows {folder}: {address} (process {os.getpid()}); use its page, or end it first"
+    )
+
+
+def test_a_busy_port_is_passed_over(folder):
+    with socket.socket() as busy:
+        try:
+            busy.bind(("127.0.0.1", FIRST_PORT))
+            busy.listen()
+        except OSError:  # another program has it, which serves as well
+            pass
+        address = studio(folder).address
+    port = int(address.removeprefix("http://127.0.0.1:").partition("/")[0])
+    assert FIRST_PORT < port < FIRST_PORT + 20
+
+
+def test_a_chosen_port_that_is_busy_is_one_sentence(folder):
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        port = busy.getsockname()[1]
+        with pytest.raises(UsageError, match=f"port {port} of 127.0.0.1 is in use; choose another one"):
+            studio(folder, port=port)
+
+
+def test_a_folder_of_the_studio_with_links_is_refused(folder, tmp_path_factory):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (folder / "runs" / ".studio").mkdir(parents=True)
+    (folder / "runs" / ".studio" / "address").symlink_to(elsewhere / "written")
+    with pytest.raises(UsageError, match="neither a file nor a directory"):
+        studio(folder)
+    assert not list(elsewhere.iterdir())
+
+
+@pytest.mark.slow
+def test_studios_that_start_together_take_different_ports(tmp_path):
+    for name in ("one", "two", "three"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+    begun = [
+        subprocess.Popen(
+            python_command("deepbots_cli", "studio", "mine.yaml"),
+            cwd=tmp_path / name,
+            env=python_environment(),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for name in ("one", "two", "three")
+    ]
+    try:
+        addresses = [process.stdout.readline().partition("?")[0] for process in begun]
+        assert len(set(addresses)) == 3
+    finally:
+        for process in begun:
+            process.send_signal(signal.SIGINT)
+            process.wait(20)
+            process.stdout.close()
+
+
+@pytest.mark.slow
+def test_a_killed_studio_leaves_its_folder_to_the_next(folder):
+    with served(folder, "mine.yaml") as first:
+        first.stop(signal.SIGKILL)
+        with served(folder, "mine.yaml") as second:
+            assert second.address.startswith("http://127.0.0.1:")
+            third = Served(folder, "mine.yaml")
+            assert third.address == ""
+            assert third.process.wait(20) == 2
