@@ -15,7 +15,7 @@ GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
         "try": ("episodes.command", "Run a few episodes without training, and show the reward."),
         "studio": (
             "studio.command",
-            "Write a scenario, see its robot and train it on one page of the browser.",
+            "Write, watch and train a scenario on one page of the browser.",
         ),
         "play": ("view.play", "Drive the robot of a scenario in the browser."),
         "scenarios": ("installation.scenarios", "List the scenarios that come with deepbots."),

@@ -43,7 +43,7 @@ def command(
     ] = None,
     permissions: Permissions = Permissions(),
 ) -> None:
-    """Write a scenario, see its robot and train it on one page of the browser."""
+    """Write, watch and train a scenario on one page of the browser."""
     from deepbots_cli.studio.server import studio
 
     made = studio(source, permissions=permissions, host=host, port=port)
