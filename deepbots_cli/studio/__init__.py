@@ -9,7 +9,8 @@ task_process.py   what runs in such a process
 trainings.py      the learning curve and the time left of a training, from its files
 session.py        the state of the studio, free of the page: files, robot, tasks, runs
 gate.py           the checks in front of the server, and the page of the robot behind its address
-page.py           the page: the editor and what stands around it
+page.py           the page: the text and its findings, and the parts around it
+robot_pane.py     the robot on the page
 panels.py         the tabs of the page: training, runs, commands
 dialogs.py        the dialog for a new scenario
 editor.py         the text editor of the page, with `editor.js`

@@ -13,9 +13,9 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.dialogs import new_scenario
 from deepbots_cli.studio.editor import Editor
 from deepbots_cli.studio.files import OpenFile
-from deepbots_cli.studio.gate import ROBOT_PATH
 from deepbots_cli.studio.language import EditorFinding
 from deepbots_cli.studio.panels import CommandTab, RunsTab, TrainingTab
+from deepbots_cli.studio.robot_pane import DRAWS, RobotPane
 from deepbots_cli.studio.session import Session, Topic
 
 _MAX_FINDINGS = 50
@@ -25,20 +25,6 @@ _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
 _TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
 _PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
-_DRAWS = """(() => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  const names = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return !gl ? "not" : /swiftshader|llvmpipe|software|basic render/i.test(name) ? "by software" : ""; })()"""
-"""Whether the browser draws with WebGL."""
-_ROBOT_TEXTS = {
-    None: "starting",
-    "running": "runs the saved file",
-    "outdated": "the saved file has errors; the robot is that of the last version without",
-    "errors": "the file has errors; mend them and save to see the robot",
-    "failed": "stopped",
-}
 
 
 def add_style() -> None:
@@ -57,20 +43,16 @@ class StudioPage:
         self._session = session
         self._file: OpenFile | None = None
         self._findings: tuple[EditorFinding, ...] | None = None
-        self._address = ""
         self._banner_key: tuple[object, ...] = ()
-        self._changed_parameters: dict[str, str] = {}
         self._dark = ui.dark_mode(value=None)
         self._is_dark = False
-        self._shows_picture = False
-        self._picture_key: tuple[object, ...] = ()
         ui.page_title(f"deepbots studio: {session.folder.name}")
         self._add_header()
         with ui.element("div").classes("studio-main"):  # in the element `main` of NiceGUI
             with ui.element("section").classes("studio-text").props('aria-label="Text"'):
                 self._add_text()
             with ui.element("section").classes("studio-robot").props('aria-label="Robot"'):
-                self._add_robot()
+                self._robot = RobotPane(session, self._guarded)
             with ui.element("section").classes("studio-work").props('aria-label="Training and commands"'):
                 self._add_work()
         ui.context.client.on_delete(session.listen(self._changed))
@@ -81,20 +63,16 @@ class StudioPage:
         client = ui.context.client
         await client.connected(timeout=_BROWSER_S)
         self._show_files()
-        self._show_robot()
+        self._robot.update()
         for topic in _TOPICS_OF_TABS:
             self._changed(topic)
         try:
             if await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S):
                 self._toggle_dark()
-            drawing = await ui.run_javascript(_DRAWS, timeout=_BROWSER_S)
+            drawing = await ui.run_javascript(DRAWS, timeout=_BROWSER_S)
         except TimeoutError:
             return  # a busy browser; the page works with the defaults
-        if drawing == "by software":
-            self._session.robot.slow_down()
-        elif drawing == "not":
-            self._shows_picture = True
-            self._show_robot()
+        self._robot.adapt(str(drawing))
 
     # Parts
 
@@ -123,22 +101,6 @@ class StudioPage:
         self._editor = Editor(self._typed, self._key)
         self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
 
-    def _add_robot(self) -> None:
-        with ui.element("div").classes("studio-bar"):
-            self._shown = ui.select({}, on_change=lambda event: self._show_source(event.value)).props(
-                'dense outlined label="Robot of" aria-label="Robot of"'
-            )
-            self._driver = ui.select([], on_change=lambda event: self._set_driver(event.value)).props(
-                'dense outlined label="Driver" aria-label="Driver"'
-            )
-            ui.button("Restart", on_click=self._session.robot.restart).props("dense flat no-caps")
-            self._robot_text = ui.label("").classes("studio-status").props('role="status"')
-        self._parameters = ui.element("div").classes("studio-bar")
-        self._parameters.set_visibility(False)
-        self._frame = ui.element("iframe").props('title="The robot"').classes("studio-frame")
-        self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
-        self._picture.classes("studio-picture").set_visibility(False)
-
     def _add_work(self) -> None:
         with ui.tabs().props("dense no-caps align=left") as tabs:
             train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
@@ -162,12 +124,12 @@ class StudioPage:
         elif topic == "files":
             self._show_files()
         elif topic == "robot":
-            self._show_robot()
+            self._robot.update()
         elif topic == "training":
             self._training.update()
         elif topic == "runs":
             self._runs.update()
-            self._show_sources()
+            self._robot.update_sources()
         elif topic == "task":
             self._training.update()
             self._command.update()
@@ -181,15 +143,11 @@ class StudioPage:
             current = session.files.get(session.current) if session.current else None
             self._show_file(current)
         opened = [path for path in session.files if path != session.current]
-        options = {str(path): self._label(path) for path in (*session.scenarios(), *opened)}
+        options = {str(path): session.name_of(path) for path in (*session.scenarios(), *opened)}
         for path in session.language.files_of(session.current) if session.current else ():
-            options.setdefault(str(path), f"{self._label(path)} (read by it)")
+            options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
-        self._show_sources()
-
-    def _label(self, path: Path) -> str:
-        folder = self._session.folder
-        return str(path.relative_to(folder)) if path.is_relative_to(folder) else path.name
+        self._robot.update_sources()
 
     def _show_file(self, file: OpenFile | None) -> None:
         self._file, self._findings = file, None
@@ -305,64 +263,6 @@ class StudioPage:
         file.edit(edits)
         self._session.edited(file)
 
-    def _show_sources(self) -> None:
-        """Show what the robot can be of: the scenario, or a run of it."""
-        session = self._session
-        if session.current is None:
-            return
-        options = {str(session.current): self._label(session.current)}
-        for run in reversed(session.runs[-30:]):
-            if not run.runs and run.problem is None:
-                options[str(run.path)] = f"policy of {run.path.name}"
-        value = session.robot.reference if session.robot.reference in options else str(session.current)
-        if options != self._shown.options or value != self._shown.value:
-            self._shown.set_options(options, value=value)
-
-    def _show_robot(self) -> None:
-        robot = self._session.robot
-        state = robot.state
-        text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
-        if state is not None and state.text and not robot.problem:
-            text = state.text
-        self._robot_text.set_text(text)
-        drivers = list(state.drivers) if state else []
-        driver = state.driver if state and state.driver in drivers else None
-        if drivers != self._driver.options or driver != self._driver.value:
-            self._driver.set_options(drivers, value=driver)
-        self._show_parameters(dict(state.changed) if state else {})
-        if self._shows_picture:
-            self._show_picture()
-        elif robot.address != self._address:
-            self._address = robot.address
-            # A new page of the robot has a new address; the number makes the browser load it.
-            dark = "&darkMode" if self._is_dark else ""
-            source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
-            self._frame.props(f'src="{source}"')
-
-    def _show_picture(self) -> None:
-        """Show a picture in place of the live page, for a browser that cannot draw it."""
-        robot = self._session.robot
-        key = (robot.reference, robot.state.loaded if robot.state else 0)
-        if key != self._picture_key:
-            self._picture_key = key
-            self._frame.set_visibility(False)
-            self._picture.set_visibility(True)
-            self._picture.props(f'src="studio/picture?change={abs(hash(key)) % 10**8}"')
-            self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
-
-    def _show_parameters(self, changed: dict[str, str]) -> None:
-        if changed == self._changed_parameters:
-            return
-        self._changed_parameters = changed
-        self._parameters.clear()
-        self._parameters.set_visibility(bool(changed))
-        if changed:
-            with self._parameters:
-                ui.label(
-                    "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
-                )
-                ui.button("Write into the file", on_click=self._write_parameters).props("dense flat no-caps")
-
     # What the person does
 
     def _guarded(self, act: Callable[[], Any]) -> None:
@@ -415,18 +315,6 @@ class StudioPage:
             self._editor.go_to(line - 1)
             self._outline.set_value(None)
 
-    def _show_source(self, reference: str | None) -> None:
-        if reference and reference != self._session.robot.reference:
-            self._session.robot.show(reference)
-
-    def _set_driver(self, name: str | None) -> None:
-        state = self._session.robot.state
-        if name and state is not None and name != state.driver:
-            self._session.robot.set_driver(name)
-
-    def _write_parameters(self) -> None:
-        self._guarded(self._session.write_parameters)
-
     def _write_advice(self, values: dict[str, str]) -> None:
         """Write values of a diagnosis into the text."""
         self._guarded(lambda: self._session.write_values(values))
@@ -456,5 +344,4 @@ class StudioPage:
         self._dark.set_value(self._is_dark)
         self._editor.set_dark(self._is_dark)
         self._training.set_dark(self._is_dark)
-        self._address = ""
-        self._show_robot()
+        self._robot.set_dark(self._is_dark)

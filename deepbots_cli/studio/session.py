@@ -126,6 +126,10 @@ class Session:
         real = _real_path(path)
         return real is not None and path.suffix in _SUFFIXES and real.is_relative_to(self.folder)
 
+    def name_of(self, path: Path) -> str:
+        """Return a file as the page names it: relative to the folder if it is in it."""
+        return str(path.relative_to(self.folder)) if path.is_relative_to(self.folder) else path.name
+
     def open(self, path: Path) -> OpenFile:
         """Open a file, with its unsaved text of an earlier session.
 

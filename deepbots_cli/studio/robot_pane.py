@@ -1,0 +1,139 @@
+"""The pane of the robot: its live page, what it is of, who drives, and the parameters that were changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from nicegui import ui
+
+from deepbots_cli.studio.gate import ROBOT_PATH
+from deepbots_cli.studio.session import Session
+
+DRAWS = """(() => {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return !gl ? "not" : /swiftshader|llvmpipe|software|basic render/i.test(name) ? "by software" : ""; })()"""
+"""A script for the browser; its value is `not` without WebGL, `by software` without a graphics card, or empty."""
+_ROBOT_TEXTS = {
+    None: "starting",
+    "running": "runs the saved file",
+    "outdated": "the saved file has errors; the robot is that of the last version without",
+    "errors": "the file has errors; mend them and save to see the robot",
+    "failed": "stopped",
+}
+_MAX_RUNS = 30
+"""The number of runs, the newest ones, whose policies can be chosen."""
+
+
+class RobotPane:
+    """The robot in one browser. The page updates it when the session changes."""
+
+    def __init__(self, session: Session, guarded: Callable[[Callable[[], Any]], None]) -> None:
+        """`guarded` calls a function, and shows its error as a message."""
+        self._session, self._guarded = session, guarded
+        self._address = ""
+        self._changed_parameters: dict[str, str] = {}
+        self._is_dark = False
+        self._shows_picture = False
+        self._picture_key: tuple[object, ...] = ()
+        with ui.element("div").classes("studio-bar"):
+            self._shown = ui.select({}, on_change=lambda event: self._show_source(event.value)).props(
+                'dense outlined label="Robot of" aria-label="Robot of"'
+            )
+            self._driver = ui.select([], on_change=lambda event: self._set_driver(event.value)).props(
+                'dense outlined label="Driver" aria-label="Driver"'
+            )
+            ui.button("Restart", on_click=self._session.robot.restart).props("dense flat no-caps")
+            self._robot_text = ui.label("").classes("studio-status").props('role="status"')
+        self._parameters = ui.element("div").classes("studio-bar")
+        self._parameters.set_visibility(False)
+        self._frame = ui.element("iframe").props('title="The robot"').classes("studio-frame")
+        self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
+        self._picture.classes("studio-picture").set_visibility(False)
+
+    def adapt(self, drawing: str) -> None:
+        """Adapt to how the browser draws, which is the value of the script `DRAWS`."""
+        if drawing == "by software":
+            self._session.robot.slow_down()
+        elif drawing == "not":
+            self._shows_picture = True
+            self.update()
+
+    def set_dark(self, dark: bool) -> None:
+        """Load the page of the robot in other colors."""
+        self._is_dark, self._address = dark, ""
+        self.update()
+
+    def update_sources(self) -> None:
+        """Show what the robot can be of: the scenario, or a run of it."""
+        session = self._session
+        if session.current is None:
+            return
+        options = {str(session.current): session.name_of(session.current)}
+        for run in reversed(session.runs[-_MAX_RUNS:]):
+            if not run.runs and run.problem is None:
+                options[str(run.path)] = f"policy of {run.path.name}"
+        value = session.robot.reference if session.robot.reference in options else str(session.current)
+        if options != self._shown.options or value != self._shown.value:
+            self._shown.set_options(options, value=value)
+
+    def update(self) -> None:
+        """Show the state of the robot."""
+        robot = self._session.robot
+        state = robot.state
+        text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
+        if state is not None and state.text and not robot.problem:
+            text = state.text
+        self._robot_text.set_text(text)
+        drivers = list(state.drivers) if state else []
+        driver = state.driver if state and state.driver in drivers else None
+        if drivers != self._driver.options or driver != self._driver.value:
+            self._driver.set_options(drivers, value=driver)
+        self._show_parameters(dict(state.changed) if state else {})
+        if self._shows_picture:
+            self._show_picture()
+        elif robot.address != self._address:
+            self._address = robot.address
+            # A new page of the robot has a new address; the number makes the browser load it.
+            dark = "&darkMode" if self._is_dark else ""
+            source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
+            self._frame.props(f'src="{source}"')
+
+    def _show_picture(self) -> None:
+        """Show a picture in place of the live page, for a browser that cannot draw it."""
+        robot = self._session.robot
+        key = (robot.reference, robot.state.loaded if robot.state else 0)
+        if key != self._picture_key:
+            self._picture_key = key
+            self._frame.set_visibility(False)
+            self._picture.set_visibility(True)
+            self._picture.props(f'src="studio/picture?change={abs(hash(key)) % 10**8}"')
+            self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
+
+    def _show_parameters(self, changed: dict[str, str]) -> None:
+        if changed == self._changed_parameters:
+            return
+        self._changed_parameters = changed
+        self._parameters.clear()
+        self._parameters.set_visibility(bool(changed))
+        if changed:
+            with self._parameters:
+                ui.label(
+                    "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
+                )
+                ui.button("Write into the file", on_click=self._write_parameters).props("dense flat no-caps")
+
+    def _show_source(self, reference: str | None) -> None:
+        if reference and reference != self._session.robot.reference:
+            self._session.robot.show(reference)
+
+    def _set_driver(self, name: str | None) -> None:
+        state = self._session.robot.state
+        if name and state is not None and name != state.driver:
+            self._session.robot.set_driver(name)
+
+    def _write_parameters(self) -> None:
+        self._guarded(self._session.write_parameters)
