@@ -53,7 +53,7 @@ async function ask(what, body) {
 export default {
   template: `<div class="studio-editor"></div>`,
   data: () => ({ path: "", revision: 0, base: "", waiting: false, behind: false, pushed: null,
-    timer: 0, findings: [] }),
+    afterwards: "", timer: 0, findings: [] }),
   mounted() {
     this.dark = new CM.Compartment();
     this.writing = new CM.Compartment();
@@ -97,6 +97,10 @@ export default {
   },
   methods: {
     command(name) {
+      if (this.waiting && this.text() != this.sent) { // the last letters go first
+        this.afterwards = name;
+        return true;
+      }
       this.send();
       this.$emit("command", name);
       return true;
@@ -105,7 +109,7 @@ export default {
       this.leave();
       clearTimeout(this.timer);
       Object.assign(this, { path, revision, base: text, waiting: false, behind: false, pushed: null,
-        findings: [] });
+        afterwards: "", findings: [] });
       this.view.setState(CM.EditorState.create({ doc: text, extensions: this.extensions }));
       this.view.dispatch({ effects: [
         this.language.reconfigure(this.yaml ?? []),
@@ -147,6 +151,9 @@ export default {
       this.pushed = null;
       if (pushed && pushed.revision > this.revision) this.receive(path, pushed.text, pushed.revision);
       if (this.text() != this.base || this.behind) this.schedule();
+      const name = this.afterwards;
+      this.afterwards = "";
+      if (name) this.command(name);
     },
     // Text from the server
     receive(path, text, revision) {

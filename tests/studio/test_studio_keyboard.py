@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 pytest.importorskip("nicegui")
@@ -38,8 +40,10 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
         page.press(("End", 35), modifiers=2)
         page.type("# by the keyboard")
         page.save()
-        page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save')")
-        assert (tmp_path / "mine.yaml").read_text("utf-8").endswith("n_steps: 128\n# by the keyboard")
+        end = time.monotonic() + 20
+        while not (tmp_path / "mine.yaml").read_text("utf-8").endswith("n_steps: 128\n# by the keyboard"):
+            assert time.monotonic() < end
+            time.sleep(0.1)
         # Tab leaves the text, and passes the robot.
         passed = _tab_to(page, "Train")
         assert any("IFRAME" in each for each in passed)
