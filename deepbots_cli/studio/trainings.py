@@ -18,7 +18,7 @@ MAX_POINTS = 400
 """The number of points of a line on the page."""
 _MIN_INTERVAL_S = 1.0
 _COST_FACTOR = 25.0
-"""The time between two reads in reads: reading takes at most 4 % of a core."""
+"""The time between two reads over the CPU time of a read: reading takes at most 4 % of a core."""
 _SPEED_WINDOW_S = 30.0
 
 Point = tuple[float, float | None]
@@ -118,7 +118,7 @@ class WatchedTraining:
 
     def read(self) -> None:
         """Read the files; call it in a thread."""
-        began = time.monotonic()
+        began, used = time.monotonic(), time.thread_time()
         if not (self.path / "run.json").is_file():
             self._due = began + _MIN_INTERVAL_S
             return
@@ -132,7 +132,7 @@ class WatchedTraining:
         self._steps.append((began, listed.steps or 0))
         while self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
             self._steps.popleft()
-        took = time.monotonic() - began
+        took = time.thread_time() - used
         self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * took)
 
     def watch_again(self) -> None:

@@ -67,7 +67,9 @@ def long_scenario() -> str:
     head = head.replace("parameters:\n", f"parameters:\n{names}")
     head = head.replace("-20 .. 20 deg", "-60 .. 60 deg")
     tail = tail.replace("  failure:\n", f"  failure:\n{failures}")
-    return f"{head}reward:\n  alive: 1\n{rewards}{tail}"
+    # The rewards come first: the editor draws the lines that are in view.
+    reward = f"reward:\n  alive: 1\n{rewards}"
+    return head.replace("parameters:\n", f"{reward}parameters:\n") + tail
 
 
 @contextmanager
