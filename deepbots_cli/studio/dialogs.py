@@ -7,13 +7,33 @@ from pathlib import Path
 
 from nicegui import events, ui
 
-from deepbots_cli.cli.commands.new import Template
-from deepbots_cli.document.shipped import scenario_names
+from deepbots_cli.cli.commands.new import Template, from_template
+from deepbots_cli.document.shipped import scenario_names, scenario_path
 from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.session import Session
 
 MAX_ROBOT_BYTES = 10 << 20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
+
+
+_SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
+
+
+def _templates() -> dict[str, str]:
+    """Return the templates, each with its summary."""
+    texts = {each.value: next(iter(from_template(each.value, "mine").values())) for each in Template}
+    return {name: _described(name, text.decode()) for name, text in texts.items()}
+
+
+def _shipped_scenarios() -> dict[str, str]:
+    """Return the shipped scenarios, each with its summary."""
+    paths = {name: scenario_path(name) for name in scenario_names()}
+    return {name: _described(name, path.read_text("utf-8")) for name, path in paths.items() if path}
+
+
+def _described(name: str, text: str) -> str:
+    summary = _SUMMARY.search(text)
+    return f"{name}: {summary[1]}" if summary else name
 
 
 async def new_scenario(session: Session) -> Path | None:
@@ -22,11 +42,11 @@ async def new_scenario(session: Session) -> Path | None:
         ui.label("A new scenario").classes("studio-name")
         name = ui.input("Name", placeholder="mine").props("autofocus")
         kind = ui.radio(["template", "copy of a shipped scenario", "robot file"], value="template")
-        template = ui.select(
-            [each.value for each in Template], value=next(iter(Template)).value, label="Template"
-        )
+        template = ui.select(_templates(), value=next(iter(Template)).value, label="Template")
+        template.classes("studio-wide")
         template.bind_visibility_from(kind, "value", value="template")
-        shipped = ui.select(scenario_names(), value="cartpole", label="Scenario")
+        shipped = ui.select(_shipped_scenarios(), value="cartpole", label="Scenario", with_input=True)
+        shipped.classes("studio-wide")
         shipped.bind_visibility_from(kind, "value", value="copy of a shipped scenario")
         robot = _RobotUpload(session)
         robot.element.bind_visibility_from(kind, "value", value="robot file")
@@ -42,6 +62,7 @@ async def new_scenario(session: Session) -> Path | None:
             except UsageError as error:
                 problem.set_text(str(error))
 
+        name.on("keydown.enter", write)
         with ui.row():
             ui.button("Write", on_click=write).props("no-caps")
             ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")

@@ -67,8 +67,8 @@ class StudioPage:
         for topic in _TOPICS_OF_TABS:
             self._changed(topic)
         try:
-            if await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S):
-                self._toggle_dark()
+            prefers_dark = await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S)
+            self._set_dark(bool(prefers_dark))
             drawing = await ui.run_javascript(DRAWS, timeout=_BROWSER_S)
         except TimeoutError:
             return  # a busy browser; the page works with the defaults
@@ -93,7 +93,8 @@ class StudioPage:
             self._outline.classes("studio-outline")
             self._status = ui.label("").classes("studio-status").props('role="status"')
             ui.space()
-            ui.button("Dark", on_click=self._toggle_dark).props("dense flat no-caps")
+            self._theme = ui.button("Dark", on_click=lambda: self._set_dark(not self._is_dark))
+            self._theme.props("dense flat no-caps")
 
     def _add_text(self) -> None:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
@@ -135,7 +136,7 @@ class StudioPage:
             self._command.update()
         elif topic == "notice" and self._session.notice:
             with self._list:
-                ui.notify(self._session.notice, position="bottom-left", multi_line=True)
+                ui.notify(self._session.notice, position="bottom-right", multi_line=True)
 
     def _show_files(self) -> None:
         session = self._session
@@ -152,6 +153,8 @@ class StudioPage:
     def _show_file(self, file: OpenFile | None) -> None:
         self._file, self._findings = file, None
         if file is not None:
+            if str(file.path) in self._files.options:
+                self._files.set_value(str(file.path))
             self._editor.show(file, dark=self._is_dark)
             self._show_state()
             self._show_findings()
@@ -270,7 +273,7 @@ class StudioPage:
         try:
             act()
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="bottom-left", multi_line=True)
+            ui.notify(str(error), type="warning", position="bottom-right", multi_line=True)
 
     def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
         file = self._session.files.get(path)
@@ -295,7 +298,7 @@ class StudioPage:
             if edits:
                 self._apply(self._file, edits)
             else:
-                ui.notify("the layout is canonical already, or the file has errors", position="bottom-left")
+                ui.notify("the layout is canonical already, or the file has errors", position="bottom-right")
 
     def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""
@@ -324,24 +327,31 @@ class StudioPage:
         if path is not None:
             self._guarded(lambda: self._session.show(path))
             self._show_file(self._session.files.get(path))
+            self._show_files()
 
-    async def _explain(self) -> None:
+    def _explain(self) -> None:
         """Ask for a word, and show what `deepbots explain` says."""
+
+        async def ask() -> None:
+            text, _ = await self._session.call(["explain", "--", str(word.value or "").strip()])
+            answer.set_text(text.strip())
+
         with _dialog("Explain") as dialog, ui.card().classes("studio-dialog"):
             word = ui.input("A key, a code of a finding, or a term", placeholder="reward").props("autofocus")
-            word.on("keydown.enter", lambda: dialog.submit(word.value))
-            ui.button("Explain", on_click=lambda: dialog.submit(word.value)).props("no-caps")
-        asked = await dialog
-        if asked:
-            text, _ = await self._session.call(["explain", "--", str(asked).strip()])
-            with _dialog("Explanation") as answer, ui.card().classes("studio-dialog"):
-                ui.code(text, language="text").classes("studio-code")
-                ui.button("Close", on_click=answer.close).props("flat no-caps")
-            answer.open()
+            word.classes("studio-wide").on("keydown.enter", ask)
+            with ui.row():
+                ui.button("Explain", on_click=ask).props("no-caps")
+                ui.button("Close", on_click=dialog.close).props("flat no-caps")
+            answer = ui.label("").classes("studio-answer").props('role="status" tabindex="0"')
+        dialog.open()
 
-    def _toggle_dark(self) -> None:
-        self._is_dark = not self._is_dark
-        self._dark.set_value(self._is_dark)
+    def _set_dark(self, dark: bool) -> None:
+        # A chosen value: with `None`, the page would follow the system, and editor and robot would not.
+        self._dark.set_value(dark)
+        if dark == self._is_dark:
+            return
+        self._is_dark = dark
+        self._theme.set_text("Light" if dark else "Dark")
         self._editor.set_dark(self._is_dark)
         self._training.set_dark(self._is_dark)
         self._robot.set_dark(self._is_dark)

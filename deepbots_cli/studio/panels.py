@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from nicegui import ui
+from nicegui import events, ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.listing import ListedRun
@@ -17,8 +18,16 @@ from deepbots_cli.studio.tasks import Task
 from deepbots_cli.studio.trainings import Curves
 
 Guarded = Callable[[Callable[[], Any]], None]
+_ADVISED_COMMANDS = ("resume", "eval", "lint", "try")
+"""The commands of a diagnosis that the page runs."""
+_NO_CAUSE = {
+    True: "the task is solved, and no cause of a failure was found",
+    False: "no known cause was found; look at the robot of the run, at the endings in its report, and compare it"
+    " with a run before the last change",
+}
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
+_COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
 _GRID_COLOR = "rgba(128, 128, 128, 0.3)"
 
 
@@ -44,7 +53,7 @@ class TrainingTab:
         self._text = ui.label("").classes("studio-status").props('role="status"')
         self._command = ui.label("").classes("studio-command")
         self._is_dark = False
-        self._chart = ui.echart(_options(Curves(), False, dark=False)).classes("studio-chart")
+        self._chart = ui.echart(_options(Curves(), has_successes=False, dark=False)).classes("studio-chart")
         self._chart.set_visibility(False)
         self._drawn: object = None
 
@@ -73,17 +82,22 @@ class TrainingTab:
             self._text.set_text("Train shows the learning curve here.")
             return
         run = training.listed
+        is_running = task is not None and task.is_running
         if run is None:
-            self._text.set_text(f"{training.path.name}: starting ..." if task and task.is_running else "")
+            self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
+            self._chart.set_visibility(False)
+            self._drawn = None
             return
-        self._text.set_text(f"{run.path.name}: {training.problem or status(run, training.seconds_left)}")
+        evaluates = ", evaluating ..." if is_running and run.state == "finished" else ""
+        text = training.problem or status(run, training.seconds_left)
+        self._text.set_text(f"{run.path.name}: {text}{evaluates}")
         key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
             self._drawn = key
             self._chart.set_visibility(bool(training.curves.returns))
             self._chart.options.clear()
             self._chart.options.update(
-                _options(training.curves, run.success_rate is not None, dark=self._is_dark)
+                _options(training.curves, has_successes=run.success_rate is not None, dark=self._is_dark)
             )
             self._chart.update()
 
@@ -121,7 +135,7 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
     return ", ".join(parts)
 
 
-def _options(curves: Curves, has_successes: bool, *, dark: bool) -> dict[str, Any]:
+def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, Any]:
     """Return the chart of a training as ECharts takes it."""
     lines = [_line("return", curves.returns, 0), _line("evaluated return", curves.evaluations, 0, marks=True)]
     has_successes = has_successes or bool(curves.successes)
@@ -132,12 +146,13 @@ def _options(curves: Curves, has_successes: bool, *, dark: bool) -> dict[str, An
         ]
     terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
-    if stages:
-        lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True}
     text = {"color": "#cccccc" if dark else "#444444"}
+    marks = [*stages, *_goals(curves)]
+    if marks:
+        lines[0]["markLine"] = {"data": marks, "symbol": "none", "silent": True, "label": text}
     axis = {"axisLabel": text, "nameTextStyle": text, "splitLine": {"lineStyle": {"color": _GRID_COLOR}}}
     return {
-        "color": list(_COLORS),
+        "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
         "grid": {"left": 56, "right": 56, "top": 40, "bottom": 36},
         "tooltip": {"trigger": "axis"},
@@ -145,6 +160,7 @@ def _options(curves: Curves, has_successes: bool, *, dark: bool) -> dict[str, An
             "type": "scroll",
             "top": 4,
             "textStyle": text,
+            "inactiveColor": "#666666" if dark else "#bbbbbb",
             "selected": {line["name"]: False for line in terms},
         },
         "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22, **axis},
@@ -162,6 +178,14 @@ def _options(curves: Curves, has_successes: bool, *, dark: bool) -> dict[str, An
         ],
         "series": [line for line in [*lines, *terms] if line["data"]],
     }
+
+
+def _goals(curves: Curves) -> list[dict[str, Any]]:
+    """Return a horizontal line at the mean return with which the task is solved, if there is one."""
+    if curves.solved_return is None:
+        return []
+    label = {"formatter": f"solved: {curves.solved_return:g}", "position": "insideStartTop"}
+    return [{"yAxis": curves.solved_return, "label": label}]
 
 
 def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: bool = False) -> dict[str, Any]:
@@ -203,18 +227,22 @@ class RunsTab:
                 ("solved", "solved", "left"),
             )
         ]
+        self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
             for label, act in (
                 ("Curve", self._curve),
                 ("Robot", self._robot),
-                ("Resume", lambda: self._command("resume")),
+                ("Resume", self._resume),
                 ("Evaluate", lambda: self._command("eval")),
                 ("Diagnose", self._diagnose),
                 ("Report", self._report),
                 ("Video", self._video),
                 ("Compare", self._compare),
             ):
-                ui.button(label, on_click=act).props("dense outline no-caps")
+                self._buttons[label] = ui.button(label, on_click=act)
+                self._buttons[label].props("dense outline no-caps")
+            self._timesteps = ui.input("Resume up to", placeholder="timesteps").props("dense outlined")
+            self._timesteps.classes("studio-number")
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
         ).props('dense flat hide-pagination no-data-label="no runs yet"')
@@ -222,6 +250,9 @@ class RunsTab:
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
+        self._table.on("rowClick", self._toggle, [[], ["name"], None])
+        self._table.on_select(lambda _: self._show_buttons())
+        self._show_buttons()
         self._advice = ui.element("div").classes("studio-advice")
 
     def update(self) -> None:
@@ -250,11 +281,36 @@ class RunsTab:
             raise UsageError(f"select {'one run' if number == 1 else f'{number} runs'} in the table first")
         return [Path(RUNS_FOLDER, name) for name in names]
 
+    def _toggle(self, event: events.GenericEventArguments) -> None:
+        """Select the row that was clicked, or no longer."""
+        name = event.args[1]["name"]
+        selected = [row for row in self._table.selected if row["name"] != name]
+        if len(selected) == len(self._table.selected):
+            selected += [row for row in self._table.rows if row["name"] == name]
+        self._table.selected = selected
+        self._show_buttons()
+
+    def _show_buttons(self) -> None:
+        """Enable what can be done with the selected runs."""
+        number = len(self._table.selected)
+        for label, button in self._buttons.items():
+            button.set_enabled(number == (2 if label == "Compare" else 1))
+
+    def _resume(self) -> None:
+        text = str(self._timesteps.value or "").strip()
+
+        def run() -> None:
+            (path,) = self._selected()
+            self._session.run(["resume", str(path), *(["--timesteps", text] if text else [])], "resume", path)
+            self._show_tab("Train")
+
+        self._guarded(run)
+
     def _command(self, verb: str) -> None:
         def run() -> None:
             (path,) = self._selected()
             self._session.run([verb, str(path)], verb, path)
-            self._show_tab("Train" if verb == "resume" else "Commands")
+            self._show_tab("Commands")
 
         self._guarded(run)
 
@@ -313,9 +369,7 @@ class RunsTab:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
             if not report.get("causes"):
-                ui.label(
-                    f"{path.name}: no cause was found" + (", the task is solved" if report["solved"] else "")
-                )
+                ui.label(f"{path.name}: {_NO_CAUSE[bool(report['solved'])]}")
             for cause in report.get("causes") or ():
                 self._add_cause(cause)
 
@@ -323,12 +377,27 @@ class RunsTab:
         ui.label(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
         if cause.get("advice"):
             ui.label(str(cause["advice"]))
+        command = shlex.split(str(cause.get("command") or ""))[1:]
+        if command[:1] and command[0] in _ADVISED_COMMANDS:
+            ui.button(
+                f"Run deepbots {shlex.join(command)}", on_click=lambda: self._run_advised(command)
+            ).props("dense outline no-caps")
         values = {str(name): str(value) for name, value in (cause.get("settings") or {}).items()}
         if values:
             shown = ", ".join(f"{name}: {value}" for name, value in values.items())
             ui.button(f"Write {shown}", on_click=lambda: self._write_advice(values)).props(
                 "dense outline no-caps"
             )
+
+    def _run_advised(self, command: list[str]) -> None:
+        """Run the command that a diagnosis advises."""
+
+        def run() -> None:
+            path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
+            self._session.run(command, command[0], path)
+            self._show_tab("Train" if path is not None else "Commands")
+
+        self._guarded(run)
 
 
 class CommandTab:
@@ -370,6 +439,11 @@ class CommandTab:
         self._shown = shown
         ended = "" if code in (None, 0) else f"\nended with exit code {code}"
         self._text.set_text(f"{shown[2]}{ended}")
+        # The element is missing until its tab is opened.
+        self._output.client.run_javascript(
+            f"const output = getHtmlElement({self._output.id});"
+            " if (output) output.scrollTop = output.scrollHeight"
+        )
         self._command.set_text(task.command)
         self._stop.set_enabled(code is None)
         self._link.set_visibility(code == 0 and bool(task.record.output))

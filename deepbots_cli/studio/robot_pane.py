@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from nicegui import ui
@@ -82,9 +83,12 @@ class RobotPane:
 
     def update(self) -> None:
         """Show the state of the robot."""
+        self.update_sources()
         robot = self._session.robot
         state = robot.state
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
+        if state is not None and state.state == "running" and robot.reference != str(self._session.current):
+            text = f"driven by the policy of {Path(robot.reference).name}"
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)
@@ -124,7 +128,7 @@ class RobotPane:
                 ui.label(
                     "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
                 )
-                ui.button("Write into the file", on_click=self._write_parameters).props("dense flat no-caps")
+                ui.button("Write into the text", on_click=self._write_parameters).props("dense flat no-caps")
 
     def _show_source(self, reference: str | None) -> None:
         if reference and reference != self._session.robot.reference:

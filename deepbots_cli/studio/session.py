@@ -18,7 +18,7 @@ from typing import Literal
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
-from deepbots_cli.learning.listing import ListedRun, list_runs
+from deepbots_cli.learning.listing import ListedRun, list_runs, read_listed
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.files import Drafts, OpenFile, read_text
 from deepbots_cli.studio.language import Language, written_parameters
@@ -35,6 +35,8 @@ _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
 
+_INTERRUPTED = 130
+"""The exit code after Ctrl-C."""
 _TRAINING_VERBS = ("train", "resume")
 _READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
 """The commands that have the options `--allow-path` and `--allow-code`."""
@@ -239,11 +241,14 @@ class Session:
         file = self.files.get(self.current) if self.current is not None else None
         if file is None:
             raise UsageError("open a scenario first")
+        before = file.text
         for path, value in values.items():
             edit = self.language.assignment(file, path, value)
             if edit is None:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             file.edit([edit])
+        if file.text == before:
+            raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)
 
     def is_scenario(self, file: OpenFile) -> bool:
@@ -338,13 +343,13 @@ class Session:
         """
         if self.current is None:
             raise UsageError("open a scenario first")
-        for file in self.files.values():
-            if file.is_modified and not file.read_only:
-                self.save(file)
         # Right after a change, the command finds the errors itself.
         is_checked = self.language.checked_revision(self.current) == self.files[self.current].revision
         if is_checked and self.language.has_errors(self.current):
             raise UsageError("the scenario has errors; mend the findings first")
+        for file in self.files.values():
+            if file.is_modified and not file.read_only:
+                self.save(file)
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name
 
@@ -411,6 +416,19 @@ class Session:
             self.runs = runs
             self._tell("runs")
 
+    def _end_of(self, task: Task) -> str:
+        """Return a sentence about a command that has ended."""
+        code, run = task.exit_code, task.record.run
+        name = f"{task.record.title} of {run}" if run else task.record.title
+        if code == _INTERRUPTED:
+            return f"{name} was stopped"
+        if code:
+            return f"{name} has failed; the tab Commands shows why"
+        solved = (
+            read_listed(self.folder / run).solved if run and task.record.words[0] in _TRAINING_VERBS else None
+        )
+        return f"{name} has ended" + {True: ": solved", False: ": not solved", None: ""}[solved]
+
     def _adopt_running_tasks(self) -> None:
         """Show the training that an earlier server has started, if it still runs."""
         running = self.tasks.running
@@ -430,9 +448,7 @@ class Session:
             if task.path in ended:
                 if self.training is not None and task.record.run:
                     self.training.watch_again()
-                code = task.exit_code
-                of = f" of {task.record.run}" if task.record.run else ""
-                self.say(f"{task.record.title}{of} has ended" + (f" with exit code {code}" if code else ""))
+                self.say(self._end_of(task))
         if running or ended:
             self._tell("task")
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deepbots_cli.errors import RunError
+from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.listing import ListedRun, read_listed
+from deepbots_cli.learning.run import Run
 from deepbots_cli.view.plots import TrainingLog, read_logs
 
 MAX_POINTS = 400
@@ -35,6 +37,7 @@ class Curves:
         evaluations, evaluated_successes: Means of each evaluation.
         terms: Mean sums of each reward term over an episode.
         stages: The stages of the curriculum, with the timesteps at their beginning.
+        solved_return: The mean return with which the task is solved, None if there is none.
     """
 
     returns: tuple[Point, ...] = ()
@@ -43,6 +46,7 @@ class Curves:
     evaluated_successes: tuple[Point, ...] = ()
     terms: dict[str, tuple[Point, ...]] = field(default_factory=dict)
     stages: tuple[tuple[str, float], ...] = ()
+    solved_return: float | None = None
 
 
 def read_curves(run: Path) -> Curves:
@@ -99,6 +103,8 @@ class WatchedTraining:
         self._steps: deque[tuple[float, int]] = deque()
         self._due = 0.0
         self._ended = False
+        self._solved_return: float | None = None
+        self._is_compiled = False
 
     @property
     def is_due(self) -> bool:
@@ -124,7 +130,8 @@ class WatchedTraining:
             return
         listed = read_listed(self.path)
         try:
-            self.curves, self.problem = read_curves(self.path), listed.problem or ""
+            curves = replace(read_curves(self.path), solved_return=self._goal())
+            self.curves, self.problem = curves, listed.problem or ""
         except RunError as error:
             self.problem = str(error)
         self.listed = listed
@@ -134,6 +141,16 @@ class WatchedTraining:
             self._steps.popleft()
         took = time.thread_time() - used
         self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * took)
+
+    def _goal(self) -> float | None:
+        """Return the mean return with which the task is solved; the scenario is compiled once."""
+        if not self._is_compiled:
+            self._is_compiled = True
+            with suppress(DeepbotsError):
+                agents = list(Run.open(self.path).program.agents.values())
+                solved = agents[0].solved if len(agents) == 1 else None
+                self._solved_return = solved.mean_return if solved is not None else None
+        return self._solved_return
 
     def watch_again(self) -> None:
         """Read the files again soon, because a command works on the run."""

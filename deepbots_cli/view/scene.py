@@ -477,7 +477,7 @@ class WorldScene:
             model = self._layout.robots[part[0]]
             head, pose = rigid_groups(model)[part[1]]
             name = f"{self._path_of((part[0], head))}/touch_{part[1]}"
-            radius = 0.035 * math.dist(*robot_bounds(model))
+            radius = 0.02 * math.dist(*robot_bounds(model))
             self._dots[part] = self._scene.add_icosphere(
                 name, radius, (225, 60, 40), opacity=0.5, position=pose[0], visible=False
             )
