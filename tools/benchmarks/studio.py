@@ -117,8 +117,15 @@ def page_rows(letters: int) -> Iterator[Row]:
 
 def children(process: int) -> list[int]:
     """Return a process with those that it has started."""
-    path = Path(f"/proc/{process}/task/{process}/children")
-    return [process, *(int(child) for child in path.read_text().split())]
+    paths = Path(f"/proc/{process}/task").glob("*/children")
+    return [process, *(int(child) for path in paths for child in path.read_text().split())]
+
+
+def set_priority(process: int, nice: int) -> None:
+    """Give all threads of a process a priority."""
+    for path in Path(f"/proc/{process}/task").glob("*"):
+        with suppress(OSError):  # it has just ended
+            os.setpriority(os.PRIO_PROCESS, int(path.name), nice)
 
 
 def memory(process: int) -> float:
@@ -246,8 +253,8 @@ def speed(folder: Path, steps: int) -> float:
 def be_nice(process: int) -> None:
     """Give Chromium what the others leave of the cores."""
     for child in children(process)[1:]:
+        set_priority(child, 19)
         with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, child, 19)
             be_nice(child)
 
 
@@ -274,8 +281,7 @@ def training_rows(count: int, steps: int) -> Iterator[Row]:
 def be_first(process: int) -> None:
     """Return the studio to the priority of the shell."""
     for child in children(process):
-        with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, child, os.getpriority(os.PRIO_PROCESS, os.getpid()))
+        set_priority(child, os.getpriority(os.PRIO_PROCESS, os.getpid()))
 
 
 def main() -> None:
