@@ -14,6 +14,7 @@ import numpy as np
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.listing import ListedRun, read_listed
 from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.plots import TrainingLog, read_logs
 
 MAX_POINTS = 400
@@ -125,7 +126,7 @@ class WatchedTraining:
     def read(self) -> None:
         """Read the files; call it in a thread."""
         began, used = time.monotonic(), time.thread_time()
-        if not (self.path / "run.json").is_file():
+        if folder_kind(self.path) is None:
             self._due = began + _MIN_INTERVAL_S
             return
         listed = read_listed(self.path)
