@@ -102,6 +102,8 @@ def command(
         if not allow_code:
             _show_robots(programs, scene, as_json=as_json)
             return
+        if processes and os.name == "nt":
+            raise UsageError("--processes is not available on Windows; leave it out")
         options = _Options(steps, timeout, python, record, fast, processes, as_json)
         _run(checked, scene, programs, options)
     except WorldError as error:

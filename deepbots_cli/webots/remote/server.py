@@ -6,7 +6,7 @@ import os
 import subprocess
 import threading
 from multiprocessing.connection import Pipe
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any, Protocol
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.processes import python_command, python_environment
@@ -31,9 +31,6 @@ from deepbots_cli.webots.runner import (
 )
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
 from deepbots_cli.webots.tree import Field, Node
-
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
 
 _API = (Device, Field, Keyboard, Node, Robot)
 """The classes whose objects stay here; a process has a reference to each."""
@@ -112,10 +109,18 @@ def _pass_on(source: IO[str] | None, target: Prefixed) -> None:
     target.close()
 
 
+class _Pipe(Protocol):
+    """An end of a `multiprocessing.Pipe`, whose class depends on the system."""
+
+    def send(self, value: Any, /) -> None: ...
+
+    def recv(self) -> Any: ...
+
+
 class _Requests:
     """The requests of one controller, and the objects that it has references to."""
 
-    def __init__(self, pipe: Connection) -> None:
+    def __init__(self, pipe: _Pipe) -> None:
         self._pipe = pipe
         self._objects: dict[int, Any] = {}
         self._numbers: dict[tuple[type, Any], int] = {}
