@@ -86,6 +86,7 @@ def keystrokes(page: StudioTab, count: int) -> list[float]:
     """Seconds from each letter to its underline."""
     page.click_line("  alive: 1")
     page.type(" + ")
+    time.sleep(2)  # the page is complete
     page.tab.run(_WATCH)
     seconds = []
     for number in range(count):
