@@ -1,7 +1,7 @@
 """The studio: the text of a scenario, its running robot and its trainings on one page of the browser.
 
 files.py          the open files: revisions, merged changes, drafts of unsaved text, changes outside
-language.py       findings, completion, hover and fixes of the open files, by the functions of the language server
+language.py       findings, completion, hover and fixes of the open files
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
 tasks.py          commands that run in processes of their own, and survive the server

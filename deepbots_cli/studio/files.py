@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write
+from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.lsp.workspace import common_prefix
 
 _MAX_REVISIONS = 10_000
@@ -306,8 +306,7 @@ def read_text(path: Path) -> tuple[str, Form]:
     try:
         if not path.is_file():
             raise UsageError(f"{path} is no file")
-        with path.open("rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
+        content = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {(error.strerror or 'error').lower()}") from error
     if len(content) > MAX_BYTES:

@@ -51,7 +51,7 @@ class EditorFinding:
 
 @dataclass(frozen=True)
 class EditorFix:
-    """A change that mends a finding: its title, and its edits of the text of the open file."""
+    """A change of the text that removes a finding: its title and its edits."""
 
     title: str
     edits: tuple[TextEdit, ...]
@@ -272,4 +272,6 @@ def _kind(kind: int | None) -> str:
 
 def _utf16(text: str) -> str:
     """Return a text of as many characters as UTF-16 has units."""
-    return text if text.isascii() else "".join("xx" if ord(each) > 0xFFFF else "x" for each in text)
+    if text.isascii():
+        return text
+    return "".join("xx" if ord(each) > 0xFFFF else "x" for each in text)

@@ -17,12 +17,13 @@ DRAWS = """(() => {
   const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   return !gl ? "not" : /swiftshader|llvmpipe|software|basic render/i.test(name) ? "by software" : ""; })()"""
-"""A script for the browser; its value is `not` without WebGL, `by software` without a graphics card, or empty."""
+"""A script for the browser. Its value is `not` without WebGL, `by software` without a graphics card, and
+otherwise empty."""
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
     "outdated": "the saved file has errors; the robot is that of the last version without",
-    "errors": "the file has errors; mend them and save to see the robot",
+    "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
 }
 _MAX_RUNS = 30

@@ -346,7 +346,7 @@ class Session:
         # Right after a change, the command finds the errors itself.
         is_checked = self.language.checked_revision(self.current) == self.files[self.current].revision
         if is_checked and self.language.has_errors(self.current):
-            raise UsageError("the scenario has errors; mend the findings first")
+            raise UsageError("the scenario has errors; correct them first")
         for file in self.files.values():
             if file.is_modified and not file.read_only:
                 self.save(file)

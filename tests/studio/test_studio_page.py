@@ -67,7 +67,7 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     page = StudioTab(new_tab(), studio.address)
     page.wait("document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'", 60)
 
-    # A mistake is underlined and explained, and its fix mends the text.
+    # A mistake is underlined and explained; the finding goes with it.
     page.click_line("  fall_angle:")
     page.press(("Home", 36))
     page.click_line("  alive: 1")

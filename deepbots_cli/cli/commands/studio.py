@@ -46,10 +46,10 @@ def command(
     """Write, watch and train a scenario on one page of the browser."""
     from deepbots_cli.studio.server import studio
 
-    made = studio(source, permissions=permissions, host=host, port=port)
-    terminal.print_result(made.address)
+    prepared = studio(source, permissions=permissions, host=host, port=port)
+    terminal.print_result(prepared.address)
     sys.stdout.flush()  # programs that read the address wait for it
     terminal.note("Ctrl-C ends it; trainings go on, and the next studio of this folder shows them")
     if open_:
-        webbrowser.open(made.address)
-    made.serve()
+        webbrowser.open(prepared.address)
+    prepared.serve()
