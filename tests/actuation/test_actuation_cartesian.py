@@ -28,6 +28,7 @@ def where(reach: tuple[float, float, float]) -> tuple[float, float, float]:
     return (0.6 + 0.15 * reach[0], 0.2 + 0.15 * reach[1], 0.3 + 0.15 * reach[2])
 
 
+@pytest.mark.slow
 def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(make: Make):
     panda = make(ARM)
     read, states = panda.engine.pose("panda", "panda_grasptarget"), panda.engine.joint_states("panda", JOINTS)
@@ -47,6 +48,7 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_
             assert limit.lower - 1e-3 <= state[0] <= limit.upper + 1e-3
 
 
+@pytest.mark.slow
 def test_a_stretched_arm_finds_a_way_to_bend(make: Make):
     panda = make(ARM, "reset.joints={panda.arm: 0 deg}")
     panda.reset(seed=0)
@@ -83,6 +85,7 @@ def test_what_is_out_of_reach_is_approached(make: Make):
     assert abs(y) < 0.2
 
 
+@pytest.mark.slow
 def test_a_gripper_goes_from_closed_to_open(make: Make):
     panda = make(ARM, "robots.panda.apply.grip=2 * open - 0.5")
     fingers = panda.engine.joint_states("panda", ("panda_finger_joint1", "panda_finger_joint2"))
@@ -92,6 +95,7 @@ def test_a_gripper_goes_from_closed_to_open(make: Make):
         assert [state[0] for state in fingers()] == pytest.approx([opening] * 2, abs=5e-4)
 
 
+@pytest.mark.slow
 def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
     used, fresh = make(ARM), make(ARM)
     used.reset(seed=1)
@@ -104,6 +108,7 @@ def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
     assert [state[:2] for state in found[0]] == [state[:2] for state in found[1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("route", ["latency: 1 s", "loss: 100 %"])
 def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, route: str):
     panda = make(
@@ -116,6 +121,7 @@ def test_an_arm_whose_first_command_is_late_or_lost_does_not_fall(make: Make, ro
     assert [state[0] for state in states()] == pytest.approx(before, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_that_command(make: Make):
     spring = (
         "robots.panda.actuators.hand={type: position_motor, joints: arm, stiffness: 500 N*m/rad,"

@@ -90,6 +90,7 @@ def test_an_agent_beside_others_sees_the_same_in_a_batch(tmp_path: Path, role: s
     assert compare(program) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     few(
@@ -141,6 +142,7 @@ def test_a_policy_that_takes_masks_acts_the_same_in_a_batch(tmp_path: Path) -> N
     compare(api.compile(scenario, overrides=[role], permissions=allowed).program)
 
 
+@pytest.mark.slow
 def test_an_evaluation_beside_a_policy_is_the_same_in_a_batch(trained: Path, tmp_path: Path) -> None:
     program = beside(trained).program
     deepbots_cli.train(beside(trained), run=tmp_path / "run", total_timesteps=64)

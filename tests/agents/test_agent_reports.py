@@ -104,6 +104,7 @@ def test_strategies_that_go_round_in_a_circle_are_a_cause(hopeless: Path) -> Non
     assert "85% against the later version of 300 steps" in causes["strategies_cycle"].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "games",
     [
@@ -159,6 +160,7 @@ def test_a_log_without_the_agents_is_refused_with_the_reason(hopeless: Path, tmp
         read_trainings(Run.open(run))
 
 
+@pytest.mark.slow
 def test_a_report_has_the_figures_and_the_causes_of_each_agent(
     hopeless: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -154,6 +154,7 @@ def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: 
     assert here.weights_digest == there.weights_digest
 
 
+@pytest.mark.slow
 def test_agents_with_a_success_in_common_keep_the_best_model(tmp_path: Path) -> None:
     program = api.compile(written(tmp_path, TOGETHER)).program
     assert program.defines_success

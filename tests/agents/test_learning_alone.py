@@ -80,6 +80,7 @@ def test_the_episodes_of_an_agent_end_where_it_ends(carts: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows(
     carts: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -206,6 +206,7 @@ def test_a_match_of_one_agent_is_refused(tmp_path: Path) -> None:
         play_matches([tmp_path / "run"])
 
 
+@pytest.mark.slow
 def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnx")
     assert main(["eval", str(trained), "--episodes", "3"]) == 0
@@ -249,6 +250,7 @@ def test_robustness_is_that_of_one_agent(trained: Path, capsys: pytest.CaptureFi
     assert "mass of" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_group_of_agents_that_compete_shows_the_return_of_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -98,6 +98,7 @@ def test_an_interrupted_training_with_self_play_becomes_the_same(
     assert resumed.ratings == Run.open(tmp_path / "whole").record.result.ratings  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_both_agents_of_a_model_have_the_same_policy(tmp_path: Path) -> None:
     result = deepbots_cli.train(written(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
     weights = load_model(Run.open(tmp_path / "run"), "best").weights()
@@ -133,6 +134,7 @@ def test_past_policies_act_with_the_weights_of_their_time(
     assert len(set(digests.values())) == len(digests) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
 def test_scripts_of_the_scenario_play_the_other_side(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str

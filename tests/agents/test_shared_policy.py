@@ -120,6 +120,7 @@ def test_shards_give_the_same_weights_wherever_they_run(carts: Path, tmp_path: P
     assert here.weights_digest == there.weights_digest
 
 
+@pytest.mark.slow
 def test_agents_that_end_alone_share_a_policy(carts: Path, tmp_path: Path) -> None:
     carts.write_text(ALONE + PPO)
     assert deepbots_cli.train(carts, run=tmp_path / "run", seed=1).steps == 512

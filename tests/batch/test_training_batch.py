@@ -69,6 +69,7 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(
     assert told["batch"] == told["single"] != []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "overrides"), [("cartpole", []), ("multi_cartpole", ["robots.cart.count=2"])]
 )

@@ -70,6 +70,7 @@ def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(
     assert any(each["end"] == "loaded" for each in outcomes)
 
 
+@pytest.mark.slow
 def test_a_number_is_always_the_same_forgery(bases: Path, tmp_path: Path) -> None:
     found = [_run(bases, "--only", 37, "--keep", tmp_path)[0] for _ in range(2)]
     assert [{**each, "seconds": 0, "megabytes": 0} for each in found] == [

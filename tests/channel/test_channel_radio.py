@@ -97,6 +97,7 @@ def test_without_bursts_each_message_is_lost_or_not_by_itself(share: float, seed
     assert geometric_p(runs_of(lost), share) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "burst", "seed"), BURSTS)
 def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(
     share: float, burst: float, seed: int

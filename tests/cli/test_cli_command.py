@@ -290,6 +290,7 @@ for line, absent, _ in {WITHOUT}:
         assert line.endswith(install_hint(extra))
 
 
+@pytest.mark.slow
 def test_what_runs_nothing_needs_no_extra(tmp_path):
     lines = [
         "lint cartpole",
@@ -373,6 +374,7 @@ def _in_shell(line: str) -> str:
     ).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
 @pytest.mark.parametrize(
     "verb",

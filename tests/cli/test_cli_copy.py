@@ -143,6 +143,7 @@ def test_a_compiled_project_runs_on_its_own(deepbots, tmp_path):
     assert "7 steps" in done.stdout
 
 
+@pytest.mark.slow
 def test_what_is_edited_in_a_compiled_project_is_what_runs(deepbots, tmp_path):
     deepbots("compile", "cartpole", "--project", "mine")
     code = tmp_path / "mine" / "environment.py"

@@ -104,6 +104,7 @@ def test_a_longer_pole_no_longer_fits_and_is_another_world(deepbots):
     assert not any(group == "task" for group, _ in found)
 
 
+@pytest.mark.slow
 def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
     pairs = [
         ("find_ball", "find_ball_as_printed"),
@@ -140,6 +141,7 @@ REORDERED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("old", REORDERED, ids=["reward", "signals", "coordinates"])
 def test_the_order_of_keys_is_no_difference_in_the_task(deepbots, tmp_path, old):
     deepbots("new", "find_ball", "--from", "find_ball", "--json")
@@ -252,6 +254,7 @@ def test_stages_and_cases_are_compared_by_what_they_change(deepbots, tmp_path):
     assert "25 deg" in found["training", "curriculum.wide"]["one"]
 
 
+@pytest.mark.slow
 def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     trained = deepbots(

@@ -38,6 +38,7 @@ def test_what_is_measured_is_a_finding_like_any_other(deepbots, files):
     assert deepbots("lint", "sunk.yaml").code == 0
 
 
+@pytest.mark.slow
 def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
     said = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
     assert (said.code, said.out.split()[2]) == (0, "DB608[constant-observation]")

@@ -43,6 +43,7 @@ def mine(first: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(first / "mine", tmp_path / "mine"))
 
 
+@pytest.mark.slow
 def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path) -> None:
     ran = deepbots("compare", "mine", STEP, "--episodes", "2")
     assert ran.code == 0, ran.err
@@ -76,6 +77,7 @@ def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots
     assert (found["nominal"]["model"], found["nominal"]["model_steps"]) == ("step-000000128", 128)
 
 
+@pytest.mark.slow
 def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, mine: Path) -> None:
     ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
     assert ran.code == 0, ran.err

@@ -144,6 +144,7 @@ def test_a_scenario_for_a_robot_file_is_clean_suits_the_robot_and_runs(deepbots,
     assert ran.code == 0, ran.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "way"), [("a1/a1", "x"), ("quadruped/minitaur", "x"), ("laikago/laikago_toes", "y")]
 )
@@ -172,6 +173,7 @@ def test_a_legged_robot_begins_with_springs_a_gait_and_a_batch_of_worlds(deepbot
         assert json.loads(stood.out)["summary"]["mean_length"] > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "robot",
     few(

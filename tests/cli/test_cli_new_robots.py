@@ -320,6 +320,7 @@ ODD = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(ODD, ODD[:2]))
 def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
     pytest.importorskip("pybullet_data")

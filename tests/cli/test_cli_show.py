@@ -355,6 +355,7 @@ def test_whole_numbers_may_be_written_short(deepbots, written, meant):
     assert sum(episode["length"] for episode in json.loads(ran.out)["episodes"]) == meant
 
 
+@pytest.mark.slow
 def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots):
     pytest.importorskip("pybullet")
     speeds = r"\([\d,]+ against [\d,]+ steps/s\)"
@@ -418,6 +419,7 @@ def test_a_bench_measures_no_more_rounds_than_fit_into_its_time():
     assert len(rounds) == 1
 
 
+@pytest.mark.slow
 def test_a_quick_bench_measures_less(deepbots):
     quick = ("bench", "cartpole", "--engine", "mujoco", "--quick", "--steps", "100", "--json")
     figures = json.loads(deepbots(*quick, "--pairs", "1").out)

@@ -122,6 +122,7 @@ def test_a_training_that_ends_unsolved_names_the_first_cause_and_one_command(dee
     assert "--set train.learning_rate=0.003" in printed["command"]
 
 
+@pytest.mark.slow
 def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepbots):
     words = (
         "--set",
@@ -142,6 +143,7 @@ def test_a_training_that_ends_unsolved_without_a_cause_names_where_to_look(deepb
     assert "deepbots eval mine --details" in deepbots("diagnose", "mine").err
 
 
+@pytest.mark.slow
 def test_the_next_commands_can_be_pasted_though_the_path_has_blanks(deepbots, tmp_path):
     ran = deepbots(*TINY, "--run", "my läufe/a b")
     assert "deepbots render 'my läufe/a b' -o 'a b.mp4'" in ran.err
@@ -160,6 +162,7 @@ def test_a_run_is_never_overwritten(deepbots, trained):
     assert "not overwritten" in ran.err
 
 
+@pytest.mark.slow
 def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
     pytest.importorskip("viser")
     with training_page(wanted=True, permissions=Permissions()) as show_page:
@@ -212,6 +215,7 @@ def test_a_trained_run_can_be_evaluated_listed_filmed_and_gone_on_with(deepbots,
     ]
 
 
+@pytest.mark.slow
 def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     there = "there: {set: {termination.success: {there: x > 0.3 m}}, episodes: 2}"
     cases = (
@@ -300,6 +304,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
     assert one["runs"][0]["outcomes"] == other["runs"][0]["outcomes"]
 
 
+@pytest.mark.slow
 def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):
     never = "termination.success={balanced: time > 1 h}"
     assert deepbots(*TINY, "--run", "mine", "--set", never).code == 0
@@ -562,6 +567,7 @@ def test_a_training_whose_evaluation_fails_is_solved_nowhere(deepbots, trained, 
     assert verdict.text.endswith("; not solved")
 
 
+@pytest.mark.slow
 def test_engines_are_compared_from_the_same_starts(deepbots, trained):
     pytest.importorskip("pybullet")
     found = json.loads(deepbots("eval", "mine", "--engine", "pybullet,mujoco", "--json").out)
@@ -699,6 +705,7 @@ def interrupted(tmp_path_factory):
     return folder, Ran(process.returncode, out, b"".join(pieces).decode())
 
 
+@pytest.mark.slow
 def test_a_terminal_gets_a_progress_bar_and_stdout_stays_clean(interrupted):
     _, ran = interrupted
     assert "━" in ran.err

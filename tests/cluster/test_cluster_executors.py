@@ -129,6 +129,7 @@ def test_workers_have_our_priority(cluster: Cluster) -> None:
     assert list(cluster.map(priority, [0])) == [os.nice(0)]
 
 
+@pytest.mark.slow
 def test_more_workers_than_cores_are_noted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

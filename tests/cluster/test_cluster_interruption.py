@@ -74,6 +74,7 @@ def test_in_this_process_after_ctrl_c(kind: str, whole: Any, tmp_path: Path) -> 
     assert outcomes(kind, tmp_path / "parts") == whole(kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", few(KINDS, ["group"]))
 def test_on_workers_after_one_was_killed(
     kind: str, whole: Any, either: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -145,6 +145,7 @@ def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
     exec(compile(code, "printed", "exec"), {"__name__": "printed"})
 
 
+@pytest.mark.slow
 def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
     """Sets are in another order in every process unless hashing is fixed."""
     drawn = SCENARIOS / "drawn.yaml"

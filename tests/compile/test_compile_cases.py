@@ -141,6 +141,7 @@ def test_substeps_have_one_bound_in_the_language_and_in_what_comes_back_from_a_r
     assert "DB105" not in workshop.codes(rail(("substeps: 4", "substeps: 10_000")))
 
 
+@pytest.mark.slow
 def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> None:
     terms = "".join(f"  r{index}: {index}\n" for index in range(3000))
     with_terms = rail(("reward: {alive: 1}", f"reward:\n{terms}"))

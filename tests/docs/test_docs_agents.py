@@ -54,6 +54,7 @@ def lacking(shown: Any, printed: Any, place: str = "") -> list[str]:
     return [] if shown == printed else [f"{place}: {shown!r} is shown, {printed!r} was printed"]
 
 
+@pytest.mark.slow
 def test_the_loop_for_agents_prints_what_the_page_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -122,6 +122,9 @@ SECTIONS = dict(
     )
 )
 
+TRAINING = ["An algorithm", "An engine"]
+"""The sections whose commands take more than 1 s of CPU."""
+
 
 def block(section: str, language: str) -> str:
     """The fenced block of a section, empty without one."""
@@ -169,28 +172,41 @@ def commands(section: str) -> list[list[str]]:
 
 
 @pytest.fixture(scope="module")
-def printed(changed: Path) -> dict[str, str]:
-    """What each command prints. One process runs them all, whose start takes 1 s of CPU."""
+def written(changed: Path) -> Path:
+    """The copy with the diffs and the scenarios of the page."""
     for name, text in re.findall(
         r"^```text (\S+\.yaml)\n(.*?)^```$", "".join(SECTIONS.values()), re.M | re.S
     ):
         (changed / name).write_text(text)
+    return changed
+
+
+def printed(folder: Path, lines: list[str]) -> dict[str, str]:
+    """What each command prints. One process runs them all, whose start takes 1 s of CPU."""
     ran = subprocess.run(
-        [sys.executable, "-c", COMMANDS, *(line for section in SECTIONS for line, *_ in commands(section))],
-        cwd=changed,
-        env={**os.environ, "PYTHONPATH": str(changed)},
+        [sys.executable, "-c", COMMANDS, *lines],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
         stdout=subprocess.PIPE,
         text=True,
     )
     return dict(map(json.loads, ran.stdout.splitlines()))
 
 
-@pytest.mark.parametrize("section", SECTIONS)
-def test_the_commands_below_a_diff_print_what_the_page_shows(section: str, printed: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "sections",
+    [
+        pytest.param([name for name in SECTIONS if name not in TRAINING], id="most"),
+        pytest.param(TRAINING, id="those that train", marks=pytest.mark.slow),
+    ],
+)
+def test_the_commands_below_a_diff_print_what_the_page_shows(sections: list[str], written: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    for command, *shown in commands(section):
-        for line in shown:
-            assert line in printed[command].splitlines(), (command, printed[command])
+    shown = [lines for section in sections for lines in commands(section)]
+    outputs = printed(written, [command for command, *_ in shown])
+    for command, *lines in shown:
+        for line in lines:
+            assert line in outputs[command].splitlines(), (command, outputs[command])
 
 
 # The programs of docs/python.md run; whole, they reach what the page says

@@ -154,6 +154,7 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
+@pytest.mark.slow
 def test_an_episode_among_pooled_bodies_equals_one_in_a_fresh_world_whatever_came_before(
     engine_name, worlds, build
 ):

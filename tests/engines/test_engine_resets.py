@@ -106,6 +106,7 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
     return struct.pack(f"{len(figures)}d", *figures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pasts", PASTS)
 def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engine_name, dog, pasts, build):
     fresh = {seed: walk(build(engine_name, yard(dog)), seed, 50) for seed in (3, 4)}
@@ -182,6 +183,7 @@ def roll(engine: Engine, seed: int, ticks: int) -> bytes:
 JOINTS = ["pitch", "yaw"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pasts", PASTS)
 def test_a_ball_rolls_in_a_pit_anew_after_every_reset_whatever_came_before(engine_name, roller, pasts, build):
     rock = ObjectBody("rock", Sphere(0.1), Pose((0.6, 0.0, 0.6)), 0.5)

@@ -86,6 +86,7 @@ def test_a_flat_mesh_that_touches_nothing_is_drawn(build, tmp_path):
     assert len({tuple(color) for color in image.reshape(-1, 3).tolist()}) > 1
 
 
+@pytest.mark.slow
 def test_a_ball_of_more_vertices_than_a_hull_may_have_rests_as_a_ball(build, tmp_path):
     path = tmp_path / "ball.obj"
     path.write_bytes(ball(0.2, 80))

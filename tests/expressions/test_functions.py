@@ -125,6 +125,7 @@ print(json.dumps([*found, [choice[0] for choice in functions(frozenset(Family))]
 """
 
 
+@pytest.mark.slow
 def test_a_function_of_another_package_is_known_everywhere(tmp_path):
     """To the linter, the compiler, `explain`, completion and the reference; one process, since a start takes
     0.7 s of CPU."""

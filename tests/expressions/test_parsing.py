@@ -173,6 +173,7 @@ def test_if_binds_least_groups_to_the_right_and_takes_literals(bench):
     assert isinstance(bench.read("5 when (flag if flag else true)"), syntax.Binary)
 
 
+@pytest.mark.slow
 def test_no_regular_expression_repeats_a_group_possessively():
     """Python before 3.11.5, such as that of Debian 12, matches such groups wrongly: reading any expression
     never ended."""

@@ -49,6 +49,7 @@ def offers(folder: Path) -> dict[Path, list[Finding]]:
     return {path: found for path, found in linted.items() if any(finding.fix for finding in found)}
 
 
+@pytest.mark.slow
 def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
     whole = {path.name: path.read_text(encoding="utf-8") for path in sources()}
     typos = [case for case in everything() if case.kind.startswith("typo") and case.style == "plain"]
@@ -76,6 +77,7 @@ def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project)
         assert mended.endswith(case.text[case.until :])
 
 
+@pytest.mark.slow
 def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, list[Finding]]) -> None:
     mended = 0
     for path in offers:

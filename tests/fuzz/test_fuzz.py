@@ -35,6 +35,7 @@ def test_a_damaged_file_gives_findings_at_its_places_in_time(bench: Workbench) -
         bench.examine(number)
 
 
+@pytest.mark.slow
 def test_findings_are_the_same_under_another_hash_seed(bench: Workbench) -> None:
     numbers = range(COUNT, COUNT + 30)
     assert digests_elsewhere(numbers, 7) == [digest(bench.examine(number)) for number in numbers]
@@ -108,6 +109,7 @@ def test_fmt_makes_of_a_file_with_white_space_anywhere_what_it_would_leave_as_it
     assert sum(tidied) > 25
 
 
+@pytest.mark.slow
 def test_a_damaged_file_does_not_differ_from_itself_and_no_verb_fails(bench: Workbench) -> None:
     for number in range(20):
         check(bench, number)

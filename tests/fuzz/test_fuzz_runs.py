@@ -45,6 +45,7 @@ def runs(run_on_policy: Path, tmp_path_factory: pytest.TempPathFactory) -> list[
 PARTS = ("checkpoints", "run.json", "resolved.yaml", "monitor.csv", "evaluations", "models", "tensorboard")
 
 
+@pytest.mark.slow
 def test_a_damaged_file_of_a_run_is_damaged_or_correct(run_on_policy: Path) -> None:
     files = files_of(run_on_policy)
     cases = [(file, number) for file in files for number in range(2 if file.endswith("state.json") else 1)]

@@ -153,6 +153,7 @@ def test_a_term_for_progress_is_not_advised_to_a_scenario_that_has_one(carriage,
     assert "Add a reward term for progress" in none.advice
 
 
+@pytest.mark.slow
 def test_noise_that_is_large_already_is_raised_and_not_lowered(tmp_path):
     noisy = "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0.5}}"
     training = with_logs(
@@ -284,6 +285,7 @@ def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_
 # Lint as a cause
 
 
+@pytest.mark.slow
 def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_user(tmp_path, monkeypatch):
     """It read "Lint reports 1 warning", and its command named the copy in the run, which a student then
     edited."""
@@ -321,6 +323,7 @@ def test_lint_is_no_likely_cause_where_the_training_shows_the_opposite(tmp_path)
     )
 
 
+@pytest.mark.slow
 def test_a_folder_is_allowed_only_where_the_copy_reads_beyond_its_own(short, tmp_path):
     """`--allow-path climb1/inputs` was advised where it was not needed."""
     run = Run.open(short)
@@ -346,6 +349,7 @@ def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
     assert report.causes[0].text.split(".")[0] in page
 
 
+@pytest.mark.slow
 def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path):
     warned = train_shuttle(
         tmp_path, "reward.time=-2", "termination.failure={hit: abs(shuttle.place) > 0.49 m}"

@@ -179,6 +179,7 @@ def fallen(short, tmp_path) -> Path:
     return run
 
 
+@pytest.mark.slow
 def test_every_command_prints_the_same_sentence(fallen, tmp_path, capsys):
     sentence = "the training got worse: the mean return of its evaluations fell from 200 at 36,000 steps to"
     assert main(["runs", str(fallen.parent)]) == 0

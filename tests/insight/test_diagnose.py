@@ -255,6 +255,7 @@ def test_advice_on_exploration_names_options_that_the_algorithm_has(staged, tmp_
     assert advised.settings == {"train.ent_coef": "0.005"}
 
 
+@pytest.mark.slow
 def test_action_noise_of_zero_is_raised_to_a_number_above_zero(tmp_path):
     silent = train_shuttle(
         tmp_path, "train={algorithm: TD3, total_timesteps: 24000, action_noise: {type: normal, sigma: 0}}"
@@ -513,6 +514,7 @@ def test_a_training_that_solves_its_task_has_nocauses_of(short):
     assert causes_of(replace(training, all_evaluations=[evaluation])) == []
 
 
+@pytest.mark.slow
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(short, tmp_path):
     overrides = [
         "robots.cart.apply.wheels=0 * drive * wheel_speed",

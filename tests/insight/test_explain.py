@@ -117,6 +117,7 @@ def _check(scenario: str, path: Path, count: int) -> None:
     assert failed == count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", CASES)
 def test_ending_time_and_margin_are_those_of_the_recorded_state(scenario, tmp_path):
     _check(scenario, tmp_path / "few.mcap", 3)

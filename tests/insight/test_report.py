@@ -124,6 +124,7 @@ def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
     assert [row[1:] for row in report.stages] == [("wide", "0", "", "35.5"), ("usual", "4,096", "", "")]
 
 
+@pytest.mark.slow
 def test_the_script_that_taught_the_policy_is_named_with_its_score_and_drawn(run):
     report = Report.read(run)
     (log,) = (member.log for member in report.runs)

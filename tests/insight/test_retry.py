@@ -47,6 +47,7 @@ def retried(tmp_path_factory) -> Path:
     return found.group
 
 
+@pytest.mark.slow
 def test_the_next_attempt_has_the_advised_value_and_the_reason(retried):
     first, second, *_ = Group.open(retried).record.attempts
     assert (first.settings, first.base) == ({}, 0)
@@ -80,6 +81,7 @@ def test_a_group_that_was_killed_before_an_attempt_continues_with_it_to_the_bit(
     assert results[0] == results[1]
 
 
+@pytest.mark.slow
 def test_an_attempt_that_only_trains_longer_continues_a_copy(tmp_path):
     settings = [
         "world.engine=mujoco",
@@ -131,6 +133,7 @@ def test_an_attempt_that_is_clearly_worse_is_left_for_the_best_one():
     assert _is_worse(RunVerdict(None, None), verdict(0.3, 0.5))
 
 
+@pytest.mark.slow
 def test_the_report_of_the_group_names_what_each_attempt_changed_and_why(retried):
     report = Report.read(retried)
     assert len(report.runs) == 1

@@ -60,6 +60,7 @@ def logged(run: Run, path: Path, measured: Callable[[float, float], float], step
     return path
 
 
+@pytest.mark.slow
 def test_a_robot_that_moves_as_the_simulation_differs_in_nothing(run: Run, tmp_path: Path) -> None:
     found = compare_log(run, logged(run, tmp_path / "log.mcap", lambda time, angle: angle))
     assert not [each for each in found if each.is_different]
@@ -80,6 +81,7 @@ def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
     )
 
 
+@pytest.mark.slow
 def test_noise_is_measured(run: Run, tmp_path: Path) -> None:
     generator = np.random.default_rng(0)
     log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + generator.normal(0.0, 0.3))
@@ -169,6 +171,7 @@ def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: P
     ]
 
 
+@pytest.mark.slow
 def test_a_log_that_a_kill_cut_is_used_with_a_note(
     run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

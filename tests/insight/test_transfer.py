@@ -333,6 +333,7 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert "was trained in mujoco; name the other engine" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progress(
     run_of: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

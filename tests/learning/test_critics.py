@@ -26,6 +26,7 @@ def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_t
     assert unknown[:3, 0].tolist() == [0.125, 0.25, 0.5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "algorithm"),
     [("cartpole_continuous", "TD3"), pytest.param("cartpole", "DQN", marks=pytest.mark.slow)],

@@ -114,6 +114,7 @@ def _drawn(rates, kind: str, random: np.random.Generator):
     return evaluations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["two values", "a long tail", "normal"])
 @pytest.mark.parametrize("shape", few(["steady", "rising", "leveling"], ["leveling"]))
 def test_healthy_trainings_raise_a_false_alarm_in_at_most_two_percent(shape, kind):

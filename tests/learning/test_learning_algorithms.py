@@ -101,6 +101,7 @@ def test_an_adaptive_rate_moves_against_the_divergence_within_its_limits(diverge
             assert factor == 1.0
 
 
+@pytest.mark.slow
 def test_a_training_writes_the_rate_that_it_took(tmp_path: Path) -> None:
     path = tmp_path / "cart.yaml"
     path.write_text(
@@ -142,6 +143,7 @@ def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
         assert drawn().std() == pytest.approx(deviation, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", few(["TD3", "DDPG", "SAC", "TQC"], ["TD3"]))
 def test_noise_fades_while_the_training_goes_on(
     tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch
@@ -234,10 +236,12 @@ def reached(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     return learned(Reach, tmp_path_factory.mktemp("reach"), REACH, **GOAL)
 
 
+@pytest.mark.slow
 def test_hindsight_learns_from_goals_that_were_made_up(reached: TrainingResult) -> None:
     assert evaluate(reached.run, episodes=20, model="last", build=Reach).successes >= 15
 
 
+@pytest.mark.slow
 def test_a_resumed_training_remembers_steps_and_the_episodes_that_they_belong_to(
     reached: TrainingResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -356,6 +360,7 @@ def remembered(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     )
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingResult) -> None:
     result = evaluate(remembered.run, episodes=30, model="last", build=Remember)
     assert result.success_rate == 1.0
@@ -369,6 +374,7 @@ def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: 
     assert evaluate(remembered.run, episodes=3, deterministic=False, build=stand_in.build).episodes == 3
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_memory_is_kept_whole_and_goes_on_learning(remembered: TrainingResult) -> None:
     settings = Run.open(remembered.run).program.agent.training
     assert settings is not None
@@ -413,6 +419,7 @@ class Seeing(stand_in.CartPole):
         return {"observation": super()._observation(), "cart_camera": picture}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", few(["PPO", "DQN", "SAC"], ["DQN"]))
 def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(
     tmp_path: Path, algorithm: str

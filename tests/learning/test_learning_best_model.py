@@ -218,6 +218,7 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     assert not set(build.seeds[before:]) & {*chosen, *EVALUATION}
 
 
+@pytest.mark.slow
 def test_candidates_are_models_that_can_be_named(tmp_path: Path) -> None:
     result = learned(tmp_path, Worlds(lambda number: (float(number), False)), total=1_600, solved=None)
     files = sorted((result.run / "models" / "agent").glob("candidate-*.zip"))
@@ -304,6 +305,7 @@ def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmat
     assert result.confirmations == confirmations
 
 
+@pytest.mark.slow
 def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_steps(tmp_path: Path) -> None:
     build = Worlds(good, confirmation=poor)
     result = learned(tmp_path, build, total=3_000)
@@ -326,6 +328,7 @@ def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path)
     assert (result.confirmations, result.confirmed_seed) == (1, None)
 
 
+@pytest.mark.slow
 def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_better_model(
     tmp_path: Path,
 ) -> None:
@@ -346,6 +349,7 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
     assert again.confirmed_seed is None  # no confirmation ended it, so its verdict comes from an evaluation
 
 
+@pytest.mark.slow
 def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
     build = Worlds(poor)
     result = learned(tmp_path, build, total=300)
@@ -398,6 +402,7 @@ def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> No
     )
 
 
+@pytest.mark.slow
 def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(
     tmp_path: Path,
 ) -> None:

@@ -60,6 +60,7 @@ def test_every_shipped_scenario_without_train_can_be_trained(tmp_path: Path, sce
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", few(EXPECTED, ("cartpole",)))
 def test_a_chosen_learner_trains(tmp_path: Path, scenario: str) -> None:
     result = train(compiled(tmp_path, scenario), run=tmp_path / "run", total_timesteps=300)

@@ -83,6 +83,7 @@ def test_a_training_begins_with_the_weights_of_a_checkpoint(climb: Path, tmp_pat
     assert (begun.run / "models" / "agent" / "initial.zip").read_bytes() == (climb / STEP).read_bytes()
 
 
+@pytest.mark.slow
 def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> None:
     run = Run.open(run_copy)
     run.model("step-000000128").write_bytes(run.model("last").read_bytes())

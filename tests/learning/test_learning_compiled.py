@@ -63,6 +63,7 @@ train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_ep
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", few(KINDS, ["stages"]))
 def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> None:
     base = shipped.scenario_path("cartpole")

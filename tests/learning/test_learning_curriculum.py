@@ -148,6 +148,7 @@ def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
     assert again.stages == result.stages
 
 
+@pytest.mark.slow
 def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resumed(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, LONG, None), stage="b", total_timesteps=96)
     assert {row["stage"] for row in monitor_rows(result.run)} == {"b"}

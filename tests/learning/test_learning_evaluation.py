@@ -243,6 +243,7 @@ def test_an_episode_keeps_the_seed_and_what_its_reset_drew(tmp_path: Path) -> No
     assert list(result.outcomes[0].drawn) == list(result.outcomes[1].drawn)
 
 
+@pytest.mark.slow
 def test_baselines_and_the_policy_have_the_same_starts(tmp_path: Path) -> None:
     task = compile(
         "pit_escape", overrides=["train.environments=1", "train.n_steps=32", "train.batch_size=32"]

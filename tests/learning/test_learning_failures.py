@@ -180,6 +180,7 @@ def test_a_damaged_file_is_refused(trained: TrainingResult, run_copy: Path) -> N
             reproduce(folder / "0001.json")
 
 
+@pytest.mark.slow
 def test_actions_after_the_end_of_the_episode_are_not_repeated(
     trained: TrainingResult, run_copy: Path
 ) -> None:

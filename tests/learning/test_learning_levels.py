@@ -143,6 +143,7 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
         assert after == levels.next(before, [row["ended_by"]], none_drawn)
 
 
+@pytest.mark.slow
 def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., TrainingResult]) -> None:
     from contextlib import ExitStack
 
@@ -215,6 +216,7 @@ def test_a_resumed_training_is_one_without_interruption_to_the_bit(
         assert other[part] == one[part], part
 
 
+@pytest.mark.slow
 def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> None:
     """All robots take the same actions: with random ones, the two trainings would differ for that reason alone."""
     task = {

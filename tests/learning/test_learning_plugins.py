@@ -49,6 +49,7 @@ def lines(run: Path, name: str) -> list[str]:
     return [line for line in (run / "logs" / name).read_text().splitlines() if ",time/" not in line]
 
 
+@pytest.mark.slow
 def test_a_training_that_was_interrupted_calls_and_logs_as_one_that_was_not(tmp_path: Path) -> None:
     names: dict[str, Any] = {"callbacks": ["explore_less"], "loggers": ["csv", "json_lines"]}
     whole = short(tmp_path / "whole", **names)
@@ -137,6 +138,7 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path) -> Non
     assert (RunRecord.read(run).callbacks, RunRecord.read(run).loggers) == ((), ())
 
 
+@pytest.mark.slow
 def test_a_resumed_group_drops_them_in_every_seed(tmp_path: Path) -> None:
     train_group(TASK, [0, 1], group=tmp_path / "group", build=stand_in.build, callbacks=["impatient"])
     with pytest.raises(UsageError, match="there is no callback 'gone'"):

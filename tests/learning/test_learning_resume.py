@@ -319,6 +319,7 @@ def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> N
     assert with_checkpoint > 50
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), ["find_and_avoid"]))
 def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) -> None:
     """In a fresh world, from the states of its random generators as JSON and the actions of the episode."""
@@ -339,6 +340,7 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
         assert observation_digest(env.repeat([kept])) == seen
 
 
+@pytest.mark.slow
 def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tmp_path: Path) -> None:
     class Moody(stand_in.CartPole):
         """No two episodes begin alike."""
@@ -354,6 +356,7 @@ def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tm
     assert f"note: {result.inexact[0]}" in training_text(result)
 
 
+@pytest.mark.slow
 def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None:
     training = Training(
         "DQN", 200, 2, hyper(learning_starts=50), SMALL
@@ -363,6 +366,7 @@ def test_a_training_with_a_higher_goal_may_remember_more(tmp_path: Path) -> None
     assert resume(run, total_timesteps=480, build=stand_in.build).steps == 480
 
 
+@pytest.mark.slow
 def test_checkpoints_are_kept_at_equal_distances_and_can_be_used(tmp_path: Path) -> None:
     run = train(
         compiled_of("PPO"),
@@ -439,6 +443,7 @@ def test_a_training_without_room_for_its_first_files_names_one_and_can_begin_aga
         assert not run.exists()
 
 
+@pytest.mark.slow
 def test_a_training_without_room_for_a_checkpoint_keeps_the_last_one_and_becomes_the_same(
     tmp_path: Path,
 ) -> None:

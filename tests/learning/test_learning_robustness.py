@@ -50,6 +50,7 @@ def masses(program: Program) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", few(["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"], ["find_ball_random"])
 )
@@ -96,6 +97,7 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     assert [number.std.value / (number.high - number.low) for number in noisy] == pytest.approx([0.1] * 4)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "case", "stage"),
     [("find_ball_random", None, "crowded"), pytest.param("quadruped", "rough", None, marks=pytest.mark.slow)],

@@ -17,6 +17,7 @@ def timings(*rates: float) -> list[ShardTiming]:
     return [replace(TIMING, shards=1 << number, steps_per_second=rate) for number, rate in enumerate(rates)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -75,6 +75,7 @@ def trained(
     return outcome(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(ALGORITHMS, ["TD3"]))
 def test_shards_that_are_lost_with_every_fragment_give_the_same(tmp_path: Path, name: str) -> None:
     kept, lost = trained(name, tmp_path / "kept", SERIAL), trained(name, tmp_path / "lost", Forgetful())

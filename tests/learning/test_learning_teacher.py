@@ -71,6 +71,7 @@ def trained(name: str, folder: Path, changes: list[str] | None = None, **options
     return outcome(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", few([100, 225, 350], ["225"]))
 @pytest.mark.parametrize("name", few(CASES, ["PPO in stages"]))
 def test_an_interrupted_training_with_a_teacher_resumes_to_the_bit(
@@ -120,6 +121,7 @@ def test_an_actor_with_a_replay_buffer_imitates_its_teacher(tmp_path: Path, algo
     assert evaluate(result.run, model="last", episodes=10).mean_length > 300
 
 
+@pytest.mark.slow
 def test_with_a_teacher_evaluations_decide_what_exploration_spoils(tmp_path: Path) -> None:
     learner = (
         "total_timesteps: 1600, environments: 4, learning_starts: 200, train_freq: 4, gradient_steps: 4,"

@@ -145,6 +145,7 @@ def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None
     assert further.solved_at is not None
 
 
+@pytest.mark.slow
 def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(
     run_copy: Path, trained: TrainingResult
 ) -> None:
@@ -163,6 +164,7 @@ def test_a_resumed_training_goes_on_with_its_counts_and_appends_to_its_log(
     assert record["status"] == "finished"
 
 
+@pytest.mark.slow
 def test_event_files_of_one_second_are_read_in_the_order_in_which_they_were_written(run_copy: Path) -> None:
     run = Run.open(run_copy)
     (present,) = run.tensorboard.iterdir()
@@ -281,6 +283,7 @@ def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_pat
         resume(result.run, build=stand_in.build)
 
 
+@pytest.mark.slow
 def test_a_full_training_that_was_confirmed_stops_at_the_next_confirmation_if_it_is_resumed_so(
     tmp_path: Path,
 ) -> None:
@@ -394,6 +397,7 @@ def test_every_algorithm_trains_resumes_and_is_evaluated(
     assert evaluate(result.run, episodes=2, model="last", build=stand_in.build).episodes == 2
 
 
+@pytest.mark.slow
 def test_the_replay_buffer_is_taken_up_again(tmp_path: Path) -> None:
     training = Training(
         "DQN", 100, hyperparameters=hyper(learning_starts=20, buffer_size=200), network=Network((8,), "relu")
@@ -525,6 +529,7 @@ except deepbots_cli.learning.MissingExtraError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", few(["torch", "stable_baselines3", "tensorboard"], ["torch"]))
 def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
     said = python(NEEDS_EXTRA, module, folder=tmp_path)

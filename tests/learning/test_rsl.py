@@ -81,6 +81,7 @@ def digest_of(folder: Path) -> str:
     return load_model(Run.open(folder), "last").digest()
 
 
+@pytest.mark.slow
 def test_a_training_changes_the_weights_and_its_policy_is_evaluated(tmp_path: Path) -> None:
     task = stand_in.compiled(training=SHORT, continuous=True)
     short, whole = (
@@ -93,6 +94,7 @@ def test_a_training_changes_the_weights_and_its_policy_is_evaluated(tmp_path: Pa
     assert evaluation.episodes == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "training",
     [
@@ -158,6 +160,7 @@ def test_the_prediction_is_the_mean_of_the_distribution_in_the_range_of_the_agen
     assert np.abs(drawn).max() <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("training", [SHORT, EVERYTHING], ids=["usual", "everything"])
 def test_an_exported_policy_acts_as_the_policy(tmp_path: Path, training: Training) -> None:
     pytest.importorskip("onnx")

@@ -125,6 +125,7 @@ def simulate_gates(rate: float, required: float, gates: int, planned: int, seed:
     return wrong / gates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", few([0.9, 0.91, 0.89], ["0.91", "0.89"]))
 def test_at_most_one_gate_in_twenty_decides_wrongly_before_its_last_episode(rate):
     assert simulate_gates(rate, 0.9, 2000, 100, seed=1) <= stats.ALPHA

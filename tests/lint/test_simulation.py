@@ -60,6 +60,7 @@ def test_bodies_that_settle_are_looked_at_before_they_have(probed: Probed) -> No
     assert ("DB310", "cart") in [(finding.code, finding.span.text) for finding in found]
 
 
+@pytest.mark.slow
 def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> None:
     pytest.importorskip("pybullet_data")
     far = [

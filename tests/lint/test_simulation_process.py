@@ -85,6 +85,7 @@ def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
     assert found.notes[0].startswith("in step 3 ")
 
 
+@pytest.mark.slow
 def test_a_lack_of_memory_is_a_finding(checked) -> None:
     found = only(simulate(checked("hoard"), limits=TIGHT))
     assert (found.code, found.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
@@ -95,6 +96,7 @@ def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None
     assert only(simulate(checked(), limits=Limits(memory=120))).code == "DB309"
 
 
+@pytest.mark.slow
 def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> None:
     """The system ends a process after whole seconds of CPU."""
     probed = simulate(checked("hang"), limits=Limits(cpu=1, step_seconds=60.0))
@@ -119,6 +121,7 @@ def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked)
     assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault.description)
 
 
+@pytest.mark.slow
 def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> None:
     assert [finding.code for finding in simulate(checked("shout"), limits=TIGHT).findings] == []
 

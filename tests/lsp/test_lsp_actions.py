@@ -126,6 +126,7 @@ def test_all_safe_fixes_leave_line_ends_and_a_byte_order_mark_as_they_are(client
     assert made(client, pit, action) == original
 
 
+@pytest.mark.slow
 def test_a_client_that_can_ask_later_gets_the_edit_when_it_asks_and_versions_with_it(project):
     able = {
         "textDocument": {"codeAction": {"resolveSupport": {"properties": ["edit"]}}},

@@ -177,6 +177,7 @@ def test_the_settings_of_the_project_of_the_file_count(client, world):
     client.close(uri)
 
 
+@pytest.mark.slow
 def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without(project, world):
     path = world("pit_escape", ("timestep:", "timestop:"))
     (path.parents[1] / "deepbots.toml").write_text("[lint]\nignore = 3\n")
@@ -189,6 +190,7 @@ def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without
         assert "'ignore' must be a list of codes" in own.logged[0]
 
 
+@pytest.mark.slow
 def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
     capabilities = {"general": {"positionEncodings": ["utf-8", "utf-16"]}}
     path = world(

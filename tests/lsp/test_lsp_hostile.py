@@ -47,6 +47,7 @@ def answer_all(workspace: Workspace, document: Document, position: Position) -> 
     CodeActions(workspace, document, versioned=True).at(Range(position, position))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", few(SCENARIOS, LIGHT, lambda path: path.stem))
 def test_a_scenario_cut_off_anywhere_is_answered_for(path):
     text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
@@ -64,6 +65,7 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
         answer_all(workspace, document, document.lines.position(end))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", few(range(3), "0"))
 def test_a_scenario_with_random_slips_is_answered_for(seed):
     drawn = random.Random(seed)
@@ -81,6 +83,7 @@ def test_a_scenario_with_random_slips_is_answered_for(seed):
                 answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "step", [pytest.param(4 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)]
 )
@@ -221,6 +224,7 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
     assert server.stderr.read() == b""
 
 
+@pytest.mark.slow
 def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

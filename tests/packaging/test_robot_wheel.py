@@ -186,6 +186,7 @@ def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     few(

@@ -102,6 +102,7 @@ print([main(words.split()) for words in ("scenarios --json", "lint cartpole", "e
     assert any("abs(cart.pole_angle) > fall_angle" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_a_copied_scenario_runs_from_the_folder_it_was_copied_to(installed: Path, tmp_path: Path) -> None:
     assert (
         deepbots(installed, tmp_path, "new", "cartpole", "mine", "--from", "cartpole", "--json").returncode

@@ -59,6 +59,7 @@ def test_absent_copies_touch_nothing_and_are_no_gap(make: Make) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_layouts_are_drawn_in_their_shares(make: Make) -> None:
     environment = make(GROUPED)
     environment.reset(seed=1)

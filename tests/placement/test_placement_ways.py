@@ -84,6 +84,7 @@ def test_around_a_box_it_is_a_taut_string_about_its_rounded_corners(yaw: float) 
         assert field.length(x, y) >= 0.98 * math.dist((x, y), (0.35, 0.1 - 0.4 * math.cos(yaw))) - 0.003
 
 
+@pytest.mark.slow
 def test_lengths_do_not_jump_beside_a_node_that_no_way_reaches() -> None:
     """A mean with such a node is nearly right where its weight is small: a place 0.4 % of a cell beside one
     was 40 m away."""

@@ -291,6 +291,7 @@ main(sys.argv[1:])
 """
 
 
+@pytest.mark.slow
 def test_a_learner_of_a_plugin_is_trained_evaluated_killed_and_resumed_by_the_same_commands(site):
     pytest.importorskip("stable_baselines3")
     from deepbots_cli.learning.episodes import read_log
@@ -399,6 +400,7 @@ def warnings(tmp_path_factory):
     return lines
 
 
+@pytest.mark.slow
 def test_each_broken_plugin_has_one_warning(warnings):
     assert len(warnings) == len(BROKEN)
 

@@ -64,6 +64,7 @@ def test_a_goal_makes_the_observation_a_dict(small: Make) -> None:
     assert observation["achieved_goal"].item() == pytest.approx(truth / 0.4, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sections",
     [

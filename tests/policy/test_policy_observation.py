@@ -141,10 +141,12 @@ def test_noise_has_the_deviation_that_is_given(small: Make) -> None:
     assert found.std() == pytest.approx(0.02, rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_in_percent_is_a_share_of_the_value(small: Make) -> None:
     assert noisy(small, "2 %").std() == pytest.approx(0.01, rel=0.05)
 
 
+@pytest.mark.slow
 def test_noise_may_be_drawn_for_an_episode(small: Make) -> None:
     deviations = [noisy(small, "uniform(0.01 .. 0.05 m)", count=800, seed=seed).std() for seed in (1, 2, 3)]
     assert all(0.009 < deviation < 0.055 for deviation in deviations)

@@ -92,6 +92,7 @@ def test_a_second_sender_neither_changes_what_the_policy_takes_nor_gets_its_comm
         assert [arrival for arrival in second.take() if arrival.fields] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LINKS)
 def test_after_a_silence_another_robot_is_taken(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(messages, "HELD", 0.3)
@@ -118,6 +119,7 @@ def test_messages_that_wait_have_a_limit_in_bytes(tmp_path: Path) -> None:
             assert longest <= 20_000 + sum(2 * field.count for field in fields)
 
 
+@pytest.mark.slow
 def test_connections_that_say_nothing_are_few_and_do_not_keep_a_robot_out() -> None:
     with connected(LINKS["websocket"]) as (policy, robot):
         silent = []

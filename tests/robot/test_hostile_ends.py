@@ -148,6 +148,7 @@ def test_a_time_to_serve_that_never_passes_is_refused(bundle: Path, tmp_path: Pa
     assert re.fullmatch(r"error: .* is no time to serve for; .*\n", err)
 
 
+@pytest.mark.slow
 def test_a_robot_that_did_not_fit_does_not_keep_out_the_next_one(bundle: Path, tmp_path: Path) -> None:
     other = {"role": "robot", "scenario": "Other", "digest": "", "pace": ""}
     with serving(bundle, tmp_path) as (end, process):

@@ -173,6 +173,7 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
         )
 
 
+@pytest.mark.slow
 def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=78)
@@ -191,6 +192,7 @@ def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
         del first  # an ended link may live on in a variable
 
 
+@pytest.mark.slow
 def test_over_ros_another_scenario_in_the_domain_is_named_unless_the_own_one_is_there_too() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=76)
@@ -220,6 +222,7 @@ def test_over_ros_another_scenario_in_the_domain_is_named_unless_the_own_one_is_
                 assert "Dog" not in " ".join(remark.text for remark in policy.remarks())
 
 
+@pytest.mark.slow
 def test_over_ros_a_scenario_of_another_name_fits_if_its_fields_do() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=79)

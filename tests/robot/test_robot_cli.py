@@ -67,6 +67,7 @@ def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
     assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "\\u03bb", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "package", "words", "extra"),
     [

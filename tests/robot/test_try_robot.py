@@ -118,6 +118,7 @@ def test_the_command_plays_further_episodes_when_the_robot_begins_them(
     assert found["link"]["refused"] == {}
 
 
+@pytest.mark.slow
 def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
     transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
     with simulated("pit_escape", transport):  # it ends when it is out of the pit, which it does not measure

@@ -36,6 +36,7 @@ def _stepping(path: Path) -> Iterator[int]:
                 yield node.lineno
 
 
+@pytest.mark.slow
 def test_an_environment_is_stepped_in_few_places() -> None:
     """A place that steps an environment itself decides anew what begins an episode, who acts and when it
     ends."""

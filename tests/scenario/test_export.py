@@ -98,6 +98,7 @@ def test_the_schema_is_a_schema_to_a_checker_of_schemas() -> None:
     assert json_schema()["$id"] == FILE_NAME
 
 
+@pytest.mark.slow
 def test_a_checker_on_the_command_line_accepts_all_scenarios() -> None:
     command = [sys.executable, "-m", "check_jsonschema", "--schemafile", str(COMMITTED), *map(str, SAMPLES)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -217,6 +217,7 @@ def test_more_names_than_anyone_reads_are_not_listed(own: Own) -> None:
     assert listed(own(text), "Stage", "set") == {}
 
 
+@pytest.mark.slow
 def test_whatever_became_of_a_file_what_has_no_error_fits_its_schema(tmp_path: Path) -> None:
     """Damaged files, as `make fuzz` lints them: every one gets a schema, and an editor marks nothing that the
     compiler takes."""

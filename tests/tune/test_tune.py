@@ -95,6 +95,7 @@ def weights(study: Study) -> list[str]:
     return [result.weights_digest for run in runs if (result := RunRecord.read(run).result) is not None]
 
 
+@pytest.mark.slow
 def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(
     file: Path, whole: Study, tmp_path: Path
 ) -> None:
@@ -110,6 +111,7 @@ def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(
     assert len(RunRecord.read(study.path / "trial-1" / "seed-0").resumed_at) == 1
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
     file: Path, whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -412,6 +414,7 @@ def test_reading_a_study_does_not_write_to_it(file: Path, tmp_path: Path) -> Non
     assert (study.path / "journal.log").read_bytes() == before[:-1]
 
 
+@pytest.mark.slow
 def test_a_journal_of_many_entries_about_one_trial_is_refused_before_it_takes_minutes(
     file: Path, tmp_path: Path
 ) -> None:
@@ -425,6 +428,7 @@ def test_a_journal_of_many_entries_about_one_trial_is_refused_before_it_takes_mi
         study.trials()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["resume", "report", "runs"])
 def test_a_long_journal_is_announced_where_it_is_read(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str

@@ -30,6 +30,7 @@ SCENARIOS = (
 BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped", "panda_push")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:4]))
 def test_an_episode_is_the_same_with_and_without_frames(name):
     found = []
@@ -91,6 +92,7 @@ def test_returns_and_endings_are_those_of_the_episode():
     assert frames[-1].time == pytest.approx(0.128 * (len(frames) - 1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(BATCHES, BATCHES[1:3]))
 def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
     with closing(open_player(Showing(name, engine="mujoco", worlds=3).open(), RANDOM)) as batch:

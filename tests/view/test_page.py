@@ -81,6 +81,7 @@ def test_time_stands_still_while_nobody_looks():
         _run(page, lambda: page.player.frame.step > 0)
 
 
+@pytest.mark.slow
 def test_time_goes_on_stands_still_and_begins_again():
     with closing(Page(Showing("cartpole"), port=0, driver="zero")) as page:
         _run(page, lambda: page.player.frame.step > 3)
@@ -352,6 +353,7 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         assert (page.playback.seed, page.playback.stopped, page.playback.paused) == (3, None, False)
 
 
+@pytest.mark.slow
 def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path, monkeypatch):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
@@ -421,6 +423,7 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
         assert page.playback.episode == 0
 
 
+@pytest.mark.slow
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
     with closing(Page(Showing("cartpole"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
         one, other = page.playback.worlds

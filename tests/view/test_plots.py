@@ -201,6 +201,7 @@ def test_more_endings_than_colors_have_a_color_each(tmp_path):
     assert len(set(plots.ending_colors(plots.read_logs([tmp_path / "a"])).values())) == 12
 
 
+@pytest.mark.slow
 def test_a_legend_hides_no_curve_and_leaves_the_figure_nowhere(runs):
     log = runs / "b0" / "monitor.csv"
     log.write_text(log.read_text().replace("crashed", "crashed_" + "into_a_thing_" * 6))
@@ -419,6 +420,7 @@ def test_what_cannot_be_plotted_is_told(tmp_path, runs):
         plots.read_logs([runs / "a0"])
 
 
+@pytest.mark.slow
 def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
     """900,000 lines, 9 MB, took 1.06 GB. A process of its own, since the memory of this one was higher before."""
     (tmp_path / "monitor.csv").write_text("#{}\nr,l,t,steps,is_success\n" + "1,1,1,1,1\n" * 300_000)
@@ -502,6 +504,7 @@ def test_names_of_others_are_text_and_not_formulas(runs, tmp_path):
     assert "others" in labels
 
 
+@pytest.mark.slow
 def test_the_settings_of_matplotlib_in_a_strangers_folder_are_not_used(runs, tmp_path):
     """A process of its own, since matplotlib reads them once."""
     (tmp_path / "matplotlibrc").write_text("text.usetex: True\nfigure.dpi: 100000\nnot a key: [\n")

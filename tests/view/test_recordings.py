@@ -253,6 +253,7 @@ def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("topic", "edit"),
     [
@@ -293,6 +294,7 @@ def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys
     assert "is damaged: a step of it cannot be read" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "action",
     [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}],

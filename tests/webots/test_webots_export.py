@@ -93,6 +93,7 @@ def test_other_scenarios_run_as_in_their_environment(name: str, script: str | No
     assert same_episodes(name, tmp_path, 120, script) < 1e-9
 
 
+@pytest.mark.slow
 def test_motion_sensors_and_repeated_actions_run_as_in_their_environment(tmp_path: Path):
     assert same_episodes("pit_escape", tmp_path, 60, "rocking") < 1e-9
 
@@ -153,6 +154,7 @@ def test_the_command_lists_differences_and_overwrites_nothing(tmp_path: Path):
     assert "Messages take one timestep" in (folder / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_robot_reports_a_message_of_another_layout(tmp_path: Path):
     prepared = exported("cartpole", tmp_path)
     path = tmp_path / "scenario/environment.py"

@@ -194,6 +194,7 @@ def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
     assert (ran.returncode, "[cart] done" in ran.stdout, "[boss] 3 []" in ran.stdout) == (0, True, True)
 
 
+@pytest.mark.slow
 def test_a_controller_that_never_steps_ends_the_run(project: Project):
     project.controller("cart", "while True: pass")
     project.controller("boss", BOSS)
