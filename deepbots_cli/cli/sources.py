@@ -105,3 +105,22 @@ def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[Robo
     if file is None or findings.errors:
         raise ScenarioError(list(findings))
     return file, list(findings)
+
+
+def run_to_export(run: Run, agent: str | None) -> Run:
+    """Return the run as that of the agent whose policy is exported.
+
+    Raises:
+        UsageError: The run trained several agents and none is named, or it trained one.
+    """
+    names = list(run.program.members)
+    if agent is None and not names:
+        return run
+    if agent in names:
+        return run.of_agent(agent)
+    if not names:
+        raise UsageError(f"{run.path} has the policy of one agent; leave out --agent")
+    raise UsageError(
+        f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export {run.path}"
+        f" --agent {names[0]}"
+    )

@@ -27,6 +27,7 @@ from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.sb3.logs import AgentLog
+from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import PolicyActor
 from deepbots_cli.rollout.seats import (
@@ -78,8 +79,9 @@ class JointLearner(Learner):
                 " of them: --agent NAME"
             )
         self._check_ends(setup)
-        self._check_shared(setup)
         program, seen = setup.program, setup.program.with_critic
+        self._policies = agents_by_policy(program)
+        _check_shared(setup.training, self._policies)
         self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
         self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
         self._collectors: dict[str, OfferedCollector] = {}
@@ -88,14 +90,14 @@ class JointLearner(Learner):
         self.takes_masks = bool(self._masked)
         self.is_off_policy = any(own.is_off_policy for own in self.learners.values())
         if setup.collector is not None:
-            self.fragment_steps = self._common_steps()
+            self.fragment_steps = _common_steps(self._own)
 
     def _create_learners(self) -> dict[str, Learner]:
         collector, trainings = self.setup.collector, dict(self.setup.training.agents)
         if collector is None:
             return {name: self._create(name, training, None) for name, training in trainings.items()}
         created: dict[str, Learner] = {}
-        for first, names in self._shared.items():
+        for first, names in self._policies.items():
             places = [self._critical[name] for name in names]
             is_shared = len(places) > 1
             self._collectors[first] = (
@@ -104,30 +106,6 @@ class JointLearner(Learner):
             learner = self._create(first, trainings[first], self._collectors[first])
             created |= dict.fromkeys(names, learner)
         return {name: created[name] for name in trainings}
-
-    @property
-    def _shared(self) -> dict[str, list[str]]:
-        """The agents with one policy, by the first of them."""
-        assert self.setup.program is not None
-        shared: dict[str, list[str]] = {}
-        for name, member in self.setup.program.members.items():
-            shared.setdefault(member.policy or name, []).append(name)
-        return shared
-
-    def _check_shared(self, setup: Setup) -> None:
-        """Check that agents with one policy learn it in the same way, by an algorithm that supports it."""
-        trainings = dict(setup.training.agents)
-        for first, names in self._shared.items():
-            model = ALGORITHMS[trainings[first].algorithm]
-            if len(names) > 1 and (not model.on_policy or model.base() == "RecurrentPPO"):
-                raise UsageError(
-                    f"{trainings[first].algorithm} does not support a policy that several agents share; use PPO"
-                )
-            if any(replace(trainings[name], agents=()) != trainings[first] for name in names):
-                raise UsageError(
-                    "agents that share a policy have the same `train`; write it at the top level, or for"
-                    f" `{first}`"
-                )
 
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
         """Return a learner for an agent."""
@@ -151,17 +129,7 @@ class JointLearner(Learner):
         """The learners that learn, by their agent; of agents with one policy, by the first."""
         if self.setup.collector is None:
             return self.learners
-        return {first: self.learners[first] for first in self._shared}
-
-    def _common_steps(self) -> int:
-        steps = {name: own.fragment_steps for name, own in self._own.items()}
-        if len(set(steps.values())) > 1:
-            shown = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
-            raise UsageError(
-                f"agents that learn in the same worlds collect the same number of steps between two updates,"
-                f" not {shown}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
-            )
-        return next(iter(steps.values()))
+        return {first: self.learners[first] for first in self._policies}
 
     @classmethod
     def check(cls, training: Training) -> None:
@@ -429,6 +397,41 @@ def own_model(path: Path, agent: str) -> Iterator[Path]:
             for note in getattr(error, "__notes__", ()):
                 renamed.add_note(note)
             raise renamed from error
+
+
+def agents_by_policy(program: Program) -> dict[str, list[str]]:
+    """Return the agents that have each policy, by the first of them."""
+    agents: dict[str, list[str]] = {}
+    for name, member in program.members.items():
+        agents.setdefault(member.policy or name, []).append(name)
+    return agents
+
+
+def _check_shared(training: Training, policies: Mapping[str, Sequence[str]]) -> None:
+    """Check that agents with one policy learn it in the same way, by an algorithm that supports it."""
+    trainings = dict(training.agents)
+    for first, names in policies.items():
+        model = ALGORITHMS[trainings[first].algorithm]
+        if len(names) > 1 and (not model.on_policy or model.base() == "RecurrentPPO"):
+            raise UsageError(
+                f"{trainings[first].algorithm} does not support a policy that several agents share; use PPO"
+            )
+        if any(replace(trainings[name], agents=()) != trainings[first] for name in names):
+            raise UsageError(
+                f"agents that share a policy have the same `train`; write it at the top level, or for `{first}`"
+            )
+
+
+def _common_steps(learners: Mapping[str, Learner]) -> int:
+    """Return how many steps each learner collects between two updates."""
+    steps = {name: learner.fragment_steps for name, learner in learners.items()}
+    if len(set(steps.values())) > 1:
+        shown = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
+        raise UsageError(
+            f"agents that learn in the same worlds collect the same number of steps between two updates,"
+            f" not {shown}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
+        )
+    return next(iter(steps.values()))
 
 
 class _SeatMonitor:

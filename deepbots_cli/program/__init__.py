@@ -122,7 +122,8 @@ class Program:
 
     @cached_property
     def agent(self) -> Agent:
-        """The only agent."""
+        """The agent of this program. With several agents, it is the one that drives all robots, and `members`
+        has the program of each of them, with an agent of its own."""
         (agent,) = self.agents.values()
         return agent
 

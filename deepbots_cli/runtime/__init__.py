@@ -2,6 +2,7 @@
 
 supervisor.py   base of the generated supervisors, a Gymnasium environment
 controllers.py  base of the generated robot controllers; the robots of a supervisor
+endings.py      the end of an episode, in one world and in a batch
 failures.py     messages about an episode that cannot go on
 copies.py       copies of a robot in one world, each with a supervisor; the engine of a batch of such worlds
 agents.py       several agents in one world: the seat of each, and the environment of one beside the others

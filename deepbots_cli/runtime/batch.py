@@ -22,10 +22,10 @@ from deepbots_cli.errors import EngineError, EvaluationError
 from deepbots_cli.geometry import Heights, ground_heights
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
-from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
 from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
+from deepbots_cli.runtime.endings import EpisodeEnds
 from deepbots_cli.runtime.failures import infinite_reward, without_option
 from deepbots_cli.runtime.spaces import Column, ObservedColumns, by_part, compose_rows, joined
 from deepbots_cli.runtime.supervisor import Supervisor
@@ -34,32 +34,6 @@ __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", 
 
 NOT_FINITE = "not_finite"
 """The name of the end of an episode whose world is no longer finite."""
-
-
-class AgentColumns:
-    """The ends of the episodes of one of several agents, while those of others go on, as columns.
-
-    Attributes:
-        ended: Whether the episode of the agent has ended.
-        steps: The step in which it ended.
-        holds: The endings that held then.
-        success: Whether this was a success.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.ended, self.success = np.zeros(count, bool), np.zeros(count, bool)
-        self.steps, self.holds = np.zeros(count, np.int64), dict[str, Column]()
-
-    def end(self, now: Column, steps: Column, endings: Mapping[str, Any], success: Any) -> None:
-        """Note the ends of this step, in the rows in which there is one `now`."""
-        self.steps, self.success = np.where(now, steps, self.steps), np.where(now, success, self.success)
-        for name, column in endings.items():
-            self.holds[name] = np.where(now, column, self.holds.get(name, False))
-
-    def ending(self, row: int) -> AgentEnding:
-        """Return the end in a row."""
-        held = tuple(name for name, column in self.holds.items() if column[row])
-        return AgentEnding(held, bool(self.success[row]), int(self.steps[row]))
 
 
 class BatchStep(NamedTuple):
@@ -163,7 +137,7 @@ def advance_and_begin(batch: Any, action: Any) -> BatchStep:
     return outcome._replace(observations=batch.observations())
 
 
-class BatchSupervisor(BatchRobots, ObservedColumns):
+class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     """Base of the generated supervisors of a batch, over single supervisors and the engine of all of their
     worlds.
 
@@ -202,20 +176,12 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
         self.episode_return: Any = np.zeros(count)
-        self.terminated, self.truncated, self.is_success, self.lost = (
-            np.zeros(count, bool) for _ in range(4)
-        )
-        self._holds: dict[str, Column] = {}
-        self.agent_ends: dict[str, AgentColumns] = {}
-        self._limit = ""
-
-    # Parts that `bind` makes
+        self.lost = np.zeros(count, bool)
+        self.forget_ends()
 
     @abstractmethod
     def _advance(self, action: Any) -> None:
         """Advance all worlds by one step: act, simulate, and observe."""
-
-    # Rows and worlds
 
     # Course
 
@@ -383,14 +349,14 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
     def info(self, row: int) -> dict[str, Any]:
         """Return the info of a row for the last step of an episode, as its agent gives it."""
         held = (
-            tuple(name for name, column in self._holds.items() if column[row]) if self.terminated[row] else ()
+            tuple(name for name, column in self.holds.items() if column[row]) if self.terminated[row] else ()
         )
-        alone = self._agent_endings(row)
+        alone = self.agent_endings_of(row)
         if self.terminated[row] and not held:  # the episode of the last agent has ended
             last = [end for end in alone.values() if end.step == self.step_count[row]]
             held = tuple(dict.fromkeys(name for end in last for name in end.endings))
         if self.truncated[row]:
-            held = (NOT_FINITE if self.lost[row] else self._limit,)
+            held = (NOT_FINITE if self.lost[row] else self.limit,)
         terms = {
             name: float(np.broadcast_to(getattr(self, generated.term(name)), self.count)[row])
             for name in self.TERMS
@@ -509,48 +475,6 @@ class BatchSupervisor(BatchRobots, ObservedColumns):
     def allow(self, choice: str, *allowed: Any) -> None:
         """Let some options of a choice be allowed next: a column of truth values for each."""
         self.options.allow(choice, allowed, self.running)
-
-    def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
-        """End the task where one of the endings holds; the first of them determines the result."""
-        self._holds = {
-            name: where_running(
-                self.running, np.broadcast_to(column, self.count), self._holds.get(name, False)
-            )
-            for name, column in endings.items()
-        }
-        ended = np.logical_or.reduce(list(self._holds.values()))
-        self.is_success = where_running(self.running, ended & success, self.is_success)
-        self.terminated = where_running(self.running, ended, self.terminated)
-
-    def _end_agent(
-        self, agent: str, ended: Column, ending: Any, endings: dict[str, Any], *, success: Any = False
-    ) -> Column:
-        """End the episodes of one of several agents where an ending of its own holds, while others go on.
-        Returns where they have ended."""
-        now = where_running(self.running, np.broadcast_to(ending, self.count) & ~ended, False)
-        columns = self.agent_ends.setdefault(agent, AgentColumns(self.count))
-        columns.end(now, self.step_count, endings, success)
-        columns.ended = ended | now
-        return columns.ended
-
-    def _end_with_agents(self, reached: Any) -> None:
-        """End the task where the episode of every agent has ended."""
-        now = where_running(self.running, reached & ~self.terminated, False)
-        success = np.logical_and.reduce([columns.success for columns in self.agent_ends.values()])
-        self.terminated = self.terminated | now
-        self.is_success = np.where(now, success, self.is_success)
-
-    def _agent_endings(self, row: int) -> dict[str, AgentEnding]:
-        ends = self.agent_ends.items()
-        return {agent: columns.ending(row) for agent, columns in ends if columns.ended[row]}
-
-    def _truncate(self, limit: str, reached: Any, success: Any = None) -> None:
-        """Cut the episodes short that reached a limit."""
-        self._limit = limit
-        now = reached & ~self.terminated
-        self.truncated = where_running(self.running, now, self.truncated)
-        if success is not None:
-            self.is_success = np.where(now, success, self.is_success)
 
     def require_finite(self, reward: Any) -> None:
         """Raise: EvaluationError: The reward of a world is not finite; names the terms."""

@@ -4,7 +4,7 @@ and exchanges messages with robots."""
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -17,8 +17,8 @@ from deepbots_cli.errors import EndsAtResetError, EvaluationError, UsageError
 from deepbots_cli.geometry import Height, ground_height
 from deepbots_cli.port import Engine, View
 from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import AgentEnding
 from deepbots_cli.runtime.controllers import SupervisedRobots
+from deepbots_cli.runtime.endings import EpisodeEnd
 from deepbots_cli.runtime.failures import infinite_reward, without_option, without_value
 from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.messages import excerpt
@@ -40,7 +40,9 @@ Info = dict[str, Any]
 _CLOSED = "the environment is closed; make a new one"
 
 
-class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Observation, Any], ABC):
+class Supervisor(
+    SupervisedRobots, SupervisedDraws, ObservedFrames, EpisodeEnd, gym.Env[Observation, Any], ABC
+):
     """Base of the generated supervisor classes.
 
     A generated class adds `bind` (robots, channels, and readers from the engine), `_begin` (draws and placing
@@ -48,12 +50,9 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
     them call and which computes everything once per timestep, and the paper's methods, which only read its
     results, so calling one twice changes nothing.
 
-    Its robots, draws and observation are those of the base classes, since generated code calls them on
-    `self`.
+    Its robots, draws, observation and the end of its episode are those of the base classes, since generated
+    code calls them on `self`.
     """
-
-    ended_by: str | None
-    endings: tuple[str, ...]
 
     def __init__(self, scenario: Program, engine: Engine, render_mode: str | None = None) -> None:
         """Take over `engine`, which has the scenario's world, and close it with this environment.
@@ -294,37 +293,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
             raise ValueError(f"{len(values)} numbers")
         return values
 
-    # The end of an episode, and failures: off the fast path
-
-    def _terminate(self, endings: Mapping[str, bool], *, success: bool = False) -> None:
-        """End the task by the endings that hold; the first of them is `ended_by`."""
-        self.terminated = True
-        self.is_success = success
-        self.endings = tuple(name for name, holds in endings.items() if holds)
-        self.ended_by = self.endings[0]
-
-    def _end_agent(self, agent: str, endings: Mapping[str, bool], *, success: bool = False) -> bool:
-        """End the episode of one of several agents by the endings that hold, while others go on. Returns
-        True."""
-        held = tuple(name for name, holds in endings.items() if holds)
-        self.agent_endings[agent] = AgentEnding(held, success, self.step_count)
-        return True
-
-    def _end_with_agents(self) -> None:
-        """End the task, since the episode of every agent has ended."""
-        ends = self.agent_endings.values()
-        newest = max(end.step for end in ends)
-        last = [end for end in ends if end.step == newest]
-        self.terminated = True
-        self.is_success = all(end.is_success for end in ends)
-        self.endings = tuple(dict.fromkeys(name for end in last for name in end.endings))
-        self.ended_by = self.endings[0]
-
-    def _truncate(self, limit: str) -> None:
-        """Cut the episode short at a limit."""
-        self.truncated = True
-        self.ended_by = limit
-        self.endings = (limit,)
+    # Failures: off the fast path
 
     def _nothing_allowed(self, choice: str) -> None:
         """Raise the error for a choice whose options are all forbidden while the episode goes on."""
@@ -333,11 +302,7 @@ class Supervisor(SupervisedRobots, SupervisedDraws, ObservedFrames, gym.Env[Obse
     def _forget(self) -> None:
         self.step_count = self.timestep_count = self.newest = 0
         self.reward = self.previous_reward = self.episode_return = 0.0
-        self.terminated = self.truncated = self.is_success = False
-        self.ended_by = None
-        self.endings = ()
-        self.agent_endings: dict[str, AgentEnding] = {}
-        """The ends of the episodes of agents, while those of others go on."""
+        self.forget_end()
         self.episode_values = {}
         self._view.restart()
 

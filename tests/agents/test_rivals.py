@@ -219,10 +219,11 @@ def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> 
     assert main(["export", str(folder), "--check", str(folder / "scenario.yaml")]) == 0
 
 
-def test_an_export_of_several_agents_asks_for_one(
-    trained: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", ["export", "serve"])
+def test_a_policy_of_several_agents_is_asked_for_by_name(
+    trained: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["export", str(trained)]) == 2
+    assert main([command, str(trained)]) == 2
     assert f"deepbots export {trained} --agent left" in capsys.readouterr().err
 
 

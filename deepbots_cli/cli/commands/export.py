@@ -15,10 +15,11 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, AllowPaths, Force, Json, Overrides, option
 from deepbots_cli.cli.commands.new import write_new
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.sources import run_to_export
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import check_new_folder, refuse_links_within
-from deepbots_cli.learning.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.run import ModelName, ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -115,7 +116,7 @@ def command(
     check_new_folder(folder, force=force)
     refuse_links_within(folder)
     ref = ModelRef.open(opened, model=model)
-    run = _run_of(ref.run, agent)
+    run = run_to_export(ref.run, agent)
     with terminal.transient_line("exporting the policy ..."):
         from deepbots_cli.insight.export import bundle
 
@@ -157,7 +158,7 @@ def _write_webots(
     policy = None
     if is_run:
         ref = ModelRef.open(opened, model="last" if last else "best")
-        run = _run_of(ref.run, agent)
+        run = run_to_export(ref.run, agent)
         prepared = webots.prepare(Source.open(run.path, permissions, SourceKind.RUN))
         webots.note_training(prepared, run.program)
     else:
@@ -174,25 +175,6 @@ def _write_webots(
         f"{folder}: {len(files)} files; open {world} in Webots",
         as_json=as_json,
         next_commands=[f"deepbots webots {quote(str(folder / world))} --allow-code"],
-    )
-
-
-def _run_of(run: Run, agent: str | None) -> Run:
-    """Return the run as that of the agent whose policy is exported.
-
-    Raises:
-        UsageError: The run trained several agents and none is named, or it trained one.
-    """
-    names = list(run.program.members)
-    if agent is None and not names:
-        return run
-    if agent in names:
-        return run.of_agent(agent)
-    if not names:
-        raise UsageError(f"{run.path} has the policy of one agent; leave out --agent")
-    raise UsageError(
-        f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export {run.path}"
-        f" --agent {names[0]}"
     )
 
 

@@ -179,20 +179,22 @@ def _serve_policy(
         raise DeepbotsError(nothing)
 
 
-def _exported(run: Path, stack: ExitStack) -> Path:
+def _exported(folder: Path, stack: ExitStack) -> Path:
     """Export the bundle of the best model of a run, or of a named model, into a folder that lasts as long as
     `stack`."""
+    from deepbots_cli.cli.sources import run_to_export
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_cli.learning.run import ModelRef
 
-    ref = ModelRef.open(run)
+    ref = ModelRef.open(folder)
+    run = run_to_export(ref.run, agent=None)
     with terminal.transient_line("exporting the policy ..."):
-        folder = Path(stack.enter_context(TemporaryDirectory())) / ref.run.path.resolve().name
-        for name, content in bundle_files(ref.run, ref.name).items():
-            path = folder / name
+        bundle = Path(stack.enter_context(TemporaryDirectory())) / run.path.resolve().name
+        for name, content in bundle_files(run, ref.name).items():
+            path = bundle / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
-    return folder
+    return bundle
 
 
 def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:

@@ -210,7 +210,7 @@ class Reader:
                 before = self.evaluate(frame, _loaded(target))
                 if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
                     return  # the counter of the project, which the language counts itself
-                result = self._binary(op, before, self.evaluate(frame, value), frame, statement)
+                result = operated(op, before, self.evaluate(frame, value), frame.module.place(statement))
                 self._assign(frame, target, result)
 
     def _if(self, frame: Frame, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt]) -> str:
@@ -308,7 +308,8 @@ class Reader:
                 ok = isinstance(value, bool | int | float | str | None)
                 return value if ok else Unknown(frame.module.place(node))
             case ast.Name(id=name):
-                return self._name(frame, name, node)
+                is_local = name in frame.local
+                return frame.local[name] if is_local else self.constant(frame.module, name, node)
             case ast.Attribute(value=owner, attr=name):
                 return self._attribute(frame, self.evaluate(frame, owner), name, node)
             case ast.Subscript(value=owner, slice=key):
@@ -337,17 +338,13 @@ class Reader:
             case ast.UnaryOp(op=op, operand=operand):
                 return self._unary(op, self.evaluate(frame, operand), frame, node)
             case ast.BinOp(left=left, op=op, right=right):
-                return self._binary(op, self.evaluate(frame, left), self.evaluate(frame, right), frame, node)
+                operands = self.evaluate(frame, left), self.evaluate(frame, right)
+                return operated(op, *operands, frame.module.place(node))
             case ast.BoolOp(op=op, values=values):
                 return self._boolean(frame, values, node, is_or=isinstance(op, ast.Or))
             case ast.Compare(left=left, ops=ops, comparators=others):
                 return self._compare(frame, [left, *others], ops, node)
         return Unknown(frame.module.place(node))
-
-    def _name(self, frame: Frame, name: str, node: ast.expr) -> Value:
-        if name in frame.local:
-            return frame.local[name]
-        return self.constant(frame.module, name, node)
 
     def constant(self, module: ModuleCode, name: str, node: ast.AST) -> Value:
         """Return a name at the top of a module."""
@@ -462,9 +459,6 @@ class Reader:
         if isinstance(value, Quantity) and isinstance(op, ast.USub):
             return Quantity(f"-{value.operand}", value.unit, False, value.note)
         return Unknown(place)
-
-    def _binary(self, op: ast.operator, left: Value, right: Value, frame: Frame, node: ast.AST) -> Value:
-        return operated(op, left, right, frame.module.place(node))
 
     def _boolean(self, frame: Frame, values: list[ast.expr], node: ast.expr, *, is_or: bool) -> Value:
         """Return `or` or `and` of conditions; a value that decides alone ends them, as in Python."""
