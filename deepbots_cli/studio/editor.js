@@ -178,7 +178,8 @@ export default {
         this.view.dispatch({ changes: difference(this.text(), kept.text) ?? [], annotations: fromServer.of(true) });
         Object.assign(this, { waiting: true, sent: kept.text });
         this.$emit("change", this.path, kept.base, kept.text);
-      }], ["Discard it", () => { this.say(""); this.forget(); }]);
+        this.view.focus();
+      }], ["Discard it", () => { this.say(""); this.forget(); this.view.focus(); }]);
     },
     setDark(dark) {
       this.view.dispatch({ effects: this.dark.reconfigure(dark ? CM.oneDark : []) });

@@ -190,7 +190,9 @@ def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
         page, port = StudioTab(tab, first.address), first.port
         page.click_line("name: Mine")
         first.stop(9)
-        page.wait("document.querySelector('.studio-banner')?.innerText.includes('does not answer')")
+        page.wait(
+            "document.querySelector('.studio-editor .studio-banner').innerText.includes('does not answer')"
+        )
         page.type("craft")
         time.sleep(0.5)
     with served(folder, "mine.yaml", "--port", str(port)) as second:
