@@ -65,7 +65,7 @@ class InspectTab:
                 if name in CAPTIONS:
                     ui.label(CAPTIONS[name]).classes("studio-status")
                 if not isinstance(rows, list):
-                    rows = [{"": key, " ": value} for key, value in rows.items() if _has_text(value)]
+                    rows = [{"name": key, "value": value} for key, value in rows.items() if _has_text(value)]
                 _add_table(rows)
 
 
