@@ -15,7 +15,7 @@ from deepbots_cli.compiler.episodes import NO_SUCCESS_DEFINED, success_help
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, SupervisorScope
 from deepbots_cli.compiler.policy import Decisions
 from deepbots_cli.compiler.values import ValueReader
-from deepbots_cli.diagnostics import Findings, Label, Span
+from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, Entry, MappingNode
 from deepbots_cli.document.load import apply_setting
@@ -183,7 +183,8 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
     if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
         near = nearest_word(spec.script, namespace.scenario.scripts)
         help = f"did you mean `{near}`?" if near else "name a script from `scripts`"
-        values.add("DB201", path, f"there is no script `{spec.script}`", help)
+        fix = Fix.replacing(values.span(path), spec.script, near, safe=False) if near else None
+        values.add("DB201", path, f"there is no script `{spec.script}`", help, fix=fix)
     elif copies is not None:
         values.add("DB102", path, "a teacher cannot teach copies of a robot", "leave out `teacher`")
     return Teacher(spec.script, float(spec.share))

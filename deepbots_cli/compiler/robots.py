@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.compiler.values import SourceText, ValueReader
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Span
+from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, files, shipped
 from deepbots_cli.document.nodes import MappingNode, descend
 from deepbots_cli.expressions import intervals, syntax
@@ -149,7 +150,24 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
-        values.add("DB206", span, f"`{pattern}` matches no {what}", choices_help(pattern, names))
+        near = _similar_pattern(pattern, names)
+        help = f"did you mean `{near}`? {choices_help('', names)}" if near else choices_help(pattern, names)
+        fix = Fix.replacing(span, pattern, near, safe=False) if near else None
+        values.add("DB206", span, f"`{pattern}` matches no {what}", help, fix=fix)
+
+
+def _similar_pattern(pattern: str, names: Sequence[str]) -> str | None:
+    """Return the pattern like `*_end` or `beginning_*` that matches a name and is most similar to `pattern`;
+    None if there is none, or `pattern` is of another form."""
+    word = pattern.strip("*")
+    if set(word) & set("*?[") or pattern not in (f"*{word}", f"{word}*"):
+        return None
+    places = ((name, at) for name in names for at, letter in enumerate(name) if letter == "_")
+    if pattern.startswith("*"):
+        near = nearest_word(word, sorted({name[at:] for name, at in places}))
+        return f"*{near}" if near else None
+    near = nearest_word(word, sorted({name[: at + 1] for name, at in places}))
+    return f"{near}*" if near else None
 
 
 def report_missing_joint(
@@ -627,7 +645,7 @@ def locate_file(
     if isinstance(located, FilePath):
         return located
     library = meshes.library_reference(reference)
-    fix = Fix.replacing(span, reference, library, safe=False) if library else None
+    fix = Fix.replacing(span, reference, library, safe=False) if library else located.fix(span)
     values.add(
         "DB204",
         span,

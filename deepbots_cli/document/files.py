@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-from deepbots_cli.diagnostics import Findings, Source, Span
+from deepbots_cli.diagnostics import Findings, Fix, Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import shipped
 from deepbots_cli.document.shipped import Library
@@ -137,6 +137,24 @@ class UnusableFile:
             if candidates is None or candidates == self.by
             else Path(os.path.relpath(candidates, self.base)).as_posix()
         )
+
+    @property
+    def meant(self) -> str | None:
+        """What to write instead of the reference, if a file that exists was probably meant."""
+        if self.reason == "irregular":
+            return None
+        if instead := self._elsewhere() or self.shipped_name:
+            return instead
+        if self.reason == "outside" or shipped.is_shipped_path(self.reference):
+            return None
+        if near := _similar(self.path, self.by):
+            folder, slash, _ = self.reference.rpartition("/")
+            return f"{folder}{slash}{near}"
+        return self.nearest_name
+
+    def fix(self, span: Span) -> Fix | None:
+        """Return the fix that writes what was meant over the reference at `span`."""
+        return Fix.replacing(span, self.reference, self.meant, safe=False) if self.meant else None
 
     @property
     def shipped_name(self) -> str | None:

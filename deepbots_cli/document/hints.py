@@ -31,7 +31,9 @@ _NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
 _HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
 _GLUED = re.compile(r"[\w.]+:(?=\S)")
 _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
-_MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"'])|$)(.*)")
+_MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)")
+_NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
+_TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
 _MAX_SHOWN = 60
 _MAX_LINES_ABOVE = 200
 
@@ -125,6 +127,7 @@ def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
     return (
         _tab(problem)
         or _exclamation_mark(problem)
+        or _bracket_behind_key(problem)
         or _quote(problem)
         or _brackets(problem)
         or _leading_sign(problem)
@@ -154,6 +157,15 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
     headline = "`!` does not negate: YAML reads it as the beginning of a tag"
     help = "write `not` to negate a condition"
     return problem.finding(headline, help, problem.line_start + match.end() - 2, 2)
+
+
+def _bracket_behind_key(problem: _Problem) -> Finding | None:
+    """Report `key {a: 1}`, which lacks a colon."""
+    line = problem.rest(problem.line_start)
+    words = line.lstrip()
+    if not _NO_COLON_BEFORE_BRACKET.match(words):
+        return None
+    return _line_without_key(problem, problem.line_start + len(line) - len(words), words)
 
 
 def _leading_sign(problem: _Problem) -> Finding | None:
@@ -257,6 +269,10 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     indentation."""
     at, length = problem.at - len(key), max(1, len(key))
     line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
+    if above is not None and not above.key:
+        written = problem.rest(above.start).strip()
+        if missing_colon(written) and _is_first(problem, above):
+            return _line_without_key(problem, above.start + above.indent, written)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
         help = (
             "align it with the other keys of its section; a key has either a value or an indented block"
@@ -288,6 +304,18 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     )
 
 
+def _is_first(problem: _Problem, line: _Line) -> bool:
+    """Return whether a line is the first of its section, so that it continues no text above it."""
+    holder = problem.line_above(line.start)
+    return holder is None or (holder.opens and holder.indent < line.indent)
+
+
+def missing_colon(line: str) -> tuple[str, str] | None:
+    """Return the key and the line that was meant if a line lacks the colon behind its first word."""
+    match = _MISSING_COLON.match(line) or _TWO_WORDS.fullmatch(line)
+    return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
+
+
 def _indented_by(spaces: int) -> str:
     return f"indented by {counted(spaces, 'space')}"
 
@@ -303,9 +331,13 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     elif match := _ASSIGNED.match(line):
         help = f"write a colon: `{match[1]}: {match[2][:_MAX_SHOWN]}`"
         edit = (match.end(1), match.start(2), ": ")
-    elif match := _MISSING_COLON.match(line):
-        help = f"write a colon after the key: `{f'{match[1]}: {match[2]}'.rstrip()}`"
-        edit = (match.end(1), match.end(1), ":")
+    elif meant := missing_colon(line):
+        key, corrected = meant
+        otherwise = (
+            "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
+        )
+        help = f"write a colon after the key: `{corrected[:_MAX_SHOWN]}`{otherwise}"
+        edit = (0, len(key), f"{key}:")
     fix = (
         Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False)
         if edit
@@ -386,6 +418,20 @@ _THOUSANDS = re.compile(r",\d{3}(?!\d)")
 _COMMA_HELP = (
     "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 )
+
+
+def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
+    """Report `key {a: 1}`, in which `key {a` is read as a key; return whether it is reported."""
+    if key.style != "plain" or not _NO_COLON_BEFORE_BRACKET.match(key.text):
+        return False
+    name = key.text.split()[0]
+    text = key.span.source.text
+    end = text.find("\n", key.span.end)
+    value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
+    help = f"write a colon after the key: `{name}: {value[:_MAX_SHOWN]}`"
+    fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
+    findings.add("DB001", key.span, _NO_KEY, help, fix=fix)
+    return True
 
 
 def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Findings) -> list[Span]:
@@ -469,6 +515,11 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
         help = "remove the key: deepbots has no null value"
     elif is_flow and _GLUED.match(key.text):
         help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
+    elif (
+        is_flow and " " in key.text and not _HAS_COLON.match(text, end) and (meant := missing_colon(key.text))
+    ):
+        help = f"write a colon after the key: `{meant[1]}`"
+        fix = Fix.replacing(key.span, key.text, meant[1], safe=False)
     elif is_flow and not _HAS_COLON.match(text, end):
         help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:

@@ -290,7 +290,8 @@ class _Reader:
             value.text, folder, self.roots, library, by=chain[-1] if chain else None
         )
         if isinstance(path, files.UnusableFile):
-            self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes)
+            fix = path.fix(value.span)
+            self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes, fix=fix)
             return None
         if path in chain:
             circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))

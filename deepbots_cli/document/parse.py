@@ -287,6 +287,8 @@ class _Builder:
         key = self.scalar(event)
         if self.anchored(event, key) is None:
             return None
+        if hints.report_missing_colon(key, self.findings):
+            return None
         if key.style == "plain" and key.text == "<<":
             help = "use `extends` for a whole file, or `include` for a part of one"
             self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help)

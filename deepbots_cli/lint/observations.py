@@ -499,7 +499,8 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             else:
                 help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
-            yield Finding("DB617", span, f"the policy does not need `{name}`", help)
+            fix = Fix.replacing(span, key, near, safe=False) if near else None
+            yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
 
 
 STATIC_RULES = (

@@ -366,14 +366,13 @@ class Workspace:
         """Return the open document of a URI if it is a scenario, included by one, or blank; editors send
         every YAML file."""
         document = self.documents.get(uri)
-        if document is None or document.is_scenario or document.is_blank:
-            return document
+        return document if document is not None and self._is_relevant(document) else None
+
+    def _is_relevant(self, document: Document) -> bool:
+        if document.is_scenario or document.is_blank:
+            return True
         analyses = (*self.latest.values(), *self._resolved.values())
-        return (
-            document
-            if any(one.checked and document.path in one.checked.document.files for one in analyses)
-            else None
-        )
+        return any(one.checked and document.path in one.checked.document.files for one in analyses)
 
     def dependents(self, document: Document) -> list[str]:
         """Return the URIs of the other open documents that read this one."""
@@ -392,9 +391,15 @@ class Workspace:
 
     def view(self, uri: str, position: types.Position) -> CursorView | None:
         """Return the view of a position; None if the document is not open or not part of a scenario."""
-        document = self.document(uri)
-        if document is None:
+        document = self.documents.get(uri)
+        return self.view_of(document, position) if document is not None else None
+
+    def view_of(self, document: Document, position: types.Position) -> CursorView | None:
+        """Return the view of a position in a version of a document, which need not be the open one; None if
+        the document is not part of a scenario."""
+        if not self._is_relevant(document):
             return None
+        uri = document.uri
         offset = document.lines.offset(position)
         analysis = self._resolved.get(uri) or next(
             (candidate for candidate in self._resolved.values() if candidate.source(document.path)), None

@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Span, TooManyFindings
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.document import nodes
-from deepbots_cli.document.hints import GIVE_A_VALUE
+from deepbots_cli.document.hints import GIVE_A_VALUE, missing_colon
 from deepbots_cli.document.nodes import Node, NodePath, ScalarNode, descend, to_data, walk
 from deepbots_cli.document.parse import resolve_plain_scalar
 from deepbots_cli.scenario.base import (
@@ -177,7 +177,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
         help = help or keys_of(shape_at(Scenario, data, path))
-        if hint := _typing_hint(node, data, path):
+        if hint := _typing_hint(node, data, path, takes_mapping=expected == "a mapping"):
             help, near = hint[0], near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
@@ -246,11 +246,17 @@ def _describe(node: Node) -> str:
             return f"the text `{_shortened(node.text)}`"
 
 
-def _typing_hint(node: Node, data: object, path: NodePath) -> tuple[str, Replacement | None] | None:
+def _typing_hint(
+    node: Node, data: object, path: NodePath, *, takes_mapping: bool
+) -> tuple[str, Replacement | None] | None:
     """Return help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
-            return f"put a space after the colon: `{glued[1]}: {glued[2][:60]}`", None
+            meant = Replacement(f"{glued[1]}: {glued[2]}", safe=False)
+            return f"put a space after the colon: `{meant.text[:60]}`", meant
+        case ScalarNode(style="plain", text=text) if takes_mapping and (corrected := missing_colon(text)):
+            meant = Replacement(corrected[1], safe=False)
+            return f"write a colon after the key: `{meant.text[:60]}`", meant
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
         case nodes.SequenceNode(items=items) if items and all(

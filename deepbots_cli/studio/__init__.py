@@ -7,12 +7,15 @@ robot_process.py  what runs in that process
 tasks.py          commands that run in processes of their own, and survive the server
 task_process.py   what runs in such a process
 trainings.py      the learning curve and the time left of a training, from its files
+changes.py        what each run changed against the run before it
 session.py        the state of the studio, free of the page: files, robot, tasks, runs
 gate.py           the checks in front of the server, and the page of the robot behind its address
 page.py           the page: the text and its findings, and the parts around it
 robot_pane.py     the robot on the page
 panels.py         the tabs of the page: training, runs, commands
+inspect_tab.py    the tab with the tables of `deepbots inspect`
 dialogs.py        the dialog for a new scenario
+explain.py        explanations of words and findings, with links
 editor.py         the text editor of the page, with `editor.js`
 application.py    the application of the web server
 server.py         the web server

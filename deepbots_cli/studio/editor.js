@@ -3,9 +3,16 @@
 // A text is sent with the revision that it is based on. While the answer is awaited, no further text is sent;
 // a text of the server that arrives meanwhile is kept until then. If the answer changes places that were typed
 // at since, the next text is sent with the text that it is based on, and the server merges both.
+//
+// While the server does not answer, the text is kept in the storage of the browser, and offered when the file is
+// shown again.
 import * as CM from "nicegui-codemirror";
 
 const SEND_AFTER_MS = 60;
+const OFFLINE_AFTER_MS = 1500;
+const OFFLINE = "The studio does not answer: its server has ended, or the connection is lost. Go on writing: this " +
+  "browser keeps the text. If the server has ended, start it again with `deepbots studio`, and open its address.";
+const OFFER = "This browser kept a text of this file that the studio did not get.";
 const setMarks = CM.StateEffect.define();
 const marks = CM.StateField.define({
   create: () => CM.Decoration.none,
@@ -53,8 +60,12 @@ async function ask(what, body) {
 export default {
   template: `<div class="studio-editor"></div>`,
   data: () => ({ path: "", revision: 0, base: "", waiting: false, behind: false, pushed: null,
-    afterwards: "", timer: 0, findings: [] }),
+    afterwards: "", timer: 0, findings: [], offline: false }),
   mounted() {
+    this.bar = element("div", "studio-banner");
+    this.bar.setAttribute("role", "alert");
+    this.bar.hidden = true;
+    this.$el.append(this.bar);
     this.dark = new CM.Compartment();
     this.writing = new CM.Compartment();
     this.language = new CM.Compartment();
@@ -85,6 +96,10 @@ export default {
       }),
     ];
     this.view = new CM.EditorView({ parent: this.$el, extensions: this.extensions });
+    this.lost = () => { this.offlineTimer = setTimeout(() => this.setOffline(true), OFFLINE_AFTER_MS); };
+    this.found = () => { clearTimeout(this.offlineTimer); this.setOffline(false); };
+    this.hidden = () => { if (this.text() != this.base) this.keep(); };
+    window.addEventListener("pagehide", this.hidden);
     const yaml = CM.languages.find((each) => each.name == "YAML");
     yaml.load().then((support) => {
       this.yaml = support;
@@ -93,6 +108,9 @@ export default {
   },
   beforeUnmount() {
     clearTimeout(this.timer);
+    window.socket?.off("disconnect", this.lost);
+    window.socket?.off("connect", this.found);
+    window.removeEventListener("pagehide", this.hidden);
     this.view.destroy();
   },
   methods: {
@@ -106,6 +124,11 @@ export default {
       return true;
     },
     show(path, text, revision, readOnly, dark) {
+      if (!this.listens && window.socket) { // there is none yet when the editor is mounted
+        this.listens = true;
+        window.socket.on("disconnect", this.lost);
+        window.socket.on("connect", this.found);
+      }
       this.leave();
       clearTimeout(this.timer);
       Object.assign(this, { path, revision, base: text, waiting: false, behind: false, pushed: null,
@@ -116,6 +139,47 @@ export default {
         this.language.reconfigure(this.yaml ?? []),
         this.writing.reconfigure(CM.EditorState.readOnly.of(readOnly)),
         this.dark.reconfigure(dark ? CM.oneDark : []) ] });
+      this.offer(readOnly);
+    },
+    // Text that the server did not get
+    say(text, ...buttons) {
+      this.bar.replaceChildren(element("span", "", text), ...buttons.map(([label, act]) => {
+        const button = element("button", "studio-plain-button", label);
+        button.addEventListener("click", act);
+        return button;
+      }));
+      this.bar.hidden = !text;
+    },
+    setOffline(offline) {
+      if (offline == this.offline) return;
+      this.offline = offline;
+      this.say(offline ? OFFLINE : "");
+      if (offline && this.text() != this.base) this.keep();
+    },
+    keep() {
+      if (!this.path) return;
+      const kept = JSON.stringify({ text: this.text(), base: this.base });
+      try { localStorage.setItem(this.storageKey(), kept); } catch { /* the storage is full or forbidden */ }
+    },
+    forget() {
+      try { localStorage.removeItem(this.storageKey()); } catch { /* forbidden */ }
+    },
+    storageKey() {
+      return `deepbots-studio:${this.path}`;
+    },
+    offer(readOnly) {
+      if (this.offline) return;
+      let kept = null;
+      try { kept = JSON.parse(localStorage.getItem(this.storageKey())); } catch { /* forbidden, or not ours */ }
+      this.say("");
+      if (typeof kept?.text != "string" || kept.text == this.text() || readOnly) return this.forget();
+      this.say(OFFER, ["Use it", () => {
+        this.say("");
+        this.view.dispatch({ changes: difference(this.text(), kept.text) ?? [], annotations: fromServer.of(true) });
+        Object.assign(this, { waiting: true, sent: kept.text });
+        this.$emit("change", this.path, kept.base, kept.text);
+        this.view.focus();
+      }], ["Discard it", () => { this.say(""); this.forget(); this.view.focus(); }]);
     },
     setDark(dark) {
       this.view.dispatch({ effects: this.dark.reconfigure(dark ? CM.oneDark : []) });
@@ -125,6 +189,7 @@ export default {
     },
     // Text to the server
     schedule() {
+      if (this.offline) this.keep();
       clearTimeout(this.timer);
       this.timer = setTimeout(() => this.send(), SEND_AFTER_MS);
     },
@@ -151,6 +216,7 @@ export default {
       const pushed = this.pushed;
       this.pushed = null;
       if (pushed && pushed.revision > this.revision) this.receive(path, pushed.text, pushed.revision);
+      if (this.text() == this.base && this.bar.hidden) this.forget();
       if (this.text() != this.base || this.behind) this.schedule();
       const name = this.afterwards;
       this.afterwards = "";

@@ -365,19 +365,40 @@ class Drafts:
 
         If the file was changed since, both texts are offered as after a change outside.
         """
-        try:
-            with self._path(file.path).open("rb") as stream:
-                content = json.loads(stream.read(_MAX_DRAFT_BYTES))
+        content = _draft(self._path(file.path))
+        if content is not None and content["text"] != file.text:
             text, saved = content["text"], content["saved"]
-        except (OSError, ValueError, TypeError, KeyError, RecursionError):
-            return
-        if isinstance(text, str) and isinstance(saved, str) and text != file.text:
             with suppress(UsageError):  # a draft that is too large is none of the studio's
                 file.change(file.revision, text)
                 file.is_restored = True
                 if saved != file.saved:
                     file.saved, file.outside = saved, file.saved
 
+    def removed(self) -> dict[Path, str]:
+        """Return the unsaved texts of files that are gone."""
+        texts = {}
+        for draft in sorted(self._folder.glob("*.json")):
+            content = _draft(draft)
+            if content is not None and not Path(content["path"]).exists():
+                texts[Path(content["path"])] = content["text"]
+        return texts
+
+    def discard(self, path: Path) -> None:
+        """Remove the draft of a file."""
+        self._kept.pop(path, None)
+        self._path(path).unlink(missing_ok=True)
+
     def _path(self, path: Path) -> Path:
         digest = hashlib.sha256(str(path).encode("utf-8", "surrogatepass")).hexdigest()[:16]
         return self._folder / f"{path.stem[:40]}-{digest}.json"
+
+
+def _draft(path: Path) -> dict[str, str] | None:
+    """Return the path, the text and the saved text of a draft; None if it cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            content = json.loads(stream.read(_MAX_DRAFT_BYTES))
+        texts = {name: content[name] for name in ("path", "text", "saved")}
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return None
+    return texts if all(isinstance(text, str) for text in texts.values()) else None

@@ -28,6 +28,17 @@ _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:;"
     " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
 )
+_HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: %s; }
+.mantine-Notification-root[style*="orange"] { display: none !important; }</style><script>
+addEventListener("keydown", (event) => {
+  if (event.key == "F6" || (event.key == "Escape" && !event.defaultPrevented)) {
+    event.preventDefault();
+    parent.document.querySelector(".studio-enter")?.focus();
+  }
+});</script>"""
+"""What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of viser
+that the browser draws by software, which covers the robot; the keys that lead out of it."""
+_GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20
 
@@ -90,6 +101,9 @@ class Guarded:
         except OSError:
             await _answer(send, 503, b"the robot is being restarted\n", {})
             return
+        is_dark = b"darkMode" in scope.get("query_string", b"")
+        head = _HEAD % _GROUND[is_dark]
+        body = body.replace(b"<head>", b"<head>" + head.encode(), 1)
         headers = {"Content-Type": "text/html; charset=utf-8", "Cache-Control": "no-store"}
         await _answer(send, 200, body, headers, "'self'")
 

@@ -14,15 +14,20 @@ from typing import Any
 
 from lsprotocol import types
 
-from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import MappingNode, Permissions
 from deepbots_cli.document.layout import assigned_text
 from deepbots_cli.document.load import setting_path
-from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import document_symbols, hover
 from deepbots_cli.lsp.server import Checker, CodeActions, formatting
-from deepbots_cli.lsp.workspace import Document, DocumentAnalysis, Workspace, analyze, uri_of
+from deepbots_cli.lsp.workspace import (
+    CursorView,
+    Document,
+    DocumentAnalysis,
+    Workspace,
+    analyze,
+    uri_of,
+)
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
 
 _NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
@@ -77,7 +82,7 @@ class Language:
 
     def update(self, file: OpenFile) -> None:
         """Analyze the present text of a file soon."""
-        document = self._put(file.path, file.text, file.revision)
+        document = self._put(file)
         dependents = self._workspace.dependents(document)
         own = [document.uri] if document.is_scenario or not dependents else []
         self._checker.schedule(*own, *dependents)
@@ -147,13 +152,11 @@ class Language:
 
         `from` is the offset of the text that a completion replaces, in UTF-16 units.
         """
-        position = types.Position(line, column)
-        document = self._put(path, text, -1)
-        view = self._workspace.view(document.uri, position)
+        view = self._view(path, text, line, column)
         if view is None:
             return {"options": []}
         items = completion(view)
-        lines = document.text.split("\n")
+        lines = text.split("\n")
         options = []
         start = column
         for item in items.items:
@@ -177,8 +180,7 @@ class Language:
 
     def hover(self, path: Path, text: str, line: int, column: int) -> dict[str, Any] | None:
         """Return the description of a place (Markdown), and its start and end."""
-        document = self._put(path, text, -1)
-        view = self._workspace.view(document.uri, types.Position(line, column))
+        view = self._view(path, text, line, column)
         shown = hover(view) if view else None
         if shown is None or not isinstance(shown.contents, types.MarkupContent) or shown.range is None:
             return None
@@ -204,20 +206,28 @@ class Language:
                 fixes.append(EditorFix(action.title, edits))
         return fixes
 
-    def explanation(self, code: str) -> str:
-        """Return the page of a rule as Markdown; empty if there is none."""
-        return "\n\n".join(page.markdown() for page in pages_of(code)) if code in RULES else ""
-
     def _analysis(self, path: Path) -> DocumentAnalysis | None:
         return self._workspace.latest.get(uri_of(path))
 
-    def _put(self, path: Path, text: str, version: int) -> Document:
-        """Return the document of a text, the one that is open if it has not changed."""
+    def _view(self, path: Path, text: str, line: int, column: int) -> CursorView | None:
+        """Return the view of a place in the text of a browser.
+
+        The text does not become that of the open document: a request for completions can arrive after a newer
+        text, whose findings would then never be shown.
+        """
         uri = uri_of(path)
+        document = self._workspace.documents.get(uri)
+        if document is None or document.text != text:
+            document = Document(uri, -1, text, path)
+        return self._workspace.view_of(document, types.Position(line, column))
+
+    def _put(self, file: OpenFile) -> Document:
+        """Return the document of a file, the one that is open if the text has not changed."""
+        uri = uri_of(file.path)
         present = self._workspace.documents.get(uri)
-        if present is not None and present.text == text:
+        if present is not None and (present.text, present.version) == (file.text, file.revision):
             return present
-        document = Document(uri, version, text, path)
+        document = Document(uri, file.revision, file.text, file.path)
         self._workspace.put(document)
         return document
 

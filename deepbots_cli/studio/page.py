@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from difflib import unified_diff
 from pathlib import Path
 from typing import Any
 
-from nicegui import ui
+from nicegui import background_tasks, ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.dialogs import new_scenario
 from deepbots_cli.studio.editor import Editor
+from deepbots_cli.studio.explain import explanation, linked, rule_page
 from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.language import EditorFinding
 from deepbots_cli.studio.panels import CommandTab, RunsTab, TrainingTab
-from deepbots_cli.studio.robot_pane import DRAWS, RobotPane
+from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.session import Session, Topic
 
-_MAX_FINDINGS = 50
+_MAX_FINDINGS, _MAX_FIXES = 50, 3
 _MAX_DIFF_LINES = 300
 _STYLE = Path(__file__).with_name("studio.css")
 _BROWSER_S = 60.0
@@ -30,6 +33,7 @@ _PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
 def add_style() -> None:
     """Add the style of the page to all pages."""
     ui.add_css(_STYLE.read_text("utf-8"), shared=True)
+    ui.add_head_html(KEYS, shared=True)
 
 
 def _dialog(name: str) -> ui.dialog:
@@ -63,16 +67,13 @@ class StudioPage:
         client = ui.context.client
         await client.connected(timeout=_BROWSER_S)
         self._show_files()
-        self._robot.update()
         for topic in _TOPICS_OF_TABS:
             self._changed(topic)
-        try:
-            prefers_dark = await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S)
-            self._set_dark(bool(prefers_dark))
-            drawing = await ui.run_javascript(DRAWS, timeout=_BROWSER_S)
-        except TimeoutError:
-            return  # a busy browser; the page works with the defaults
-        self._robot.adapt(str(drawing))
+        with suppress(TimeoutError):  # of a busy browser; the page works with the defaults
+            self._set_dark(bool(await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S)))
+        self._robot.begin()
+        with suppress(TimeoutError):
+            self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
 
     # Parts
 
@@ -86,7 +87,7 @@ class StudioPage:
             self._save = ui.button("Save", on_click=self._save_file).props('dense no-caps title="Ctrl+S"')
             ui.button("Format", on_click=self._format).props("dense flat no-caps")
             ui.button("New ...", on_click=self._new).props("dense flat no-caps")
-            ui.button("Explain ...", on_click=self._explain).props("dense flat no-caps")
+            ui.button("Explain ...", on_click=lambda: self._explain()).props("dense flat no-caps")
             self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
                 'dense outlined label="Go to" aria-label="Go to a section"'
             )
@@ -105,6 +106,7 @@ class StudioPage:
     def _add_work(self) -> None:
         with ui.tabs().props("dense no-caps align=left") as tabs:
             train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
+            inspect = ui.tab("Inspect")
         with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(train):
                 self._training = TrainingTab(self._session, self._guarded, lambda: tabs.set_value(command))
@@ -112,6 +114,13 @@ class StudioPage:
                 self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_advice)
             with ui.tab_panel(command):
                 self._command = CommandTab(self._session)
+            with ui.tab_panel(inspect):
+                self._inspect = InspectTab(self._session)
+        tabs.on_value_change(lambda event: self._show_tab(str(event.value)))
+
+    async def _show_tab(self, name: str) -> None:
+        self._inspect.is_shown = name == "Inspect"
+        await self._inspect.update()
 
     # Changes of the session
 
@@ -120,6 +129,8 @@ class StudioPage:
         if topic == "text":
             self._editor.refresh()
             self._show_state()
+            if self._inspect.is_shown:
+                background_tasks.create(self._inspect.update())
         elif topic == "findings":
             self._show_findings()
         elif topic == "files":
@@ -145,6 +156,8 @@ class StudioPage:
             self._show_file(current)
         opened = [path for path in session.files if path != session.current]
         options = {str(path): session.name_of(path) for path in (*session.scenarios(), *opened)}
+        for path in session.removed_drafts():
+            options[str(path)] = f"{session.name_of(path)} (removed, with unsaved text)"
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
@@ -166,7 +179,7 @@ class StudioPage:
             return
         self._save.set_text("Save *" if file.is_modified else "Save")
         self._save.set_enabled(file.is_modified and not file.read_only)
-        key = (file.outside is not None, file.is_restored, file.read_only)
+        key = (file.outside is not None, file.is_gone, file.is_restored, file.read_only)
         if self._banner_key == (file.path, *key):
             return
         self._banner_key = (file.path, *key)
@@ -182,6 +195,10 @@ class StudioPage:
                 ui.button("Keep this text", on_click=lambda: self._resolve(file.keep_own)).props(
                     "dense flat no-caps"
                 )
+            elif file.is_gone:
+                ui.label(f"Another program has removed {file.path.name}. Its text is kept here.")
+                ui.button("Write the file again", on_click=self._save_file).props("dense flat no-caps")
+                ui.button("Discard the text", on_click=lambda: self._close(file)).props("dense flat no-caps")
             elif file.is_restored:
                 ui.label("These are unsaved changes of an earlier session.")
                 ui.button("Discard them", on_click=lambda: self._resolve(file.discard)).props(
@@ -189,6 +206,13 @@ class StudioPage:
                 )
             elif file.read_only:
                 ui.label("This file is read only: it belongs to deepbots or another project.")
+
+    def _close(self, file: OpenFile) -> None:
+        """Forget a file that was removed; without another one, its text stays on the page."""
+        if self._session.scenarios() or len(self._session.files) > 1:
+            self._guarded(lambda: self._session.close_file(file.path))
+        else:
+            ui.notify("write another scenario first: New ...", position="bottom-right")
 
     def _resolve(self, act: Callable[[], None]) -> None:
         if self._file is not None:
@@ -250,6 +274,9 @@ class StudioPage:
                     ui.label(finding.message).classes("studio-text-line")
                 body = ui.element("div").classes("studio-explanation")
             details.on("toggle", lambda: self._explain_finding(body, file, finding))
+            if finding.severity == "error":
+                for fix in self._session.language.fixes(file, finding)[:1]:
+                    self._add_fix(file, finding, fix.title)
 
     def _explain_finding(self, body: ui.element, file: OpenFile, finding: EditorFinding) -> None:
         """Fill the explanation of a finding and its fixes when it is opened."""
@@ -257,10 +284,20 @@ class StudioPage:
         language = self._session.language
         with body:
             for fix in language.fixes(file, finding):
-                ui.button(fix.title, on_click=lambda fix=fix: self._apply(file, fix.edits)).props(
-                    "dense outline no-caps"
-                )
-            ui.markdown(language.explanation(finding.code))
+                self._add_fix(file, finding, fix.title)
+            linked(self._explain).set_content(rule_page(finding.code))
+
+    def _add_fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        ui.button(title, on_click=lambda: self._fix(file, finding, title)).props("dense outline no-caps")
+
+    def _fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        """Apply a fix to the present text, in which the places of its edits may have moved."""
+        fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
+        fix = next(fixes, None)
+        if fix is None:
+            ui.notify("the text has changed since; try again", position="bottom-right")
+        else:
+            self._apply(file, fix.edits)
 
     def _apply(self, file: OpenFile, edits: Any) -> None:
         file.edit(edits)
@@ -329,21 +366,52 @@ class StudioPage:
             self._show_file(self._session.files.get(path))
             self._show_files()
 
-    def _explain(self) -> None:
-        """Ask for a word, and show what `deepbots explain` says."""
+    def _explain(self, wanted: str = "") -> None:
+        """Show what `deepbots explain` says about a word, and the fixes of the finding that it is the code
+        of."""
+        earlier: list[str] = []
 
-        async def ask() -> None:
-            text, _ = await self._session.call(["explain", "--", str(word.value or "").strip()])
-            answer.set_text(text.strip())
+        def show(asked: str) -> None:
+            if asked:
+                earlier.append(asked)
+                word.set_value(asked)
+                answer.set_content(explanation(asked))
+                back.set_enabled(len(earlier) > 1)
+                self._add_fixes(fixes, asked, dialog.close)
+
+        def return_to_earlier() -> None:
+            earlier.pop()
+            show(earlier.pop())
 
         with _dialog("Explain") as dialog, ui.card().classes("studio-dialog"):
-            word = ui.input("A key, a code of a finding, or a term", placeholder="reward").props("autofocus")
-            word.classes("studio-wide").on("keydown.enter", ask)
-            with ui.row():
-                ui.button("Explain", on_click=ask).props("no-caps")
+            with ui.row().classes("studio-wide"):
+                word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
+                word.classes("studio-grow").props("autofocus").on(
+                    "keydown.enter", lambda: show(str(word.value or "").strip())
+                )
+                ui.button("Explain", on_click=lambda: show(str(word.value or "").strip())).props("no-caps")
+                back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
                 ui.button("Close", on_click=dialog.close).props("flat no-caps")
-            answer = ui.label("").classes("studio-answer").props('role="status" tabindex="0"')
+            fixes = ui.element("div").classes("studio-bar")
+            answer = linked(show).props('role="region" aria-label="Explanation" tabindex="0"')
+        show(wanted)
         dialog.open()
+
+    def _add_fixes(self, parent: ui.element, code: str, on_fix: Callable[[], object]) -> None:
+        """Show the fixes of the findings of a code in the present text."""
+        parent.clear()
+        parent.set_visibility(False)
+        file, language = self._file, self._session.language
+        if file is None:
+            return
+        with parent:
+            for finding in [each for each in language.findings(file.path) if each.code == code][:_MAX_FIXES]:
+                for fix in language.fixes(file, finding)[:1]:
+                    parent.set_visibility(True)
+                    title = f"Line {finding.start[0] + 1}: {fix.title}"
+                    ui.button(title, on_click=on_fix).props("dense outline no-caps").on_click(
+                        lambda finding=finding, fix=fix: self._fix(file, finding, fix.title)
+                    )
 
     def _set_dark(self, dark: bool) -> None:
         # A chosen value: with `None`, the page would follow the system, and editor and robot would not.

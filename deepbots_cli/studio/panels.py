@@ -25,9 +25,27 @@ _NO_CAUSE = {
     False: "no known cause was found; look at the robot of the run, at the endings in its report, and compare it"
     " with a run before the last change",
 }
+_FIRST_STEPS = (
+    "Change the text at the left, and save it with Ctrl+S: the robot begins anew. Below the text is what"
+    " deepbots finds in it.",
+    "Press Try: the robot plays a few episodes with random actions, and Commands shows their results.",
+    "Press Train: the robot learns, and its learning curve appears here.",
+    "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn.",
+)
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
 _COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
+_AGE = """at => {
+  const seconds = Date.now() / 1000 - at;
+  if (!at) return "";
+  if (seconds < 90) return "now";
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min ago`;
+  return seconds < 129600 ? `${Math.round(seconds / 3600)} h ago` : `${Math.round(seconds / 86400)} days ago`;
+}"""
+"""A function of the browser for the time since a run began, from its time in s since 1970."""
+_AGE_INTERVAL_S = 30.0
+_OPTIONAL = ("success", "solved")
+"""The columns that are left out while no run has a value."""
 _GRID_COLOR = "rgba(128, 128, 128, 0.3)"
 
 
@@ -52,6 +70,11 @@ class TrainingTab:
                 field.classes("studio-number")
         self._text = ui.label("").classes("studio-status").props('role="status"')
         self._command = ui.label("").classes("studio-command")
+        self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
+        with self._steps:
+            for step in _FIRST_STEPS:
+                with ui.element("li"):
+                    ui.label(step)
         self._is_dark = False
         self._chart = ui.echart(_options(Curves(), has_successes=False, dark=False)).classes("studio-chart")
         self._chart.set_visibility(False)
@@ -79,8 +102,9 @@ class TrainingTab:
         self._stop.set_enabled(task is not None and task.is_running)
         self._command.set_text("" if task is None else task.command)
         if training is None:
-            self._text.set_text("Train shows the learning curve here.")
+            self._text.set_text("")
             return
+        self._steps.set_visibility(False)
         run = training.listed
         is_running = task is not None and task.is_running
         if run is None:
@@ -220,13 +244,21 @@ class RunsTab:
             {"name": name, "label": label, "field": name, "align": align, "sortable": True}
             for name, label, align in (
                 ("name", "run", "left"),
+                ("when", "when", "left"),
                 ("state", "state", "left"),
                 ("steps", "steps", "right"),
                 ("return", "return", "right"),
                 ("success", "success", "right"),
                 ("solved", "solved", "left"),
+                ("change", "changed since the run before", "left"),
             )
         ]
+        for column in columns:
+            column["headerStyle"] = column["style"] = "white-space: nowrap"
+        columns[-1]["style"] = "min-width: 14rem; overflow-wrap: anywhere"
+        next(each for each in columns if each["name"] == "when")[":format"] = _AGE
+        self._columns = columns
+        ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
             for label, act in (
@@ -245,7 +277,7 @@ class RunsTab:
             self._timesteps.classes("studio-number")
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
-        ).props('dense flat hide-pagination no-data-label="no runs yet"')
+        ).props('dense flat wrap-cells hide-pagination no-data-label="no runs yet"')
         self._table.classes("studio-table")
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
@@ -256,9 +288,12 @@ class RunsTab:
         self._advice = ui.element("div").classes("studio-advice")
 
     def update(self) -> None:
+        changes = self._session.run_changes
         rows = [
             {
                 "name": run.path.name,
+                "when": change.started if (change := changes.get(run.path)) else None,
+                "change": change.text if change else "",
                 "state": run.problem or run.state,
                 "steps": f"{run.steps:,}" if run.steps is not None else "",
                 "return": f"{run.mean_return:.4g}" if run.mean_return is not None else "",
@@ -267,6 +302,9 @@ class RunsTab:
             }
             for run in reversed(self._session.runs)
         ]
+        columns = [each for each in self._columns if each["name"] not in _OPTIONAL or _has_value(rows, each)]
+        if columns != self._table.columns:
+            self._table.columns = columns
         if rows != self._table.rows:
             self._table.update_rows(rows, clear_selection=False)
 
@@ -398,6 +436,10 @@ class RunsTab:
             self._show_tab("Train" if path is not None else "Commands")
 
         self._guarded(run)
+
+
+def _has_value(rows: list[dict[str, Any]], column: dict[str, Any]) -> bool:
+    return any(row[column["name"]] for row in rows)
 
 
 class CommandTab:

@@ -19,6 +19,13 @@ DRAWS = """(() => {
   return !gl ? "not" : /swiftshader|llvmpipe|software|basic render/i.test(name) ? "by software" : ""; })()"""
 """A script for the browser. Its value is `not` without WebGL, `by software` without a graphics card, and
 otherwise empty."""
+KEYS = """<script>addEventListener("keydown", (event) => {
+  if (event.key != "F6") return;
+  event.preventDefault();
+  document.querySelector(".studio-frame")?.contentWindow.focus();
+});</script>"""
+"""The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead out."""
+_ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
@@ -39,6 +46,7 @@ class RobotPane:
         self._address = ""
         self._changed_parameters: dict[str, str] = {}
         self._is_dark = False
+        self._waits = True
         self._shows_picture = False
         self._picture_key: tuple[object, ...] = ()
         with ui.element("div").classes("studio-bar"):
@@ -49,12 +57,21 @@ class RobotPane:
                 'dense outlined label="Driver" aria-label="Driver"'
             )
             ui.button("Restart", on_click=self._session.robot.restart).props("dense flat no-caps")
+            enter = ui.button("Keys to the robot").props(
+                'dense flat no-caps title="F6; Escape leads back" aria-label="Keyboard into the page of the robot"'
+            )
+            enter.classes("studio-enter").on("click", js_handler=_ENTER)
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
         self._parameters = ui.element("div").classes("studio-bar")
         self._parameters.set_visibility(False)
-        self._frame = ui.element("iframe").props('title="The robot"').classes("studio-frame")
+        self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"').classes("studio-frame")
         self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
         self._picture.classes("studio-picture").set_visibility(False)
+
+    def begin(self) -> None:
+        """Load the page of the robot, now that the colors of the browser are known."""
+        self._waits = False
+        self.update()
 
     def adapt(self, drawing: str) -> None:
         """Adapt to how the browser draws, which is the value of the script `DRAWS`."""
@@ -100,7 +117,7 @@ class RobotPane:
         self._show_parameters(dict(state.changed) if state else {})
         if self._shows_picture:
             self._show_picture()
-        elif robot.address != self._address:
+        elif not self._waits and robot.address != self._address:
             self._address = robot.address
             # A new page of the robot has a new address; the number makes the browser load it.
             dark = "&darkMode" if self._is_dark else ""

@@ -15,11 +15,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
+from deepbots_cli.cli.commands.inspect import brief_tables
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
+from deepbots_cli.insight.inspection import Tables
 from deepbots_cli.learning.listing import ListedRun, list_runs, read_listed
 from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.files import Drafts, OpenFile, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
@@ -56,6 +59,7 @@ class Session:
         training: The training whose curve is shown, if any.
         task: The command whose output is shown, if any.
         runs: The runs of the folder, the newest last.
+        run_changes: The begin and the changes of each run, by its path.
         notice: The last message for the person.
     """
 
@@ -68,6 +72,8 @@ class Session:
         self.training: WatchedTraining | None = None
         self.task: Task | None = None
         self.runs: list[ListedRun] = []
+        self.run_changes: dict[Path, RunChange] = {}
+        self._changes = RunChanges(permissions)
         self.notice = ""
         self._problem = ""
         self._listeners: list[Listener] = []
@@ -145,8 +151,12 @@ class Session:
         is_read = any(real in self.language.files_of(other) for other in self.files)
         if real is None or (not self.may_open(path) and not is_read):
             raise UsageError(f"{path} is no scenario in {self.folder}; the studio opens no other files")
-        file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
-        self._drafts.restore(file)
+        removed = self.removed_drafts().get(real)
+        if removed is None:
+            file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))
+            self._drafts.restore(file)
+        else:
+            file = OpenFile(real, removed, is_restored=True, is_gone=True)
         if file.is_restored:
             self.say(f"{file.path.name} has unsaved changes of an earlier session; save or discard them")
         self.files[real] = file
@@ -163,13 +173,26 @@ class Session:
             self.robot.show(file.path)
         self._tell("files")
 
+    def removed_drafts(self) -> dict[Path, str]:
+        """Return the unsaved texts of files of the folder that are gone."""
+        drafts = self._drafts.removed()
+        return {path: text for path, text in drafts.items() if self.may_open(path)}
+
     def close_file(self, path: Path) -> None:
-        """Close a file without unsaved changes."""
+        """Close a file that is gone, with its draft, or a file without unsaved changes."""
         file = self.files.get(path)
-        if file is not None and not file.is_modified and path != self.current:
-            del self.files[path]
-            self.language.remove(path)
-            self._tell("files")
+        if file is None or (file.is_modified and not file.is_gone):
+            return
+        del self.files[path]
+        self.language.remove(path)
+        if file.is_gone:
+            self._drafts.discard(path)
+        if path == self.current:
+            self.current = None
+            others = [each for each in self.scenarios() if each != path]
+            if others:
+                self.show(others[0])
+        self._tell("files")
 
     def change(self, file: OpenFile, base: int | str, text: str) -> bool:
         """Take the text of a browser, as `OpenFile.change` does."""
@@ -308,6 +331,17 @@ class Session:
         code = process.returncode or 0
         return (messages if code and not output else output).decode("utf-8", "replace"), code
 
+    async def tables(self) -> Tables:
+        """Return the tables of `deepbots inspect` for the saved text of the current scenario.
+
+        Raises:
+            UsageError: There is no scenario.
+            ScenarioError: It has errors.
+        """
+        if self.current is None:
+            raise UsageError("open a scenario first")
+        return await asyncio.to_thread(brief_tables, str(self.current), self.permissions)
+
     async def picture(self) -> bytes:
         """Return a picture (PNG) of what the robot is shown of, at the start of an episode; empty if there is
         none, for example because the scenario has errors."""
@@ -414,6 +448,8 @@ class Session:
         runs = await asyncio.to_thread(list_runs, self.folder / RUNS_FOLDER)
         if runs != self.runs:
             self.runs = runs
+            self._tell("runs")
+            self.run_changes = await asyncio.to_thread(self._changes.read, runs)
             self._tell("runs")
 
     def _end_of(self, task: Task) -> str:

@@ -18,6 +18,8 @@ from tests.view.browser import Tab
 
 ENTER, BACKSPACE, ESCAPE, TAB = ("Enter", 13), ("Backspace", 8), ("Escape", 27), ("Tab", 9)
 
+_START_S = 90.0
+
 
 class Served:
     """A running studio. `address` is the URL of its page, with the token."""
@@ -32,7 +34,11 @@ class Served:
             text=True,
         )
         assert self.process.stdout is not None
+        # A studio that has not started within this time is ended; then it has no address.
+        limit = threading.Timer(_START_S, self.process.kill)
+        limit.start()
         self.address = self.process.stdout.readline().strip()
+        limit.cancel()
         threading.Thread(target=self.process.stdout.read, daemon=True).start()
 
     @property
@@ -53,6 +59,7 @@ class Served:
 def served(folder: Path, *arguments: str) -> Iterator[Served]:
     studio = Served(folder, *arguments)
     try:
+        assert studio.address, f"the studio did not start within {_START_S:g} s, or has failed"
         yield studio
     finally:
         studio.stop()

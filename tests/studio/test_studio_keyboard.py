@@ -7,7 +7,7 @@ import time
 import pytest
 
 pytest.importorskip("nicegui")
-from tests.studio.served import TAB, StudioTab, served
+from tests.studio.served import ESCAPE, TAB, StudioTab, served
 from tests.studio.test_studio_page import SCENARIO
 from tests.view.browser import CHROMIUM, browser
 
@@ -44,9 +44,18 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
         while not (tmp_path / "mine.yaml").read_text("utf-8").endswith("n_steps: 128\n# by the keyboard"):
             assert time.monotonic() < end
             time.sleep(0.1)
-        # Tab leaves the text, and passes the robot.
+        # Tab leaves the text, and passes over the controls of the robot.
+        _tab_to(page, "Keyboard into the page of the robot")
+        page.press(("Enter", 13))
+        page.wait("document.activeElement.tagName == 'IFRAME'")
+        page.press(TAB)
+        assert (
+            page.tab.run("document.querySelector('iframe').contentDocument.activeElement.tagName") != "BODY"
+        )
+        page.press(ESCAPE)
+        page.wait("document.activeElement.className.includes('studio-enter')")
         passed = _tab_to(page, "Train")
-        assert any("IFRAME" in each for each in passed)
+        assert not any("IFRAME" in each for each in passed)
         _tab_to(page, "BUTTON Try")
         _tab_to(page, "BUTTON Train")
         page.press(("Enter", 13))

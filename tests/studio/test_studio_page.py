@@ -150,6 +150,71 @@ def test_a_file_changed_outside_is_taken_or_compared(studio: Served, folder, new
     assert "name: Theirs and mine" in page.text
 
 
+def test_a_finding_is_corrected_by_a_click_and_explained_with_links(studio: Served, new_tab):
+    page = StudioTab(new_tab(), studio.address)
+    page.click_line("    fallen:")
+    page.press(BACKSPACE, len("fall_angle"))
+    page.type("fal_angle")
+    page.click("Replace `fal_angle` with `fall_angle` (a guess)")
+    page.wait("document.querySelectorAll('.studio-row').length == 0")
+    assert "> fall_angle" in page.text
+
+    page.click("Explain ...")
+    page.wait("document.activeElement.tagName == 'INPUT'")
+    page.type("reward")
+    page.press(ENTER)
+    answer = "document.querySelector('.studio-dialog .studio-answer')"
+    page.wait(f"{answer}.innerText.includes('a key of a scenario')")
+    page.tab.run(f"[...{answer}.querySelectorAll('a')].find(one => one.innerText == 'return').click()")
+    page.wait(f"{answer}.innerText.startsWith('return: a concept')")
+    page.click("Back")
+    page.wait(f"{answer}.innerText.startsWith('reward: a concept')")
+    assert not page.tab.errors
+
+
+def test_the_tables_of_inspect_follow_the_saved_text(studio: Served, new_tab):
+    page = StudioTab(new_tab(), studio.address)
+    page.open_tab("Inspect")
+    tables = "document.querySelector('.studio-tables')?.innerText"
+    page.wait(f"{tables}?.includes('cart.pole_angle')")
+    page.click_line("  alive: 1")
+    page.type("23")
+    page.save()
+    page.wait(f"{tables}.includes('123')")
+    assert not page.tab.errors
+
+
+def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
+    tab = new_tab()
+    with served(folder, "mine.yaml") as first:
+        page, port = StudioTab(tab, first.address), first.port
+        page.click_line("name: Mine")
+        first.stop(9)
+        page.wait(
+            "document.querySelector('.studio-editor .studio-banner').innerText.includes('does not answer')"
+        )
+        page.type("craft")
+        time.sleep(0.5)
+    with served(folder, "mine.yaml", "--port", str(port)) as second:
+        page = StudioTab(tab, second.address)
+        assert "name: Minecraft" not in page.text
+        page.click("Use it")
+        page.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
+        page.save()
+        page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save')")
+    assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
+
+
+def test_a_removed_file_keeps_its_text(studio: Served, folder, new_tab):
+    page = StudioTab(new_tab(), studio.address)
+    page.click_line("name: Mine")
+    page.type("craft")
+    (folder / "mine.yaml").unlink()
+    page.click("Write the file again")
+    page.wait("!document.body.innerText.includes('has removed')")
+    assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
+
+
 def test_names_are_shown_as_text(folder, new_tab):
     hostile = "<img src=x onerror=window.hacked=1>"
     text = SCENARIO.replace("name: Mine", f'name: "{hostile}"').replace("alive: 1", f"'{hostile}': 1")

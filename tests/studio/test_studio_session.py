@@ -113,6 +113,69 @@ def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
     asyncio.run(run())
 
 
+def test_a_late_request_for_completions_does_not_hide_findings(folder):
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            file = session.open(Path("mine.yaml"))
+            await running.checked(file.path)
+            words = SCENARIO.replace("alive: 1", "alive: 1 + q")
+            for text in (words, words.replace("+ q", "+ qq")):
+                session.change(file, file.revision, text)
+            # The browser sent it before the second letter; it arrives after it.
+            session.language.complete(file.path, words, 17, 14)
+            await running.checked(file.path)
+            assert "qq" in session.language.findings(file.path)[0].message
+
+    asyncio.run(run())
+
+
+def test_a_removed_file_is_offered_by_the_next_studio_until_it_is_discarded(folder):
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            file = session.open(Path("mine.yaml"))
+            session.change(file, file.revision, SCENARIO.replace("name: Mine", "name: Minecraft"))
+        file.path.unlink()
+        async with Running(folder) as running:
+            session = running.session
+            assert list(session.removed_drafts()) == [file.path]
+            again = session.open(Path("mine.yaml"))
+            assert (again.text, again.is_gone) == (file.text, True)
+            session.close_file(again.path)
+            assert not session.removed_drafts()
+            with pytest.raises(UsageError, match="is no file"):
+                session.open(Path("mine.yaml"))
+
+    asyncio.run(run())
+
+
+def test_a_run_says_what_it_changed_against_the_one_before(folder):
+    texts = (SCENARIO, SCENARIO.replace("alive: 1", "alive: 2").replace("15 deg", "12 deg"))
+    for number, text in enumerate(texts):
+        (folder / "mine.yaml").write_text(text, encoding="utf-8")
+        words = ("train", "mine.yaml", "--run", f"runs/{number}", "--timesteps", str(512 * (number + 1)))
+        subprocess.run(
+            python_command("deepbots_cli", *words, "--seed", str(number)),
+            cwd=folder,
+            env=python_environment(),
+            check=True,
+            capture_output=True,
+        )
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            await running.until(lambda: len(running.session.run_changes) == 2)
+            changes = running.session.run_changes
+            first, second = (changes[folder / "runs" / name] for name in ("0", "1"))
+            assert first.text == "first run"
+            expected = "reward.alive 1 -> 2; fall_angle 15 deg -> 12 deg; --timesteps 512 -> 1024; and 1 more"
+            assert second.text == expected
+            assert second.started >= first.started > 0
+
+    asyncio.run(run())
+
+
 def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
     async def run() -> None:
         async with Running(folder) as running:

@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+_ANSWER_S = 180.0
 FLAGS = (
     *(
         "--headless=new",
@@ -50,8 +51,12 @@ class Tab:
     def call(self, method: str, **parameters: Any) -> Any:
         self._number += 1
         self._wire.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        end = time.monotonic() + _ANSWER_S  # events can arrive for ever
         while True:
-            answer = json.loads(self._wire.recv(timeout=180))
+            try:
+                answer = json.loads(self._wire.recv(timeout=max(0.0, end - time.monotonic())))
+            except TimeoutError:
+                raise TimeoutError(f"Chromium did not answer {method} within {_ANSWER_S:g} s") from None
             if answer.get("id") == self._number:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -151,7 +156,10 @@ def browser() -> Iterator[Any]:
                 request = urllib.request.Request(f"http://{base}/json/new?about:blank", method="PUT")
                 with urllib.request.urlopen(request) as answer:
                     found = json.load(answer)
-                wires.append(connect(found["webSocketDebuggerUrl"], max_size=1 << 26))
+                # Nobody reads the events of a page while a test waits for something else. With a full queue,
+                # the library does not read the answers to its pings either, and gives the connection up.
+                address = found["webSocketDebuggerUrl"]
+                wires.append(connect(address, max_size=1 << 26, max_queue=None, ping_interval=None))
                 return Tab(wires[-1])
 
             yield tab

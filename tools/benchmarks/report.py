@@ -42,13 +42,23 @@ class Row:
         return {None: "", True: "yes", False: "NO"}[self.met]
 
 
-def options(description: str | None, **counts: int) -> argparse.Namespace:
-    """`--json` and the counts, each with its default."""
+def options(description: str | None, *, parts: Iterable[str] = (), **counts: int) -> argparse.Namespace:
+    """`--json`, the counts, each with its default, and the names of the `parts` to measure, by default all."""
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
+    names = list(parts)
+    if names:
+        words = f"of {', '.join(names)}; by default all"
+        parser.add_argument("parts", nargs="*", metavar="PART", help=words)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     for name, default in counts.items():
         parser.add_argument(f"--{name}", type=int, default=default, help=f"by default {default}")
-    return parser.parse_args()
+    asked = parser.parse_args()
+    if names:
+        unknown = [name for name in asked.parts if name not in names]
+        if unknown:
+            parser.error(f"there is no part {unknown[0]}; the parts are {', '.join(names)}")
+        asked.parts = asked.parts or names
+    return asked
 
 
 def show(rows: Iterable[Row], *, as_json: bool) -> None:

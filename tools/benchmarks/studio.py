@@ -1,6 +1,9 @@
 """What the studio costs, and how soon it answers.
 
-    python -m tools.benchmarks.studio [--json] [--letters 50] [--saves 10] [--pairs 3] [--steps 30000]
+    python -m tools.benchmarks.studio [PART ...] [--json] [--letters 50] [--saves 10] [--pairs 3]
+        [--steps 30000]
+
+Without a part, all are measured. Every wait has a limit, after which the part ends with a message.
 
 keystroke   a letter of an unknown name is typed into a scenario of 400 lines, until the name with this letter
             is underlined; in Chromium
@@ -36,6 +39,10 @@ from tools.benchmarks.report import Row, options, show
 
 LINES = 400
 _IDLE_S = 20.0
+_LOADING_S = 15.0
+"""The time in s after which the robot is loaded."""
+_TRAINING_S = 600.0
+"""The time in s after which a training has failed."""
 _KEY = "q"
 _WATCH = """(() => {
   window.begun = 0; window.answer = null;
@@ -82,6 +89,23 @@ def folder_with(text: str) -> Iterator[Path]:
 # In a browser
 
 
+def wait(page: StudioTab, script: str, seconds: float, what: str) -> None:
+    """Wait until a script is true.
+
+    Raises:
+        SystemExit: It is false for `seconds`; `what` says what it stands for.
+    """
+    try:
+        page.wait(script, seconds)
+    except AssertionError as error:
+        raise SystemExit(f"within {seconds:g} s there was no {what}\n{error}") from None
+
+
+def wait_for_robot(page: StudioTab) -> None:
+    status = "document.querySelector('.studio-robot .studio-status').innerText"
+    wait(page, f"{status} == 'runs the saved file'", 90, "running robot on the page")
+
+
 def keystrokes(page: StudioTab, count: int) -> list[float]:
     """Seconds from each letter to its underline."""
     page.click_line("  alive: 1")
@@ -90,27 +114,33 @@ def keystrokes(page: StudioTab, count: int) -> list[float]:
     page.tab.run(_WATCH)
     seconds = []
     for number in range(count):
-        page.tab.run(f"window.wanted = '{_KEY * (number + 1)}'; window.answer = null")
+        wanted = _KEY * (number + 1)
+        page.tab.run(f"window.wanted = '{wanted}'; window.answer = null")
         page.type(_KEY)
-        page.wait("window.answer !== null", 30)
+        wait(page, "window.answer !== null", 30, f"underline of {wanted!r}")
         seconds.append(float(page.tab.run("window.answer")) / 1000)
     page.press(BACKSPACE, count + 3)
     return seconds
 
 
-def page_rows(letters: int) -> Iterator[Row]:
+def keystroke_rows(letters: int) -> Iterator[Row]:
     text = long_scenario()
-    with folder_with(text) as folder, served(folder, "mine.yaml") as studio:
-        yield from idle_rows(studio)
+    with folder_with(text) as folder, served(folder, "mine.yaml") as studio, browser() as new_tab:
+        page = StudioTab(new_tab(), studio.address)
+        wait_for_robot(page)
+        seconds = keystrokes(page, letters)
+    yield Row(f"keystroke: median of {letters}, {len(text.splitlines())} lines", median(seconds), "s", 0.4)
+    yield Row(f"keystroke: worst of {letters}", max(seconds), "s", 0.8)
+
+
+def page_rows() -> Iterator[Row]:
+    with folder_with(long_scenario()) as folder, served(folder, "mine.yaml") as studio:
+        time.sleep(_LOADING_S)
         with browser() as new_tab:
             tab = new_tab()
             begin = time.monotonic()
-            page = StudioTab(tab, studio.address)
+            StudioTab(tab, studio.address)
             yield Row("page: load", time.monotonic() - begin, "s", 3.0)
-            page.wait("document.querySelector('.studio-robot .studio-status').innerText != 'starting'", 90)
-            seconds = keystrokes(page, letters)
-    yield Row(f"keystroke: median of {letters}, {len(text.splitlines())} lines", median(seconds), "s", 0.4)
-    yield Row(f"keystroke: worst of {letters}", max(seconds), "s", 0.8)
 
 
 # Processes
@@ -135,8 +165,13 @@ def memory(process: int) -> float:
     return int(text.partition("Pss:")[2].split()[0]) * 1024 / 1e6
 
 
-def idle_rows(studio: Served) -> Iterator[Row]:
-    time.sleep(15)  # the robot is loaded
+def idle_rows() -> Iterator[Row]:
+    with folder_with(long_scenario()) as folder, served(folder, "mine.yaml") as studio:
+        time.sleep(_LOADING_S)
+        yield from idle_costs(studio)
+
+
+def idle_costs(studio: Served) -> Iterator[Row]:
     processes = children(studio.process.pid)
     before = [cpu_milliseconds(process) for process in processes]
     time.sleep(_IDLE_S)
@@ -154,12 +189,16 @@ def idle_rows(studio: Served) -> Iterator[Row]:
 # The session
 
 
-async def until(condition: Callable[[], bool], seconds: float = 120.0) -> float:
-    """Return the seconds until a condition is true."""
+async def until(condition: Callable[[], bool], what: str, seconds: float = 120.0) -> float:
+    """Return the seconds until a condition is true.
+
+    Raises:
+        SystemExit: It is false for `seconds`; `what` says what it stands for.
+    """
     begin = time.monotonic()
     while not condition():
         if time.monotonic() > begin + seconds:
-            raise TimeoutError(condition)
+            raise SystemExit(f"within {seconds:g} s there was no {what}")
         await asyncio.sleep(0.002)
     return time.monotonic() - begin
 
@@ -171,7 +210,7 @@ async def restarts(folder: Path, count: int) -> list[float]:
     robot = session.robot
     seconds = []
     try:
-        await until(lambda: robot.state is not None and robot.state.state == "running")
+        await until(lambda: robot.state is not None and robot.state.state == "running", "running robot")
         (file,) = session.files.values()
         text = file.text
         for number in range(count):
@@ -179,9 +218,11 @@ async def restarts(folder: Path, count: int) -> list[float]:
             loaded = robot.state.loaded
             session.change(file, file.revision, f"{text}# {number}\n")
             session.save(file)
-            seconds.append(
-                await until(lambda loaded=loaded: robot.state is not None and robot.state.loaded > loaded)  # type: ignore[misc]
-            )
+
+            def is_loaded(loaded: int = loaded) -> bool:
+                return robot.state is not None and robot.state.loaded > loaded
+
+            seconds.append(await until(is_loaded, f"robot of the save number {number + 1}"))
             await asyncio.sleep(0.3)
     finally:
         await session.close()
@@ -204,15 +245,17 @@ async def curve_delays(folder: Path, steps: int) -> list[float]:
     session.listen(lambda topic: None)
     watching = asyncio.create_task(session.run_forever())
     delays: list[float] = []
+    words = ["train", "mine.yaml", "--run", "runs/a", "--timesteps", str(steps)]
+    task = session.run(words, "train", Path("runs/a"))
     try:
-        task = session.run(
-            ["train", "mine.yaml", "--run", "runs/a", "--timesteps", str(steps)], "train", Path("runs/a")
-        )
         log = folder / "runs" / "a" / "monitor.csv"
         shown, waiting_since = session.training.curves if session.training else None, 0.0
         size = 0
+        begin = time.monotonic()
         while task.is_running:
             now = time.monotonic()
+            if now > begin + _TRAINING_S:
+                raise SystemExit(f"the training did not end within {_TRAINING_S:g} s")
             if session.training is not None and session.training.curves != shown:
                 shown = session.training.curves
                 if waiting_since:
@@ -226,7 +269,10 @@ async def curve_delays(folder: Path, steps: int) -> list[float]:
             await asyncio.sleep(0.02)
     finally:
         watching.cancel()
+        task.stop()
         await session.close()
+    if not delays:
+        raise SystemExit(f"the training wrote no episode: {task.output()}")
     return delays
 
 
@@ -245,17 +291,23 @@ def speed(folder: Path, steps: int) -> float:
     run = folder / "runs" / f"speed-{time.monotonic_ns()}"
     words = ("train", "mine.yaml", "--run", str(run), "--timesteps", str(steps))
     command = python_command("deepbots_cli", *words)
-    subprocess.run(command, cwd=folder, env=python_environment(), check=True, capture_output=True)
+    environment = python_environment()
+    try:
+        subprocess.run(
+            command, cwd=folder, env=environment, check=True, capture_output=True, timeout=_TRAINING_S
+        )
+    except subprocess.TimeoutExpired:
+        raise SystemExit(f"the training did not end within {_TRAINING_S:g} s") from None
     rows = [line.split(",") for line in (run / "monitor.csv").read_text("utf-8").splitlines()[2:]]
     taken = float(rows[-1][2]) - float(rows[0][2])
     return sum(float(row[1]) for row in rows[1:]) / taken
 
 
 def be_nice(process: int) -> None:
-    """Give Chromium what the others leave of the cores."""
+    """Give a process and those that it has started what the others leave of the cores."""
+    set_priority(process, 19)
     for child in children(process)[1:]:
-        set_priority(child, 19)
-        with suppress(OSError):
+        with suppress(OSError):  # it has just ended
             be_nice(child)
 
 
@@ -265,11 +317,10 @@ def training_rows(count: int, steps: int) -> Iterator[Row]:
         for _ in range(count):
             alone = speed(folder, steps)
             with served(folder, "mine.yaml") as studio, browser() as new_tab:
-                page = StudioTab(new_tab(), studio.address)
-                script = "document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'"
-                page.wait(script, 90)
-                be_nice(os.getpid())
-                be_first(studio.process.pid)
+                wait_for_robot(StudioTab(new_tab(), studio.address))
+                for process in children(os.getpid())[1:]:
+                    if process != studio.process.pid:
+                        be_nice(process)  # Chromium
                 ratios["open"].append(speed(folder, steps) / alone)
                 other = new_tab()
                 other.call("Page.bringToFront")
@@ -279,19 +330,20 @@ def training_rows(count: int, steps: int) -> Iterator[Row]:
         yield Row(f"training: page {name}, median of {count}", median(ratios[name]), "", bar, at_least=True)
 
 
-def be_first(process: int) -> None:
-    """Return the studio to the priority of the shell."""
-    for child in children(process):
-        set_priority(child, os.getpriority(os.PRIO_PROCESS, os.getpid()))
-
-
 def main() -> None:
-    asked = options(__doc__, letters=50, saves=10, pairs=3, steps=30_000)
+    names = ("page", "keystroke", "save", "curve", "training", "idle")
+    asked = options(__doc__, parts=names, letters=50, saves=10, pairs=3, steps=30_000)
+    parts: dict[str, Callable[[], Iterator[Row]]] = {
+        "page": page_rows,
+        "keystroke": lambda: keystroke_rows(asked.letters),
+        "save": lambda: save_rows(asked.saves),
+        "curve": lambda: curve_rows(asked.steps),
+        "training": lambda: training_rows(asked.pairs, asked.steps),
+        "idle": idle_rows,
+    }
     rows = [Row("load of the machine", os.getloadavg()[0], "")]
-    rows += page_rows(asked.letters)
-    rows += save_rows(asked.saves)
-    rows += curve_rows(asked.steps)
-    rows += training_rows(asked.pairs, asked.steps)
+    for name in asked.parts:
+        rows += parts[name]()
     show(rows, as_json=asked.json)
 
 

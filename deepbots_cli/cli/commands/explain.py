@@ -295,6 +295,12 @@ def _quoted(names: Iterable[str]) -> list[str]:
 
 
 @cache
+def entry_names() -> frozenset[str]:
+    """Return every word that has an entry: concepts with their other names, functions, units, kinds, keys."""
+    return frozenset([*(name for topic in topics() for name in (topic.name, *topic.names)), *_words()])
+
+
+@cache
 def _words() -> dict[str, None]:
     """Return every function, unit, kind and key."""
     names = [*FUNCTIONS, *UNITS]

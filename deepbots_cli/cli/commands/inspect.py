@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.deployment import Deployment
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Case, EngineOrRun, Overrides, Stage, option
-from deepbots_cli.cli.sources import is_robot, open_robot, open_source
+from deepbots_cli.cli.sources import OpenedSource, is_robot, open_robot, open_source
 from deepbots_cli.cli.tables import row_as_lines, table
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.render import summary
@@ -27,7 +27,7 @@ from deepbots_cli.program import Program
 if TYPE_CHECKING:
     from deepbots_robot.topics import Topic
 
-_CAPTIONS = {
+CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "critic": "what only the value function sees, in training",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
@@ -87,9 +87,7 @@ def command(
         topics = _topics(program)
         terminal.show(topics, _ros_text(topics), as_json=as_json)
         return
-    root = (
-        side.root if isinstance(side.root, MappingNode) else MappingNode(Span(Source(scenario, ""), 0, 0), {})
-    )
+    root = _root(side, scenario)
     if case is not None:
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
@@ -112,6 +110,26 @@ def command(
         terminal.note(
             f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}"
         )
+
+
+def brief_tables(reference: str, permissions: Permissions) -> inspection.Tables:
+    """Return the tables without `--full`, in the units of the file.
+
+    Raises:
+        UsageError: There is no such file or run.
+        ScenarioError: The scenario has errors.
+    """
+    side = open_source(reference, (), permissions)
+    root = _root(side, reference)
+    tables = inspection.scenario_tables(side.program, root, side.run, side.learner)
+    brief = {name: rows for name, rows in tables.items() if name in _BRIEF}
+    return inspection.in_written_units(brief, side.program, root)
+
+
+def _root(side: OpenedSource, reference: str) -> MappingNode:
+    if isinstance(side.root, MappingNode):
+        return side.root
+    return MappingNode(Span(Source(reference, ""), 0, 0), {})
 
 
 def _topics(program: Program) -> dict[str, Topic]:
@@ -187,5 +205,5 @@ def _is_of_package(reference: str) -> bool:
 
 def _lines(tables: inspection.Tables) -> Iterator[str]:
     for name, rows in tables.items():
-        yield f"{name}{f': {_CAPTIONS[name]}' if name in _CAPTIONS else ''}"
+        yield f"{name}{f': {CAPTIONS[name]}' if name in CAPTIONS else ''}"
         yield (table(rows) if isinstance(rows, list) else row_as_lines(rows)) + "\n"

@@ -1,0 +1,121 @@
+"""Explanations of words and findings as Markdown, with links to further words, findings and pages.
+
+The texts are those of `deepbots explain`. A link has the address `#explain:WORD`; `linked` calls a function
+with the word.
+"""
+
+from __future__ import annotations
+
+import re
+import urllib.parse
+from collections.abc import Callable
+from pathlib import Path
+
+from nicegui import ui
+
+from deepbots_cli.cli.commands.explain import entry_names, explain_word, misspelled_word, unknown_word_message
+from deepbots_cli.diagnostics.registry import RULES, matching_rules
+from deepbots_cli.lint.pages import pages_of
+
+_PAGES = Path(__file__).parents[2] / "docs"
+"""The pages of a clone; an installed package has none."""
+_LINK = "#explain:"
+_FENCED = re.compile(r"(```.*?```|^(?: {4}.*\n?)+)", re.DOTALL | re.MULTILINE)
+_WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3})\b")
+_PAGE = re.compile(r"\bdocs/([\w-]+\.md)(#[\w-]+)?")
+_PAGE_LINK = re.compile(r"\]\(([\w-]+\.md)(#[\w-]+)?\)")
+_HEADING = re.compile(r"^(#{1,4}) +(.+)$", re.MULTILINE)
+_PICTURE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
+_ON_CLICK = f"""(event) => {{
+  const link = event.target.closest("a[href]");
+  if (!link?.hash.startsWith("{_LINK}")) return;
+  event.preventDefault();
+  emit(decodeURIComponent(link.hash.slice({len(_LINK)})));
+}}"""
+
+
+def explanation(word: str) -> str:
+    """Return what `deepbots explain` says about a word, a code or name of a finding, or a page such as
+    `docs/view.md`, as Markdown with links."""
+    word = word.strip()
+    if page := _PAGE.fullmatch(word):
+        return _page(page[1], page[2] or "")
+    rules = matching_rules(word) if word else ()
+    if len(rules) == 1:
+        rule = rules[0]
+        return f"**{rule.code} {rule.name}** ({rule.severity}): {rule.summary}.\n\n{rule_page(rule.code)}"
+    if rules:
+        return "\n".join(f"- {_link(rule.code)} {rule.name}: {rule.summary}" for rule in rules)
+    explained = explain_word(word)
+    if not explained.entries and (meant := misspelled_word(word)):
+        return f"There is no entry `{word}`; this is the entry `{meant}`.\n\n{explanation(meant)}"
+    if not explained.entries:
+        return _with_links(unknown_word_message(word))
+    parts = [_entry(title, text) for title, *text in explained.entries]
+    if explained.others:
+        parts.append(f"See also: {', '.join(_link(other) for other in explained.others)}")
+    return "\n\n---\n\n".join(parts)
+
+
+def rule_page(code: str) -> str:
+    """Return the page of a rule as Markdown with links; empty if there is none."""
+    return _with_links("\n\n".join(page.markdown() for page in pages_of(code))) if code in RULES else ""
+
+
+def linked(on_word: Callable[[str], object]) -> ui.markdown:
+    """Return an element for such Markdown, whose links call a function with the word."""
+    shown = ui.markdown().classes("studio-answer")
+    shown.on("click", lambda event: on_word(str(event.args)), js_handler=_ON_CLICK)
+    return shown
+
+
+def _entry(title: str, text: list[str]) -> str:
+    name, _, kind = title.partition(": ")
+    lines = [f"**{name}**: {_with_links(kind, name)}" if kind else f"**{name}**"]
+    for line in text:
+        # Lines of an example are one block.
+        is_example = line.startswith("    ")
+        separator = "\n" if is_example and lines[-1].rpartition("\n")[2].startswith("    ") else "\n\n"
+        shown = line if is_example else _with_links(line, name)
+        lines = [*lines[:-1], f"{lines[-1]}{separator}{shown}"]
+    return lines[0]
+
+
+def _with_links(text: str, itself: str = "") -> str:
+    """Return Markdown in which words with an entry, codes and pages are links, except in examples."""
+
+    def word(match: re.Match[str]) -> str:
+        name = match[1] or match[2]
+        return _link(name) if name != itself and (match[2] in RULES or name in entry_names()) else match[0]
+
+    def page(match: re.Match[str]) -> str:
+        return f"[{match[0]}]({_LINK}{match[0]})" if (_PAGES / match[1]).is_file() else match[0]
+
+    parts = _FENCED.split(text)
+    return "".join(
+        part if number % 2 else _PAGE.sub(page, _WORD.sub(word, part)) for number, part in enumerate(parts)
+    )
+
+
+def _link(word: str) -> str:
+    return f"[{word}]({_LINK}{urllib.parse.quote(word)})"
+
+
+def _page(name: str, anchor: str) -> str:
+    """Return a page of the documentation, or the section of an anchor, without pictures."""
+    try:
+        text = (_PAGES / name).read_text("utf-8")
+    except OSError:
+        return f"The page docs/{name} is not installed."
+    text = _section(text, anchor.removeprefix("#")) or text
+    return _PAGE_LINK.sub(rf"]({_LINK}docs/\1\2)", _PICTURE.sub("", text))
+
+
+def _section(text: str, anchor: str) -> str:
+    """Return the section of a page with the heading of an anchor; empty if there is none."""
+    headings = list(_HEADING.finditer(text))
+    for number, heading in enumerate(headings):
+        if re.sub(r"[^\w -]", "", heading[2].lower()).strip().replace(" ", "-") == anchor:
+            following = (each.start() for each in headings[number + 1 :] if len(each[1]) <= len(heading[1]))
+            return text[heading.start() : next(following, len(text))]
+    return ""
