@@ -31,6 +31,7 @@ _OF_ROBOTS = {
     "bodies or links": ("links",),
     "body or link": ("links",),
     "body": (),
+    "bodies": (),
 }
 """The parts of a robot that each kind may name."""
 _ORIGINS = {
@@ -250,6 +251,7 @@ _MAX_ROBOTS = 12
 _PLACES: Mapping[str, NodePath] = {
     "body": ("reset", "place"),
     "body or link": ("disturbances",),
+    "bodies": ("robots",),
     "bodies or links": ("robots",),
     "robot": ("agent", "each"),
     "group": ("action",),

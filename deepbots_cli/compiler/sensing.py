@@ -7,8 +7,14 @@ from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
-from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
-from deepbots_cli.compiler.robots import ResolvedRobot, joint_dimension, joint_interval
+from deepbots_cli.compiler.namespace import Namespace, NamespaceReader, Origin
+from deepbots_cli.compiler.robots import (
+    ResolvedRobot,
+    expand_patterns,
+    joint_dimension,
+    joint_interval,
+    report_unmatched,
+)
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import LENGTH, NUMBER, TIME, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, Interval
@@ -20,6 +26,7 @@ from deepbots_cli.program.robots import (
     CalibrationTable,
     CameraIntrinsics,
     NoiseModel,
+    RadarConfig,
     RayConfig,
     Sensor,
 )
@@ -34,6 +41,7 @@ from deepbots_cli.scenario.sensors import (
     HeightScan,
     JointSensor,
     LinkSensor,
+    Radar,
     RayScan,
     RaySensor,
     ReactionSensor,
@@ -113,51 +121,73 @@ class SensorsCompiler(NamespaceReader):
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
         """Return a sensor without errors, and the type of its readings; None after a finding."""
-        dimension, components, intervals, picture = spec.dimension, spec.components, [spec.interval], None
+        typed = Type(spec.dimension, spec.components or None, boolean=spec.boolean, interval=spec.interval)
         subjects: tuple[str, ...] = ()
         more: dict[str, Any] = {}
         match spec:
             case JointSensor():
                 joints = self._robot.joints_of(spec, self._values)
+                subjects = tuple(joint.name for joint in joints)
                 if joints:
-                    subjects, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
-                    intervals = [spec.interval_of(joint_interval(joint)) for joint in joints]
-                components = subjects if spec.joints is not None else ()
+                    typed = typed._replace(
+                        dimension=spec.dimension_of(joints[0]),
+                        components=None if spec.joints is None else subjects,
+                    ).with_intervals(spec.interval_of(joint_interval(joint)) for joint in joints)
             case ContactSensor():
                 subjects = self._robot.links_of(spec, self._values)
-                components = subjects if spec.links is not None else ()
+                typed = typed._replace(components=None if spec.links is None else subjects)
                 if isinstance(spec, Touch) and spec.against is not None:
                     more["against"] = self._against(spec)
             case LinkSensor():
                 subjects = self._carrier_of(spec)
-                more["mount"] = _frame(self._namespace, spec.pose)
-                if isinstance(spec, RayScan):
-                    scan = _scan(self._namespace, spec)
-                    if scan is None:
-                        return None
-                    more["beams"], components, dimension, intervals[0] = scan
-                elif isinstance(spec, Camera):
-                    optics = _intrinsics(self._namespace, spec)
-                    if optics is None:
-                        return None
-                    more["optics"], picture = optics, optics.shape
+                measured = self._measured(spec, typed)
+                if measured is None:
+                    return None
+                more, typed = measured
         if not subjects:
             return None
         sensor = Sensor(
             name,
             spec.type,
             subjects,
-            components,
+            typed.components or (),
             "",
             reader=spec.reader,
             world_function=spec.world_function,
             **more,
         )
-        if picture:
-            return sensor, Type(picture=picture, known=Known.STEP)
-        return sensor, Type(
-            dimension, components or None, boolean=spec.boolean, known=Known.STEP
-        ).with_intervals(intervals)
+        return sensor, typed._replace(known=Known.STEP)
+
+    def _measured(self, spec: LinkSensor, typed: Type) -> tuple[dict[str, Any], Type] | None:
+        """Return the fields that only a sensor on a link has, and the type of its readings; None after a
+        finding."""
+        namespace = self._namespace
+        more: dict[str, Any] = {"mount": _frame(namespace, spec.pose)}
+        match spec:
+            case RayScan():
+                scan = _scan(namespace, spec)
+                if scan is None:
+                    return None
+                more["beams"], components, dimension, interval = scan
+                typed = typed._replace(dimension=dimension, components=components or None, interval=interval)
+            case Radar():
+                radar = self._radar(spec)
+                if radar is None:
+                    return None
+                more["radar"] = radar
+                names = tuple(name.replace("#", "_") for name in radar.targets)
+                typed = Type(
+                    spec.measures[spec.measure],
+                    names if spec.target is None else None,
+                    boolean=spec.measure == "seen",
+                    interval=radar.interval,
+                )
+            case Camera():
+                optics = _intrinsics(namespace, spec)
+                if optics is None:
+                    return None
+                more["optics"], typed = optics, Type(picture=optics.shape)
+        return more, typed
 
     def _carrier_of(self, spec: LinkSensor) -> tuple[str, ...]:
         """Return the link on which a sensor is mounted; none after a finding."""
@@ -201,6 +231,57 @@ class SensorsCompiler(NamespaceReader):
                 )
         return tuple(dict.fromkeys(links))
 
+    def _radar(self, spec: Radar) -> RadarConfig | None:
+        """Return what a radar measures and where it sees; None after a finding."""
+        targets, ends = self._targets(spec), self._fields.ends(spec, "range")
+        angles = [
+            _angle_of_view(self._namespace, spec, key, limit)
+            for key, limit in (("horizontal_fov", 360.0), ("vertical_fov", 180.0))
+        ]
+        if ends is None or not targets or None in angles:
+            return None
+        (near,), (far,) = ends.low, ends.high
+        if near < 0.0:
+            span = self._values.span((*spec.path, "range"))
+            headline = f"a range that begins at {near:g} m"
+            self._values.add(
+                "DB105", span, headline, "begin the range at 0 m or more: distances are positive"
+            )
+            return None
+        horizontal, vertical = (angle or 0.0 for angle in angles)
+        return RadarConfig(targets, spec.measure, near, far, horizontal, vertical, spec.occlusion)
+
+    def _targets(self, spec: Radar) -> tuple[str, ...]:
+        """Return the bodies that a radar measures; none after a finding."""
+        namespace, robot = self._namespace, self._robot.name
+        groups = {name: (Kind.OBJECTS, group.copies) for name, group in namespace.groups.items()}
+        bodies = [name for name in namespace.names_of(Origin.ROBOT, Origin.OBJECT) if name != robot]
+        single = [name for name in bodies if name not in groups]
+        copies = [copy for _, members in groups.values() for copy in members]
+        if spec.target is not None:
+            names, missing = expand_patterns(single, spec.target, {})
+        else:
+            names, missing = expand_patterns([*single, *copies], spec.targets or (), groups)
+        for name in missing:
+            self._report_target(spec, name, single if spec.target is not None else bodies)
+        return () if missing else names
+
+    def _report_target(self, spec: Radar, name: str, bodies: list[str]) -> None:
+        """Report a target of a radar that is none of the `bodies`."""
+        steps: NodePath = ("target",)
+        if isinstance(spec.targets, str):
+            steps = ("targets",)
+        elif spec.targets is not None:
+            steps = ("targets", spec.targets.index(name))
+        span = self._values.span((*spec.path, *steps))
+        if name.partition(".")[0] == self._robot.name:
+            headline = f"a radar of `{self._robot.name}` does not see its own robot"
+            self._values.add("DB203", span, headline, "name other robots, or objects")
+        elif name in self._namespace.groups:
+            self._values.add("DB203", span, f"`{name}` is a group of objects", f"write `targets: [{name}]`")
+        else:
+            report_unmatched(self._values, span, name, "body", bodies)
+
     def _felt(self) -> list[str]:
         """Return every body and link that a touch sensor may feel."""
         subjects = {name: self._namespace.subject(name, _LINKS) for name in self._namespace.subjects()}
@@ -243,16 +324,25 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
             return None
         (near,), (far,) = ends.low, ends.high
     if fov is not None and fov >= math.pi:
-        values.add(
-            "DB105",
-            values.span((*spec.path, "fov")),
-            f"the angle of view is {math.degrees(fov):g} deg",
-            "write less than 180 deg",
-        )
+        _report_angle_of_view(namespace, spec, "fov", fov, "write less than 180 deg")
         return None
     return (
         CameraIntrinsics(int(size[0]), int(size[1]), fov, spec.channels, near, far) if size and fov else None
     )
+
+
+def _angle_of_view(namespace: Namespace, spec: Radar, key: str, limit: float) -> float | None:
+    """Return an angle of view of a radar, in rad, of at most `limit` degrees; None after a finding."""
+    angle = namespace.fields.fixed(spec, key)
+    if angle is not None and math.degrees(angle) > limit * (1.0 + 1e-12):
+        _report_angle_of_view(namespace, spec, key, angle, f"write at most {limit:g} deg")
+        return None
+    return angle
+
+
+def _report_angle_of_view(namespace: Namespace, spec: LinkSensor, key: str, angle: float, help: str) -> None:
+    headline = f"the angle of view is {math.degrees(angle):g} deg"
+    namespace.values.add("DB105", namespace.values.span((*spec.path, key)), headline, help)
 
 
 def _scan(namespace: Namespace, spec: RayScan) -> tuple[RayConfig, Components, Dimension, Interval] | None:
@@ -395,11 +485,10 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
     drawn = len(namespace.fields.variations)
     latency = _latency(namespace, spec)
     if typed.boolean or typed.picture:
-        tells, keys = (
-            ("takes pictures", _NUMERIC_SENSOR_KEYS[:-2])
-            if typed.picture
-            else ("reads true or false", _NUMERIC_SENSOR_KEYS)
-        )
+        tells = "takes pictures" if typed.picture else "reads true or false"
+        keys: tuple[str, ...] = _NUMERIC_SENSOR_KEYS[:-2] if typed.picture else _NUMERIC_SENSOR_KEYS
+        if isinstance(spec, Radar):  # its range is that of its targets
+            keys = keys[:-1]
         for key in keys:
             if key in spec.model_fields_set:
                 namespace.values.add_at_key(
@@ -479,6 +568,10 @@ def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[fl
 def _range(
     namespace: Namespace, spec: SensorSpec, typed: Type
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    if isinstance(spec, Radar):
+        count = len(typed.components or ("",))
+        low, high = typed.interval
+        return ((low,) * count, (high,) * count) if typed.interval.is_finite else ((), ())
     if spec.range is None:
         return (), ()
     ends = namespace.fields.ends(

@@ -528,6 +528,7 @@ _SECTIONS: dict[str, tuple[NodePath, ...]] = {
     "robot": (("robots",),),
     "body": (("robots",), ("objects",)),
     "body or link": (("robots",), ("objects",)),
+    "bodies": (("robots",), ("objects",)),
     "bodies or links": (("robots",), ("objects",)),
     "line": (("world", "lines"),),
     "value on board": (("parameters",), ("action",)),

@@ -71,7 +71,7 @@ class BatchSensorErrors:
             name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")
         }
         self._has: dict[str, bool] = {}
-        spec = self._chains[0].spec
+        spec, self._unseen = self._chains[0].spec, self._chains[0].unseen
         self._noise = BatchNormals([chain.normals for chain in self._chains], width)
         self._ends = tuple(np.array(ends)[:, None] for ends in (spec.low, spec.high)) if spec.low else None
         self._steps = np.array(spec.resolution)[:, None] if spec.resolution else None
@@ -96,6 +96,8 @@ class BatchSensorErrors:
             values = values + parameters["noise"] * self._noise.row(sampled)
         elif has["bias"]:
             values = values + bias
+        if self._unseen is not None:
+            values = np.where(np.isnan(values), self._unseen, values)
         if self._ends is not None:
             values = np.minimum(np.maximum(values, self._ends[0]), self._ends[1])
         return values if self._steps is None else self._steps * np.rint(values / self._steps)
@@ -224,4 +226,4 @@ class BatchDevice:
             return np.asarray(device.instrument.read())
         if self._batch.running is None or self._batch.running[world]:
             device.instrument.update()
-        return np.zeros(self._width)
+        return np.zeros(self._width, self.reading.dtype)

@@ -2,23 +2,33 @@
 readers.
 
 In order: joints, poses and velocities, inertial measurements, contacts; distances along rays and the
-brightness of the ground; pictures.
+brightness of the ground; targets of radars; pictures.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
-from math import atan2, hypot
-from typing import TYPE_CHECKING, Any
+from math import atan2, hypot, nan
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_FRAME, IDENTITY_ROTATION, Frame, Quaternion, Triple
-from deepbots_cli.port import CameraImage, Engine, Part, PoseReader, RayReader, VelocityReader, cast_rays
-from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RayConfig
+from deepbots_cli.port import (
+    CameraImage,
+    Engine,
+    Motion,
+    MotionReader,
+    Part,
+    PoseReader,
+    RayReader,
+    VelocityReader,
+    cast_rays,
+)
+from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RadarConfig, RayConfig
 from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
 
@@ -71,6 +81,19 @@ def mounted_velocity(site: Site) -> VelocityReader:
     def of_mount() -> tuple[Triple, Triple]:
         (_, turned), (linear, angular) = read()
         return frames.add(linear, frames.cross(angular, frames.rotate(turned, arm))), angular
+
+    return of_mount
+
+
+def mounted_motion(site: Site) -> MotionReader:
+    """Return a reader of the pose and the velocity of the sensor, in the world frame."""
+    read, mount = site.engine.motion(site.robot, site.link), site.mount
+
+    def of_mount() -> Motion:
+        (position, turned), (linear, angular) = read()
+        arm = frames.rotate(turned, mount[0])
+        velocity = frames.add(linear, frames.cross(angular, arm))
+        return frames.compose((position, turned), mount), (velocity, angular)
 
     return of_mount
 
@@ -354,6 +377,68 @@ def reflectance(site: Site) -> Instrument:
         return readings
 
     return Instrument(brightness)
+
+
+# Radars
+
+
+class Echo(NamedTuple):
+    """What a radar measures of a target: m, rad (to the left positive), m/s (positive if it moves away)."""
+
+    distance: float
+    azimuth: float
+    speed: float
+
+
+def radar(site: Site) -> Instrument:
+    """Measure distance, azimuth or radial speed of each target, NaN where it is not seen; or whether it is
+    seen."""
+    spec = site.sensor.radar
+    if spec is None:
+        raise ValueError(f"the sensor {site.sensor.name} has no targets")
+    own, measure = mounted_motion(site), spec.measure
+    targets = [echo_reader(site, spec, target) for target in spec.targets]
+    if measure == "seen":
+
+        def seen() -> list[bool]:
+            here = own()
+            return [read(here) is not None for read in targets]
+
+        return Instrument(seen)
+    place = Echo._fields.index(measure)
+
+    def measured() -> list[float]:
+        here = own()
+        echoes = [read(here) for read in targets]
+        return [nan if echo is None else echo[place] for echo in echoes]
+
+    return Instrument(measured, unseen=spec.unseen)
+
+
+def echo_reader(site: Site, spec: RadarConfig, target: str) -> Callable[[Motion], Echo | None]:
+    """Return a reader of a target by the motion of the sensor; it gives None where the target is not seen."""
+    motion = site.engine.motion(target)
+    horizontal, vertical = spec.horizontal_fov / 2, spec.vertical_fov / 2
+    is_free = None
+    if spec.occlusion:
+        is_free = site.engine.line_of_sight((site.robot, site.link), (target, None), site.mount[0])
+
+    def echo(here: Motion) -> Echo | None:
+        (place, turned), (own_velocity, _) = here
+        (position, _), (velocity, _) = motion()
+        way = frames.subtract(position, place)
+        distance = hypot(*way)
+        if distance == 0.0 or not spec.near <= distance <= spec.far:
+            return None
+        azimuth, elevation = frames.azimuth_and_elevation(frames.rotate_back(turned, way))
+        if abs(azimuth) > horizontal or abs(elevation) > vertical:
+            return None
+        if is_free is not None and not is_free():
+            return None
+        speed = frames.dot(frames.subtract(velocity, own_velocity), way) / distance
+        return Echo(distance, azimuth, speed)
+
+    return echo
 
 
 # Cameras

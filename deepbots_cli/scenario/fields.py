@@ -749,7 +749,7 @@ class Expression(Parsed):
             check_bounds(value)
 
 
-_SINGULAR = {"joints": "joint", "links": "link", "bodies or links": "body or link"}
+_SINGULAR = {"joints": "joint", "links": "link", "bodies": "body", "bodies or links": "body or link"}
 
 
 @dataclass(frozen=True)
@@ -1108,6 +1108,7 @@ SharedName = Annotated[str, Name(shared=True)]
 LocalName = Annotated[str, Name()]
 JointPattern = Annotated[str, Pattern("joint")]
 BodyName = Annotated[str, Reference("body")]
+BodyNames = Annotated[str | tuple[str, ...], Reference("bodies")]
 JointNames = Annotated[str | tuple[str, ...], Reference("joints")]
 LinkNames = Annotated[str | tuple[str, ...], Reference("links")]
 LinkName = Annotated[str, Reference("link")]

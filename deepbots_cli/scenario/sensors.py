@@ -3,13 +3,13 @@
 A class defines its kind: its parameters (fields with docstrings), the measured value (its docstring), the
 dimension, components and interval of readings, and the `reader` that takes readings in a running world.
 Validation, JSON Schema, completion, hover, reference and runtime use it. The bases are `JointSensor`,
-`LinkSensor`, `ReactionSensor`, `ContactSensor`, `RayScan`, `RaySensor` and `Camera`.
+`LinkSensor`, `ReactionSensor`, `ContactSensor`, `RayScan`, `RaySensor`, `Radar` and `Camera`.
 
 Other packages add a kind by an entry point of the group `deepbots.sensors`, whose name is the word of its
 `type`. Its own fields reach its reader as SI numbers and words.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -41,6 +41,9 @@ from deepbots_cli.scenario.base import (
     kind_parameters,
 )
 from deepbots_cli.scenario.fields import (
+    BodyName,
+    BodyNames,
+    Bool,
     Column,
     JointName,
     JointNames,
@@ -59,6 +62,7 @@ from deepbots_cli.scenario.fields import (
 from deepbots_cli.scenario.world import SensorFrame
 
 _READERS = "deepbots_cli.runtime.readers"
+RadarMeasure = Literal["distance", "azimuth", "speed", "seen"]
 
 
 class Sensor(Section):
@@ -418,6 +422,40 @@ class Reflectance(RayScan):
     """Diameter of the spot on the ground that is measured."""
 
 
+class Radar(LinkSensor):
+    """Distance, azimuth or radial speed of bodies within a range and a field of view, whose center is the x
+    axis of the sensor. A body is seen at the origin of its root link."""
+
+    measures: ClassVar[Mapping[RadarMeasure, Dimension]] = {
+        "distance": LENGTH,
+        "azimuth": ANGLE,
+        "speed": SPEED,
+        "seen": NUMBER,
+    }
+    """Dimension of a reading, by what is measured."""
+    reader = f"{_READERS}:radar"
+    perceives = True
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("target", "targets"), min=1),)
+
+    type: Literal["radar"]
+    target: BodyName | None = None
+    """The robot or object that the sensor measures."""
+    targets: BodyNames | None = None
+    """The robots and objects that the sensor measures: names, groups of objects, or patterns such as
+    `cone_*`."""
+    measure: RadarMeasure = "distance"
+    """What the sensor returns of each target: its `distance`; its `azimuth`, positive to the left; its radial
+    `speed`, positive if it moves away; or whether it is `seen`."""
+    range: Annotated[str, Range("length")]
+    """Distances at which targets are seen, such as `0.2 .. 20 m`."""
+    horizontal_fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "60 deg"
+    """Horizontal field of view, up to 360 deg."""
+    vertical_fov: Annotated[Scalar, Quantity("angle", minimum=0, exclusive=True)] = "20 deg"
+    """Vertical field of view, up to 180 deg."""
+    occlusion: Bool = True
+    """Whether solid bodies and the ground hide targets behind them."""
+
+
 class Camera(LinkSensor):
     """An image in the direction of the x axis of the sensor."""
 
@@ -437,7 +475,7 @@ class Camera(LinkSensor):
 
 BASES = (
     *(Sensor, JointSensor, LinkSensor, ReactionSensor, ContactSensor, Touch),
-    *(RayScan, GridScan, RaySensor, Camera),
+    *(RayScan, GridScan, RaySensor, Radar, Camera),
 )
 """Classes whose parameters the compiler reads; it passes the parameters of other classes to the reader."""
 
@@ -459,7 +497,7 @@ _KINDS = (
     *(JointPosition, JointVelocity, JointTorque),
     *(Gyro, Accelerometer, ProjectedGravity, Compass, Position, Velocity, Orientation, AngularVelocity),
     *(ReactionForce, ReactionTorque),
-    *(Touch, Force, Infrared, Sonar, Laser, Lidar, HeightScan, Reflectance, Camera),
+    *(Touch, Force, Infrared, Sonar, Laser, Lidar, HeightScan, Reflectance, Radar, Camera),
 )
 SENSORS: PluginTable[type[Sensor]] = PluginTable(
     "deepbots.sensors", {kind_of(model): model for model in _KINDS}, _read

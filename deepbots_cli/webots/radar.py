@@ -88,9 +88,8 @@ class Radar(Sensor):
         near, far = self.getMinRange(), self.getMaxRange()
         if distance == 0 or distance - radius > far or distance + radius < near:
             return None
-        x, y, z = frames.rotate_back(turned, way)
-        share = math.asin(min(1.0, radius / distance))
-        azimuth, elevation = math.atan2(-y, x), math.asin(max(-1.0, min(1.0, z / distance)))
+        left, elevation = frames.azimuth_and_elevation(frames.rotate_back(turned, way))
+        share, azimuth = math.asin(min(1.0, radius / distance)), -left
         half = self.getHorizontalFov() / 2
         if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
             return None

@@ -123,6 +123,7 @@ def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: s
         ("tag", "Several agents"),
         ("cartpole_wireless", "each physics step"),
         ("panda_reach", "panda_joint4"),
+        ("tests/data/hosts/radar.yaml", "does not say which body"),
     ],
 )
 def test_what_webots_cannot_hold_is_refused_before_anything_is_written(

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         PoseReader,
         Pusher,
         RayReader,
+        SightReader,
         TorqueReader,
         VectorReader,
         VelocityReader,
@@ -375,6 +376,17 @@ class MuJoCoEngine:
                 self._world, body, _link(body, part[1]), tuple(rays), reach, upright=upright
             )
         )
+
+    def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
+        far = self._pool(other[0])
+        read = self._pool(part[0]).bind_current(
+            lambda body: far.bind_current(
+                lambda its: surfaces.line_of_sight(
+                    self._world, body, _link(body, part[1]), its, _link(its, other[1]), point
+                )
+            )
+        )
+        return lambda: far.present and read()
 
     def overlaps(self) -> list[Overlap]:
         owners = {

@@ -1,4 +1,5 @@
-"""Contacts and their forces, distances between surfaces, and free distances of rays from a link."""
+"""Contacts and their forces, distances between surfaces, free distances of rays from a link, and lines of
+sight."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP
 from deepbots_cli.engines.mujoco.state import force_vectors
-from deepbots_cli.port import ZERO_VECTOR
+from deepbots_cli.port import SIGHT_TOLERANCE_M, ZERO_VECTOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +21,14 @@ if TYPE_CHECKING:
     from deepbots_cli.engines.mujoco.model import Body
     from deepbots_cli.engines.mujoco.state import MujocoWorld
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import ClearanceReader, ContactReader, ForceReader, RayReader, VectorReader
+    from deepbots_cli.port import (
+        ClearanceReader,
+        ContactReader,
+        ForceReader,
+        RayReader,
+        SightReader,
+        VectorReader,
+    )
 
     FloatArray = NDArray[np.float64]
 
@@ -241,6 +249,30 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         return free
 
     return read
+
+
+def line_of_sight(
+    world: MujocoWorld, body: Body, link: int, other: Body, other_link: int, point: Triple
+) -> SightReader:
+    """Return a reader of whether nothing is between a point on a link and the origin of another link, but for
+    their bodies."""
+    model, data = world.model, world.data
+    own, groups = body.geoms_of(None), model.geom_group
+    own_groups = groups[min(own) : max(own) + 1] if own else groups[:0]
+    met, its_own, offset = np.zeros(1, np.int32), frozenset(other.geoms_of(None)), np.array(point)
+
+    def is_free() -> bool:
+        world.update_positions()
+        start = data.xpos[link] + data.xmat[link].reshape(3, 3) @ offset
+        way = data.xpos[other_link] - start
+        length = float(np.linalg.norm(way))
+        kept = own_groups.copy()
+        own_groups.fill(HIDDEN_GROUP)
+        free = mj.mj_ray(model, data, start, way / (length or 1.0), SEEN_GROUPS, True, -1, met, None)
+        own_groups[:] = kept
+        return free < 0.0 or free > length - SIGHT_TOLERANCE_M or int(met[0]) in its_own
+
+    return is_free
 
 
 def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | None:

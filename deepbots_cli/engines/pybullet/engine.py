@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         PoseReader,
         Pusher,
         RayReader,
+        SightReader,
         TorqueReader,
         VectorReader,
         VelocityReader,
@@ -270,11 +271,25 @@ class PyBulletEngine:
         return lambda: read() if all(pool.present for pool in pools) else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
+        cast = self._ray_caster()
+        return self._bound(part, partial(cast.reader, rays=tuple(rays), reach=reach, upright=upright))
+
+    def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
+        cast, far = self._ray_caster(), self._pool(other[0])
+        read = self._bound(
+            part,
+            lambda body, link: self._bound(
+                other, lambda its, its_link: cast.line_of_sight(body, link, its, its_link, point)
+            ),
+        )
+        return lambda: far.present and read()
+
+    def _ray_caster(self) -> surfaces.Rays:
         if self._rays is None:
             self._rays = surfaces.Rays(
                 self._client, [body for pool in self._pools.values() for body in pool], self._cache
             )
-        return self._bound(part, partial(self._rays.reader, rays=tuple(rays), reach=reach, upright=upright))
+        return self._rays
 
     def inverse_kinematics(self, part: Part, joints: Sequence[str]) -> Kinematics:
         return inverse_kinematics(self, self._pool(part[0]).current.model, part, joints)

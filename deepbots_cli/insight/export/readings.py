@@ -57,7 +57,7 @@ class Readings:
         of_joints = issubclass(kind, JointSensor)
         name = f"{robot.name}.{sensor.name}"
         world = kind.world_function in VECTORS
-        number_type = "bool" if kind.boolean else "float64"
+        number_type = "bool" if sensor.boolean else "float64"
         own_frame = sensor.subjects[0] if sensor.components == SPACE and not of_joints else None
         info = self._input(
             name,
@@ -199,7 +199,7 @@ def _sensor_range(
     """Return the range of the readings: the one that the sensor clips to, or that of its kind where nothing
     is added to the value."""
     count = len(sensor.components) or 1
-    if sensor.optics is not None or SENSORS[sensor.kind].boolean:
+    if sensor.optics is not None or sensor.boolean:
         return None
     if faults.low:
         return _ends([Interval(low, high) for low, high in zip(faults.low, faults.high, strict=True)])

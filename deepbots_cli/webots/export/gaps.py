@@ -33,6 +33,7 @@ _MISSING = {
     "camera": "cameras",
     "pusher": "disturbances and thrust",
     "before_substep": "actuators that act in each physics step, such as those with a delay",
+    "line_of_sight": "lines of sight",
     "inverse_kinematics": "Cartesian actuators",
     "clearance": "clearances that a robot measures",
     "angular_momentum": "angular momentum that a robot measures",
@@ -123,6 +124,11 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
     for sensor in robot.sensors:
         if sensor.optics is not None:
             gaps.miss(f"The camera {sensor.name} of {robot.name} cannot be exported.")
+        if sensor.radar is not None:
+            gaps.miss(
+                f"The radar {sensor.name} of {robot.name} cannot be exported: a Radar of Webots does not say"
+                " which body a target is."
+            )
     for actuator in robot.actuators:
         if not isinstance(actuator, Motor):
             gaps.miss(f"The actuator {actuator.name} of {robot.name} is no motor of a joint.")

@@ -232,7 +232,7 @@ def _task(
     scene: Scene, roles: _Roles, parts: RobotParts, expressions: dict[Node, str], names: Names
 ) -> tuple[Task, list[Node]]:
     task = Task()
-    entries, labels = _sensors(roles.robot, parts)
+    entries, labels = _sensors(scene, roles.robot, parts, expressions)
     task.sensors = {labels[device]: entry.text for device, entry in entries.items()}
     used: list[Node] = []
     acting = judging = None
@@ -274,7 +274,7 @@ def _calls(
     scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
 ) -> tuple[Calls, dict[str, str]]:
     """Return the functions of Webots for a robot that gets messages, and the names of its sensors."""
-    entries, labels = _sensors(robot, parts)
+    entries, labels = _sensors(scene, robot, parts, expressions)
     calls = Calls(scene, robot, expressions, entries, labels, scene.basic_step)
     return calls, {device: labels[device] for device in entries}
 
@@ -295,12 +295,16 @@ def _read_action(
     add_placeholder(task, motors, parts, names)
 
 
-def _sensors(robot: Robot, parts: RobotParts) -> tuple[dict[str, SensorEntry], dict[str, str]]:
+def _sensors(
+    scene: Scene, robot: Robot, parts: RobotParts, expressions: dict[Node, str]
+) -> tuple[dict[str, SensorEntry], dict[str, str]]:
     """Return the sensors of a robot by device, and their names in the scenario."""
     names = Names()
+    bodies = [expressions[node] for node in scene.radar_targets if node in expressions]
+    targets = [body for body in bodies if "." not in body and body != parts.name]
     entries, labels = {}, {}
     for device in robot.devices.values():
-        entry = sensor_entry(device, parts)
+        entry = sensor_entry(device, parts, targets)
         if entry is not None:
             entries[device.name] = entry
             labels[device.name] = names.new(device.name, "sensor")

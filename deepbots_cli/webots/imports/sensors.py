@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.webots.imports.robots import pose_of
 from deepbots_cli.webots.imports.world import plain
-from deepbots_cli.webots.nodes import integer, number, text, vectors
+from deepbots_cli.webots.nodes import boolean, integer, number, text, vectors
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from deepbots_cli.webots.imports.robots import RobotParts
     from deepbots_cli.webots.scene import Device
 
@@ -32,8 +34,9 @@ class SensorEntry:
     is_truth: bool = False
 
 
-def sensor_entry(device: Device, parts: RobotParts) -> SensorEntry | None:
-    """Return the sensor for a device; None where the language has no counterpart."""
+def sensor_entry(device: Device, parts: RobotParts, targets: Sequence[str] = ()) -> SensorEntry | None:
+    """Return the sensor for a device; None where the language has no counterpart. `targets` are the bodies that
+    a radar may see."""
     if device.type == "PositionSensor" and device.joint is not None:
         name = parts.joints[id(device.joint)]
         unit = "m" if device.joint.kind == "slide" else "rad"
@@ -54,7 +57,27 @@ def sensor_entry(device: Device, parts: RobotParts) -> SensorEntry | None:
             return SensorEntry(f"{{type: {kind}, link: {link}}}", "" if is_bumper else "N", (), is_bumper)
         case "DistanceSensor" if text(device.node, "type") in _RAYS:
             return _distance(device, mount)
+        case "Radar" if targets:
+            return _radar(device, mount, targets)
     return None
+
+
+def _radar(device: Device, mount: str, targets: Sequence[str]) -> SensorEntry:
+    """Return a radar that measures distances."""
+    node = device.node
+    ends, horizontal, vertical = (
+        f"{plain(number(node, 'minRange'))} .. {plain(number(node, 'maxRange'))} m",
+        plain(number(node, "horizontalFieldOfView")),
+        plain(number(node, "verticalFieldOfView")),
+    )
+    parts = [
+        f"type: radar, {mount}, targets: [{', '.join(targets)}], range: {ends}",
+        f"horizontal_fov: {horizontal} rad, vertical_fov: {vertical} rad",
+        f"occlusion: {str(boolean(node, 'occlusion')).lower()}",
+    ]
+    if (noise := number(node, "rangeNoise")) > 0:
+        parts.append(f"noise: {plain(noise)} m")
+    return SensorEntry(f"{{{', '.join(parts)}}}", "m", tuple(targets))
 
 
 def _accuracy(device: Device, unit: str) -> str:
