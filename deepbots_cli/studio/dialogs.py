@@ -80,7 +80,7 @@ async def write_new(session: Session, name: str, origin: list[str]) -> Path:
         raise UsageError("the name begins with a letter, and has letters, digits, _ and - only")
     if not origin[1]:
         raise UsageError("choose a robot file first")
-    text, code = await session.call(["new", name, *origin])
+    text, code = await session.commands.call(["new", name, *origin])
     if code:
         raise UsageError(text.strip().partition("\n\n")[0])
     return session.folder / f"{name}.yaml"

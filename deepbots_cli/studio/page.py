@@ -345,7 +345,7 @@ class StudioPage:
         def choose() -> None:
             file = self._session.open(Path(path))
             self._show_file(file)
-            if not file.read_only and self._session.is_scenario(file):
+            if not file.read_only and self._session.language.is_scenario(file):
                 self._session.show(file.path)
 
         self._guarded(choose)

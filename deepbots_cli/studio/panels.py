@@ -13,7 +13,8 @@ from nicegui import events, ui
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.listing import ListedRun
 from deepbots_cli.learning.report import duration
-from deepbots_cli.studio.session import RUNS_FOLDER, Session
+from deepbots_cli.studio.commands import RUNS_FOLDER
+from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
 from deepbots_cli.studio.trainings import Curves
 
@@ -90,7 +91,7 @@ class TrainingTab:
 
         def train() -> None:
             try:
-                self._session.train(options)
+                self._session.commands.train(self._session.saved_name(), options)
             except UsageError as error:
                 self._text.set_text(str(error))
                 raise
@@ -98,7 +99,7 @@ class TrainingTab:
         self._guarded(train)
 
     def update(self) -> None:
-        training, task = self._session.training, self._session.training_task
+        training, task = self._session.commands.training, self._session.commands.training_task
         self._stop.set_enabled(task is not None and task.is_running)
         self._command.set_text("" if task is None else task.command)
         if training is None:
@@ -131,13 +132,13 @@ class TrainingTab:
 
     def _run(self, words: list[str]) -> None:
         def run() -> None:
-            self._session.run([*words, self._session.saved_name()], words[0])
+            self._session.commands.run([*words, self._session.saved_name()], words[0])
             self._show_output()
 
         self._guarded(run)
 
     def _stop_training(self) -> None:
-        task = self._session.training_task
+        task = self._session.commands.training_task
         if task is not None:
             task.stop()
 
@@ -339,7 +340,9 @@ class RunsTab:
 
         def run() -> None:
             (path,) = self._selected()
-            self._session.run(["resume", str(path), *(["--timesteps", text] if text else [])], "resume", path)
+            self._session.commands.run(
+                ["resume", str(path), *(["--timesteps", text] if text else [])], "resume", path
+            )
             self._show_tab("Train")
 
         self._guarded(run)
@@ -347,7 +350,7 @@ class RunsTab:
     def _command(self, verb: str) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.run([verb, str(path)], verb, path)
+            self._session.commands.run([verb, str(path)], verb, path)
             self._show_tab("Commands")
 
         self._guarded(run)
@@ -355,18 +358,18 @@ class RunsTab:
     def _curve(self) -> None:
         def show() -> None:
             (path,) = self._selected()
-            self._session.watch(path)
+            self._session.commands.watch(path)
             self._show_tab("Train")
 
         self._guarded(show)
 
     def _robot(self) -> None:
-        self._guarded(lambda: self._session.show_run(self._selected()[0]))
+        self._guarded(lambda: self._session.robot.show(self._session.folder / self._selected()[0]))
 
     def _report(self) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.run_with_output(["report", str(path)], "report", path, "report.html")
+            self._session.commands.run_with_output(["report", str(path)], "report", path, "report.html")
             self._show_tab("Commands")
 
         self._guarded(run)
@@ -374,14 +377,14 @@ class RunsTab:
     def _video(self) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.run_with_output(["render", str(path)], "render", path, "video.mp4")
+            self._session.commands.run_with_output(["render", str(path)], "render", path, "video.mp4")
             self._show_tab("Commands")
 
         self._guarded(run)
 
     def _compare(self) -> None:
         def run() -> None:
-            self._session.run(["compare", *map(str, self._selected(2))], "compare")
+            self._session.commands.run(["compare", *map(str, self._selected(2))], "compare")
             self._show_tab("Commands")
 
         self._guarded(run)
@@ -396,7 +399,7 @@ class RunsTab:
         self._advice.clear()
         with self._advice:
             ui.label(f"looking at {path.name} ...").props('role="status"')
-        text, code = await self._session.call(["diagnose", str(path), "--json"])
+        text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
         self._advice.clear()
         with self._advice:
             try:
@@ -432,7 +435,7 @@ class RunsTab:
 
         def run() -> None:
             path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
-            self._session.run(command, command[0], path)
+            self._session.commands.run(command, command[0], path)
             self._show_tab("Train" if path is not None else "Commands")
 
         self._guarded(run)
@@ -465,9 +468,10 @@ class CommandTab:
         self._shown: tuple[object, ...] = ()
 
     def update(self) -> None:
-        task = self._session.task
+        task = self._session.commands.task
         options = {
-            each.path.name: f"{each.path.name} {each.command}" for each in self._session.tasks.all[-30:]
+            each.path.name: f"{each.path.name} {each.command}"
+            for each in self._session.commands.tasks.all[-30:]
         }
         options = dict(reversed(options.items()))
         if options != self._choice.options:
@@ -492,14 +496,14 @@ class CommandTab:
         self._link.props(f'href="studio/output/{task.path.name}"')
 
     def _choose(self, name: str | None) -> None:
-        chosen: Task | None = next((t for t in self._session.tasks.all if t.path.name == name), None)
-        if chosen is not None and chosen is not self._session.task:
-            self._session.show_task(chosen)
+        chosen: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
+        if chosen is not None and chosen is not self._session.commands.task:
+            self._session.commands.show(chosen)
 
     def _copy_command(self) -> None:
-        if self._session.task is not None:
-            ui.clipboard.write(self._session.task.command)
+        if self._session.commands.task is not None:
+            ui.clipboard.write(self._session.commands.task.command)
 
     def _stop_command(self) -> None:
-        if self._session.task is not None:
-            self._session.task.stop()
+        if self._session.commands.task is not None:
+            self._session.commands.task.stop()

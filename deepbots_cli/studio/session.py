@@ -7,9 +7,8 @@ threads or processes.
 from __future__ import annotations
 
 import asyncio
-import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,29 +19,18 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.insight.inspection import Tables
-from deepbots_cli.learning.listing import ListedRun, list_runs, read_listed
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.learning.listing import ListedRun, list_runs
 from deepbots_cli.studio.changes import RunChange, RunChanges
+from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
 from deepbots_cli.studio.files import Drafts, OpenFile, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
-from deepbots_cli.studio.tasks import Task, Tasks
-from deepbots_cli.studio.trainings import WatchedTraining
 
-RUNS_FOLDER = "runs"
-STUDIO_FOLDER = ".studio"
-"""The folder in `runs` for drafts and tasks."""
 _WATCH_INTERVAL_S = 0.5
 _DRAFT_INTERVAL_S = 2.0
 _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
-
-_INTERRUPTED = 130
-"""The exit code after Ctrl-C."""
-_TRAINING_VERBS = ("train", "resume")
-_READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
-"""The commands that have the options `--allow-path` and `--allow-code`."""
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
@@ -56,8 +44,7 @@ class Session:
         state_folder: The folder of drafts and tasks, which need not exist.
         files: The open files by path, in the order of opening.
         current: The scenario that the robot shows and that commands get.
-        training: The training whose curve is shown, if any.
-        task: The command whose output is shown, if any.
+        commands: The commands that run, and the training whose curve is shown.
         runs: The runs of the folder, the newest last.
         run_changes: The begin and the changes of each run, by its path.
         notice: The last message for the person.
@@ -69,8 +56,7 @@ class Session:
         self.files: dict[Path, OpenFile] = {}
         self.current: Path | None = None
         self.robot = Robot(permissions, self._robot_changed)
-        self.training: WatchedTraining | None = None
-        self.task: Task | None = None
+        self.commands = Commands(self.folder, permissions, self._tell, self.say)
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges(permissions)
@@ -79,11 +65,9 @@ class Session:
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
-        self.tasks = Tasks(self.state_folder / "tasks")
         self._drafts = Drafts(self.state_folder / "drafts")
         self._written: dict[tuple[Path, str], str] = {}
         self._stamps: Mapping[Path, object] = {}
-        self._was_running: set[Path] = set()
         self._last_draft = self._last_runs = 0.0
 
     @property
@@ -244,10 +228,6 @@ class Session:
                 parameters.update({(path, name): value for name, value in written_parameters(text).items()})
         return parameters
 
-    def set_parameter(self, name: str, value: str) -> None:
-        """Change a parameter of the running world."""
-        self.robot.set_parameter(name, value)
-
     def write_parameters(self) -> None:
         """Write the changed parameters of the running world into the text, as `write_values` does."""
         if self.robot.state is not None:
@@ -274,62 +254,7 @@ class Session:
             raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)
 
-    def is_scenario(self, file: OpenFile) -> bool:
-        """Return whether a file is a scenario rather than a file that scenarios include."""
-        return self.language.is_scenario(file)
-
     # Commands
-
-    def run(
-        self, words: Sequence[str], title: str, run: Path | None = None, output: Path | None = None
-    ) -> Task:
-        """Start a command in a process of its own, and show its output.
-
-        Args:
-            run: The run directory that it makes or reads, relative to the folder.
-            output: The file that it writes for the person, relative to the folder.
-
-        Raises:
-            UsageError: The folder cannot be written.
-        """
-        words = [*words, *self._allowed(words[0])]
-        self.task = self.tasks.start(words, title, folder=self.folder, run=run, output=output)
-        if run is not None and words[0] in _TRAINING_VERBS:
-            self.watch(run)
-        self._was_running.add(self.task.path)
-        self._tell("task")
-        return self.task
-
-    def train(self, options: Sequence[str] = ()) -> Task:
-        """Train the current scenario in a new run directory.
-
-        Raises:
-            UsageError: There is no scenario, or it has errors or unsaved changes.
-        """
-        name = self.saved_name()
-        run = self._new_run(Path(name).stem)
-        return self.run(["train", name, "--run", str(run), *options], "train", run)
-
-    def run_with_output(self, words: Sequence[str], title: str, run: Path, name: str) -> Task:
-        """Start a command that writes a file `name` into a new place beside a run."""
-        stem, suffix = Path(name).stem, Path(name).suffix
-        numbers = (run.with_name(f"{run.name}-{stem}{number or ''}{suffix}") for number in range(10**6))
-        output = next(path for path in numbers if not (self.folder / path).exists())
-        return self.run([*words, "-o", str(output)], title, run, output)
-
-    async def call(self, words: Sequence[str]) -> tuple[str, int]:
-        """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
-        process = await asyncio.create_subprocess_exec(
-            *python_command("deepbots_cli", *words, *self._allowed(words[0])),
-            cwd=self.folder,
-            env=python_environment(),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
-        output, messages = await process.communicate()
-        code = process.returncode or 0
-        return (messages if code and not output else output).decode("utf-8", "replace"), code
 
     async def tables(self) -> Tables:
         """Return the tables of `deepbots inspect` for the saved text of the current scenario.
@@ -349,25 +274,8 @@ class Session:
             return b""
         with TemporaryDirectory() as folder:
             path = Path(folder, "robot.png")
-            _, code = await self.call(["render", self.robot.reference, "-o", str(path)])
+            _, code = await self.commands.call(["render", self.robot.reference, "-o", str(path)])
             return await asyncio.to_thread(path.read_bytes) if code == 0 else b""
-
-    @property
-    def training_task(self) -> Task | None:
-        """The newest command that trains the shown run."""
-        if self.training is None:
-            return None
-        tasks = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
-        return next((task for task in tasks if self.folder / task.record.run == self.training.path), None)
-
-    def show_task(self, task: Task) -> None:
-        """Show the output of a command."""
-        self.task = task
-        self._tell("task")
-
-    def show_run(self, run: Path) -> None:
-        """Show the robot with the policy of a run."""
-        self.robot.show(self.folder / run)
 
     def saved_name(self) -> str:
         """Return the current scenario as commands get it: saved, and without errors.
@@ -387,30 +295,11 @@ class Session:
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name
 
-    def watch(self, run: Path) -> None:
-        """Show the curve of a run."""
-        self.training = WatchedTraining(self.folder / run)
-        self._tell("training")
-
-    def _new_run(self, stem: str) -> Path:
-        """Return the name of a new run directory, relative to the folder."""
-        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)
-        taken = {path.name for path in (self.folder / RUNS_FOLDER).glob(f"{stem}-*")}
-        number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in taken)
-        return Path(RUNS_FOLDER, f"{stem}-{number}")
-
-    def _allowed(self, verb: str) -> list[str]:
-        """Return the options for files and Python functions that this server was started with."""
-        if verb not in _READING_VERBS:
-            return []
-        folders = [f"--allow-path={Path(folder).absolute()}" for folder in self.permissions.folders]
-        return [*folders, "--allow-code"] if self.permissions.code else folders
-
     # Time
 
     async def run_forever(self) -> None:
         """Watch files, tasks and trainings until it is canceled."""
-        self._adopt_running_tasks()
+        self.commands.adopt_running()
         while True:
             try:
                 await self._look()
@@ -426,14 +315,12 @@ class Session:
             for file in self.files.values():
                 self._keep_draft(file)
         self._look_at_files()
-        self._look_at_tasks()
+        self.commands.look()
         if self._listeners and now - self._last_runs > _RUNS_INTERVAL_S:
             self._last_runs = now
             await self.read_runs()
-        training = self.training
-        if self._listeners and training is not None and training.is_due:
-            await asyncio.to_thread(training.read)
-            self._tell("training")
+        if self._listeners:
+            await self.commands.read_training()
 
     async def close(self) -> None:
         """Keep unsaved texts, and end the robot. Commands go on."""
@@ -451,42 +338,6 @@ class Session:
             self._tell("runs")
             self.run_changes = await asyncio.to_thread(self._changes.read, runs)
             self._tell("runs")
-
-    def _end_of(self, task: Task) -> str:
-        """Return a sentence about a command that has ended."""
-        code, run = task.exit_code, task.record.run
-        name = f"{task.record.title} of {run}" if run else task.record.title
-        if code == _INTERRUPTED:
-            return f"{name} was stopped"
-        if code:
-            return f"{name} has failed; the tab Commands shows why"
-        solved = (
-            read_listed(self.folder / run).solved if run and task.record.words[0] in _TRAINING_VERBS else None
-        )
-        return f"{name} has ended" + {True: ": solved", False: ": not solved", None: ""}[solved]
-
-    def _adopt_running_tasks(self) -> None:
-        """Show the training that an earlier server has started, if it still runs."""
-        running = self.tasks.running
-        self._was_running = {task.path for task in running}
-        if running:
-            self.task = running[-1]
-            if self.task.record.run:
-                self.watch(Path(self.task.record.run))
-            self._tell("task")
-
-    def _look_at_tasks(self) -> None:
-        self.tasks.reap()
-        running = {task.path for task in self.tasks.running}
-        ended = self._was_running - running
-        self._was_running = running
-        for task in self.tasks.all:
-            if task.path in ended:
-                if self.training is not None and task.record.run:
-                    self.training.watch_again()
-                self.say(self._end_of(task))
-        if running or ended:
-            self._tell("task")
 
     def _look_at_files(self) -> None:
         """Take changes of other programs."""

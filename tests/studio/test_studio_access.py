@@ -346,7 +346,7 @@ def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_
 
     async def run() -> None:
         session = Session(tmp_path, Permissions((other,), code=code))
-        task = session.run(["try", "none.yaml"], "try")
+        task = session.commands.run(["try", "none.yaml"], "try")
         assert ("--allow-code" in task.record.words) == code
         assert f"--allow-path={other}" in task.record.words
         await _until(lambda: not task.is_running)

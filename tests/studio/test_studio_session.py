@@ -198,7 +198,7 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
             await running.until(lambda: robot.state.parameters == {"fall_angle": "15 deg"})
 
             # A parameter changes in the running world, and is written into the text on request.
-            session.set_parameter("fall_angle", "0.3 rad")
+            session.robot.set_parameter("fall_angle", "0.3 rad")
             await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
             await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
             file = session.files[folder / "mine.yaml"]
@@ -210,7 +210,7 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
             await running.until(lambda: robot.state.parameters == {"fall_angle": "0.4 rad"})
             assert robot.state.changed == {}
             # A save of something else keeps a changed parameter.
-            session.set_parameter("fall_angle", "0.2 rad")
+            session.robot.set_parameter("fall_angle", "0.2 rad")
             await running.until(lambda: robot.state.parameters == {"fall_angle": "0.2 rad"})
             _writes(session, file.text.replace("alive: 1", "alive: 2"))
             loaded = robot.state.loaded
@@ -292,23 +292,28 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             session = running.session
             session.current = session.open(Path("mine.yaml")).path
             await running.checked(session.current)
-            task = session.train(["--timesteps", "20000"])
+            task = session.commands.train(session.saved_name(), ["--timesteps", "20000"])
             assert task.record.run == "runs/mine-1"
-            await running.until(lambda: session.training is not None and session.training.curves.returns, 120)
-            return len(session.training.curves.returns)
+            await running.until(
+                lambda: session.commands.training is not None and session.commands.training.curves.returns,
+                120,
+            )
+            return len(session.commands.training.curves.returns)
 
     async def second(points: int) -> None:
         async with Running(folder) as running:
             session = running.session
-            assert [task.record.run for task in session.tasks.running] == ["runs/mine-1"]
-            await running.until(lambda: session.training is not None and session.training.curves.returns)
-            assert session.training_task is session.task
-            await running.until(lambda: len(session.training.curves.returns) > points, 120)
-            assert session.training.listed.state == "training"
+            assert [task.record.run for task in session.commands.tasks.running] == ["runs/mine-1"]
+            await running.until(
+                lambda: session.commands.training is not None and session.commands.training.curves.returns
+            )
+            assert session.commands.training_task is session.commands.task
+            await running.until(lambda: len(session.commands.training.curves.returns) > points, 120)
+            assert session.commands.training.listed.state == "training"
             # Stop keeps the policy.
-            session.task.stop()
-            await running.until(lambda: not session.task.is_running)
-            await running.until(lambda: session.training.listed.state != "training")
+            session.commands.task.stop()
+            await running.until(lambda: not session.commands.task.is_running)
+            await running.until(lambda: session.commands.training.listed.state != "training")
             await running.until(lambda: any("mine-1 has ended" in notice for notice in running.notices))
             assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
             await session.read_runs()
@@ -323,7 +328,7 @@ def test_a_run_directory_is_named_after_the_file(folder):
     (folder / name).write_text(SCENARIO, encoding="utf-8")
     (folder / "runs" / "a_b_-1").mkdir(parents=True)
     session = Session(folder)
-    assert session._new_run(Path(name).stem) == Path("runs", "a_b_-2")
+    assert session.commands.new_run(Path(name).stem) == Path("runs", "a_b_-2")
 
 
 # Servers
