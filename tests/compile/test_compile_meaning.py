@@ -16,15 +16,20 @@ def draws(compiled) -> list[str]:
     reset = compiled.program.reset
     values = [value for parameter in compiled.program.parameters for value in parameter.scalars]
     values += [value for place in reset.placements for value in (*place.xyz, *place.rpy)]
-    values += [value for start in reset.joint_starts for _, *state in start.states for value in state]
+    values += [
+        value
+        for first_observation in reset.joint_starts
+        for _, *state in first_observation.states
+        for value in state
+    ]
     return [node.stream for value in values for node in walk(value) if isinstance(node, Draw)]
 
 
-def start(workshop, text: str, seed: int = 5):
+def first_observation(workshop, text: str, seed: int = 5):
     env = api.make(workshop.write(text), engine="exact")
-    seen, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed)
     env.close()
-    return seen
+    return observation
 
 
 # Parameters
@@ -74,9 +79,9 @@ def test_each_draw_as_written_has_a_stream_of_its_own(workshop, rail) -> None:
             "cart.hinge: gust * 1 deg, cart.slider: uniform(-0.1 .. 0.1 m)",
         ),
     )
-    found = draws(workshop.compile(text))
-    assert len(found) == 3
-    assert len(set(found)) == 3
+    streams = draws(workshop.compile(text))
+    assert len(streams) == 3
+    assert len(set(streams)) == 3
 
 
 def test_a_draw_for_a_group_is_drawn_for_each_of_its_joints(workshop, cartpole) -> None:
@@ -95,14 +100,16 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
     )
     compiled = workshop.compile(text)
     assert draws(compiled) == ["parameters.turn#0"]
-    assert {position for start in compiled.program.reset.joint_starts for _, position, _ in start.states} == {
-        Name("turn")
-    }
+    assert {
+        position
+        for first_observation in compiled.program.reset.joint_starts
+        for _, position, _ in first_observation.states
+    } == {Name("turn")}
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
-    plain = start(workshop, rail())
-    more = start(
+    plain = first_observation(workshop, rail())
+    more = first_observation(
         workshop,
         rail(
             ("{cart_speed", "{gust: uniform(0 .. 1), cart_speed"),
@@ -258,10 +265,10 @@ def test_a_case_sends_what_the_scenario_sends_even_if_it_does_not_use_it(worksho
     assert [field.name for field in case.program.robots[0].emit] == ["place", "rate", "lean", "turn", "spin"]
 
 
-def test_a_case_or_a_test_that_needs_a_further_sensor_is_given_the_whole_line(workshop, rail) -> None:
+def test_a_finding_about_a_missing_sensor_has_the_whole_line_to_write(workshop, rail) -> None:
     case = "evaluation: {cases: {wild: {set: {termination.failure: {off: cart.spin > 9 rad/s}}}}}\nreset:"
     test = "tests: {calm: {driver: zero, expect: {always: cart.spin < 9 rad/s}}}\nreset:"
     for use, code in ((case, "DB613"), (test, "DB407")):
-        (found,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
-        assert found.code == code
-        assert (found.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")
+        (finding,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
+        assert finding.code == code
+        assert (finding.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")

@@ -110,12 +110,12 @@ def test_findings_far_apart_do_not_hide_each_other(workshop, cartpole) -> None:
 
 
 def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
-    given = (
+    edits = (
         ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"),
         ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:"),
     )
-    assert workshop.codes(rail(*given)) == ["DB609"]
-    assert workshop.codes(rail(*given, ("reward:", "augment: [lean]\nreward:"))) == []
+    assert workshop.codes(rail(*edits)) == ["DB609"]
+    assert workshop.codes(rail(*edits, ("reward:", "augment: [lean]\nreward:"))) == []
 
 
 def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:

@@ -121,37 +121,37 @@ def test_a_long_line_is_cropped_around_the_place(before: int) -> None:
 def test_color_changes_nothing_but_the_escapes() -> None:
     import re
 
-    found = [finding("a: 1", "a", help="b", notes=("c",))]
-    colored = render(found, color=True)
+    findings = [finding("a: 1", "a", help="b", notes=("c",))]
+    colored = render(findings, color=True)
     assert "\x1b[1;31m" in colored
-    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == render(found)
+    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == render(findings)
 
 
 @pytest.mark.parametrize("format", ["full", "concise"])
 def test_nothing_from_a_file_is_obeyed_by_the_terminal(format: str) -> None:
     evil = "a: \x1b[2J\x07\u202e\x9b31m"
-    found = Finding(
+    hostile = Finding(
         "DB101", place(Source("\x1b]0;x\x07.yaml", evil), "a"), f"bad {evil}", f"help {evil}\n", notes=(evil,)
     )
-    shown = render([found], format)  # type: ignore[arg-type]
+    shown = render([hostile], format)  # type: ignore[arg-type]
     assert not set("\x1b\x07\u202e\x9b").intersection(shown)
     assert "\\u{1b}" in shown
 
 
 def test_the_concise_form_is_one_line_that_editors_can_link() -> None:
-    found = finding("a:\n  b: 1", "b", help="write\nc")
+    unknown_key = finding("a:\n  b: 1", "b", help="write\nc")
     assert (
-        render([found], "concise")
+        render([unknown_key], "concise")
         == "a.yaml:2:3: error DB101[unknown-key] the key is not known (write\\u{a}c)\n"
     )
 
 
 def test_the_json_form_is_versioned_and_complete() -> None:
     source = Source("a.yaml", "é: 1\nb: 2\n")
-    found = Finding(
+    reported = Finding(
         "DB003", Span(source, 5, 6), "text", "help", (Label(Span(source, 0, 1), "here"),), ("note",)
     )
-    assert json.loads(render([found], "json")) == {
+    assert json.loads(render([reported], "json")) == {
         "version": 1,
         "findings": [
             {
@@ -202,7 +202,7 @@ def test_the_summary_counts_by_severity() -> None:
 def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headline: str, width: int) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source("a.yaml", text)
-    found = Finding(
+    reported = Finding(
         "DB101",
         Span(source, start, end),
         headline,
@@ -210,6 +210,6 @@ def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headl
         (Label(Span(source, 0, start), headline),),
         (headline,),
     )
-    assert "^" in render([found], width=width)
-    assert render([found], "concise").count("\n") == 1
-    assert json.loads(render([found], "json"))["findings"][0]["message"] == headline
+    assert "^" in render([reported], width=width)
+    assert render([reported], "concise").count("\n") == 1
+    assert json.loads(render([reported], "json"))["findings"][0]["message"] == headline

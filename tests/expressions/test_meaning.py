@@ -113,14 +113,14 @@ def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
     drawn = data.draw(st.one_of(*grow(3)), label="expression")
     bench = bench_of()
     typed = bench.typed(drawn.text)
-    assert {said.code for said in bench.said} <= {"DB406"}, (drawn.text, bench.said)
+    assert {finding.code for finding in bench.findings} <= {"DB406"}, (drawn.text, bench.findings)
     read = {name: data.draw(values, label=name) for name, values in READ.items()}
     expected = drawn.value(read)
-    (found,) = bench.values_of(typed, read)
+    (result,) = bench.values_of(typed, read)
     if typed.type.boolean:
-        assert found == expected
+        assert result == expected
         return
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert result == pytest.approx(expected, rel=1e-9, abs=1e-9)
     if re.search(r"\bx\b", drawn.text) is None:  # `x` has no limits
         interval = typed.type.interval
         slack = 1e-9 * max(1.0, abs(expected))

@@ -26,7 +26,9 @@ def client(project: Path) -> Iterator[Client]:
     """Ends with the server leaving of its own, without a word on standard error."""
     with Client(project) as started:
         yield started
-    assert (started.code, started.errors, started.logged) == (0, "", [])
+    assert started.code == 0
+    assert started.errors == ""
+    assert started.logged == []
 
 
 @pytest.fixture

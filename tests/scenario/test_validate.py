@@ -19,7 +19,7 @@ FAULTS = mistakes("scenario")
     FAULTS,
     ids=[f"{f[2]}-{f[1].strip()[:40]}" for f in FAULTS],
 )
-def test_a_fault_is_said_once_where_it_is(
+def test_a_fault_is_reported_once_in_its_place(
     check: Check, cartpole: str, old: str, new: str, code: str, marked: str, headline: str, help: str | None
 ) -> None:
     assert old in cartpole
@@ -153,8 +153,12 @@ def test_numbers_that_no_machine_can_hold_are_out_of_range(check: Check, cartpol
 
 
 @pytest.mark.parametrize(("typed", "key", "help"), mistakes("unfinished"))
-def test_a_key_without_a_value_is_told_what_it_takes(check: Check, typed: str, key: str, help: str) -> None:
-    (empty,) = (found for found in check(f"deepbots: 1\nname: Line\n{typed}")[1] if found.code == "DB107")
+def test_a_key_without_a_value_has_a_finding_with_what_it_takes(
+    check: Check, typed: str, key: str, help: str
+) -> None:
+    (empty,) = (
+        finding for finding in check(f"deepbots: 1\nname: Line\n{typed}")[1] if finding.code == "DB107"
+    )
     assert empty.span.text == key
     assert help in (empty.help or "")
 
