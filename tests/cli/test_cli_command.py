@@ -46,7 +46,8 @@ def test_a_process_of_ours_does_not_import_from_the_working_directory(hostile, m
     done = subprocess.run(
         command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n"), done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"deepbots {deepbots_cli.__version__}\n", done.stderr
     assert not list(hostile.glob("*.ran"))
 
 
@@ -157,7 +158,8 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     verb = "eval" if old == "--driver" else "try"
     words = (verb, "cartpole", old, "x") if old.startswith("--") else (old, "cartpole")
     ran = deepbots(*words)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert f"use `{new}`" in ran.err
     meant = new.split()[1] if new.startswith("deepbots ") else new.split()[0]
     assert meant in COMMANDS or any(
@@ -168,7 +170,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
 
 
 @pytest.mark.parametrize(
-    ("gone", "said"),
+    ("gone", "message"),
     [
         (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
@@ -189,7 +191,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(
-    deepbots, monkeypatch, gone, said
+    deepbots, monkeypatch, gone, message
 ):
     def version(name):
         if name in gone:
@@ -198,7 +200,8 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
 
     monkeypatch.setattr(installation, "version", version)
     ran = deepbots("doctor")
-    assert (ran.code, ran.err) == (0, f"{said}\n")
+    assert ran.code == 0
+    assert ran.err == f"{message}\n"
 
 
 def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
@@ -324,7 +327,8 @@ def test_the_package_runs_as_a_module():
     done = subprocess.run(
         [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
+    assert done.returncode == 0
+    assert done.stdout == f"deepbots {deepbots_cli.__version__}\n"
 
 
 def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
@@ -342,7 +346,8 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
 
 def test_without_runs_the_list_says_how_to_make_one(deepbots):
     ran = deepbots("runs")
-    assert (ran.code, ran.out) == (0, "")
+    assert ran.code == 0
+    assert ran.out == ""
     assert "deepbots train cartpole" in ran.err
 
 
@@ -359,8 +364,8 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
 
 
 def test_printed_findings_can_be_read():
-    found = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
-    assert repr(found) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
+    findings = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
+    assert repr(findings) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
 
 
 def _in_shell(line: str) -> str:
@@ -385,7 +390,8 @@ def _in_shell(line: str) -> str:
 )
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output_and_no_error_is_printed(verb):
     *notes, code = _in_shell(f"(deepbots {verb} 2>&3 | true; echo ${{PIPESTATUS[0]}}) 3>&1").splitlines()
-    assert (code, [note for note in notes if "rror" in note]) == ("0", [])
+    assert code == "0"
+    assert [note for note in notes if "rror" in note] == []
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
@@ -405,11 +411,9 @@ def test_streams_that_were_closed_from_the_start_are_no_failure(verb, closed):
 @pytest.mark.parametrize("verb", ["lsp --schema", "--help"])
 def test_a_full_disk_is_one_clear_line(verb):
     message, code = _in_shell(f"(deepbots {verb} >/dev/full) 2>&1; echo $?").splitlines()
-    assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (
-        True,
-        True,
-        "2",
-    )
+    assert message.startswith("error: ")
+    assert message.endswith("no space left on device")
+    assert code == "2"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -424,6 +428,7 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before

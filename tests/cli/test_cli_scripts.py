@@ -34,38 +34,38 @@ def scripted(tmp_path):
     return "scripted.yaml"
 
 
-def ran(deepbots, *words):
+def report_of(deepbots, *words):
     result = deepbots("try", *words, "--json")
     assert result.code == 0, result.err
     return json.loads(result.out)
 
 
 def test_a_script_drives_every_episode(deepbots, scripted):
-    onward = ran(deepbots, scripted, "--driver", "onward")
+    onward = report_of(deepbots, scripted, "--driver", "onward")
     assert onward["driver"] == "onward"
-    assert onward["episodes"] == ran(deepbots, scripted, "--driver", "forward")["episodes"]
-    assert onward["episodes"] != ran(deepbots, scripted, "--driver", "catch")["episodes"]
+    assert onward["episodes"] == report_of(deepbots, scripted, "--driver", "forward")["episodes"]
+    assert onward["episodes"] != report_of(deepbots, scripted, "--driver", "catch")["episodes"]
 
 
 def test_a_script_may_be_another_in_a_case(deepbots, scripted):
     words = (scripted, "--case", "back")
     assert (
-        ran(deepbots, *words, "--driver", "onward")["episodes"]
-        == ran(deepbots, *words, "--driver", "backward")["episodes"]
+        report_of(deepbots, *words, "--driver", "onward")["episodes"]
+        == report_of(deepbots, *words, "--driver", "backward")["episodes"]
     )
 
 
 def test_actions_are_repeated_and_may_be_those_of_a_script(deepbots, scripted):
-    once = ran(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
-    assert ran(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
-    assert ran(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
+    once = report_of(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
+    assert report_of(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
+    assert report_of(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
 
 
 KNOWN = "the drivers are onward, catch, random, zero, and actions such as forward,backward\n"
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("cach", f"error: there is no driver 'cach' (did you mean catch?); {KNOWN}"),
         ("best", f"error: there is no driver 'best'; {KNOWN}"),
@@ -87,10 +87,10 @@ KNOWN = "the drivers are onward, catch, random, zero, and actions such as forwar
         ("you", "error: you can drive in the browser only; use `deepbots play`\n"),
     ],
 )
-def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, said):
+def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, message):
     result = deepbots("try", scripted, "--driver", name)
     assert result.code == 2
-    assert result.err.endswith(said)
+    assert result.err.endswith(message)
     assert result.out == ""
 
 
@@ -124,8 +124,9 @@ def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scri
 
 
 def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
-    data = ran(deepbots, scripted, "--driver", "random", "--episodes", "8")
-    summary, returns = data["summary"], [episode["return"] for episode in data["episodes"]]
+    data = report_of(deepbots, scripted, "--driver", "random", "--episodes", "8")
+    summary = data["summary"]
+    returns = [episode["return"] for episode in data["episodes"]]
     successes = sum(episode["success"] for episode in data["episodes"])
     assert summary["success_defined"] is True
     assert summary["episodes"] == 8
@@ -139,11 +140,11 @@ def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
 
 def test_a_success_that_the_scenario_does_not_know_is_not_counted(deepbots):
     assert "success rate" not in deepbots("try", "cartpole", "--episodes", "2").out
-    assert ran(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
+    assert report_of(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
 
 
 def test_a_limit_of_steps_holds_for_all_episodes_of_a_script(deepbots, scripted):
-    data = ran(deepbots, scripted, "--driver", "catch", "--episodes", "50", "--steps", "30")
+    data = report_of(deepbots, scripted, "--driver", "catch", "--episodes", "50", "--steps", "30")
     assert sum(episode["length"] for episode in data["episodes"]) == 30
     assert data["episodes"][-1]["ended_by"] == "--steps"
 
@@ -203,14 +204,14 @@ def test_elsewhere_there_is_a_line_for_every_tenth():
 
 def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     words = (scripted, "--driver", "onward", "--episodes", "2")
-    upright = ran(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
+    upright = report_of(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
     assert upright["start"] == {"reset.joints.cart.pole_hinge": 0.01}
     first, second = upright["episodes"]
     assert first == second
 
 
 @pytest.mark.parametrize(
-    ("start", "said"),
+    ("start", "message"),
     [
         ("pole=0.01", "cannot set 'pole': "),
         ("reset.joints.cart.pole_hinge=far", "it is a single number"),
@@ -222,8 +223,8 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
         ("reset.joints.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
     ],
 )
-def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, said):
+def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, message):
     result = deepbots("try", scripted, "--start", start)
     assert result.code == 2
-    assert said in result.err
+    assert message in result.err
     assert len(result.err.strip().splitlines()) == 1
