@@ -1,4 +1,4 @@
-"""The command as a whole: help, versions, exit codes, what is imported."""
+"""The command as a whole: help, versions, exit codes, imported modules."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def test_only_one_module_starts_python():
 
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_every_verb_explains_itself_with_examples(deepbots, verb):
-    shown = deepbots(verb, "--help")
-    assert shown.code == 0
-    assert COMMANDS[verb][1] in shown.out
-    assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
+    ran = deepbots(verb, "--help")
+    assert ran.code == 0
+    assert COMMANDS[verb][1] in ran.out
+    assert f"  deepbots {verb} " in ran.out or f"  deepbots {verb}\n" in ran.out
 
 
 def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
@@ -110,9 +110,9 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb)
 
 
 def test_the_overview_lists_every_verb(deepbots):
-    shown = deepbots("--help")
-    assert shown.code == 0
-    assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in COMMANDS.items())
+    ran = deepbots("--help")
+    assert ran.code == 0
+    assert all(verb in ran.out and summary in ran.out for verb, (_, summary) in COMMANDS.items())
 
 
 @pytest.mark.parametrize(
@@ -135,22 +135,22 @@ def test_the_version_is_that_of_the_package(deepbots):
 
 
 def test_eval_has_at_most_twelve_options_outside_advanced(deepbots):
-    shown = deepbots("eval", "--help").out
-    common = shown[shown.index("\nOptions:") : shown.index("\nAdvanced:")]
+    output = deepbots("eval", "--help").out
+    common = output[output.index("\nOptions:") : output.index("\nAdvanced:")]
     assert len([line for line in common.splitlines() if line.startswith("  -")]) <= 12
     assert all(
-        option in shown[shown.index("\nAdvanced:") :]
+        option in output[output.index("\nAdvanced:") :]
         for option in ("--allow-code", "--force", "--stochastic")
     )
 
 
 def test_the_overview_has_at_most_33_commands_in_groups_and_begins_with_three(deepbots):
-    shown = deepbots("--help").out
+    output = deepbots("--help").out
     assert len(COMMANDS) <= 33
-    assert [line[:-1] for line in shown.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
+    assert [line[:-1] for line in output.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
         GROUPS
     )
-    assert len([line for line in shown.splitlines() if line.startswith("    deepbots ")]) == 3
+    assert len([line for line in output.splitlines() if line.startswith("    deepbots ")]) == 3
 
 
 @pytest.mark.parametrize(("old", "new"), REPLACEMENTS.items())
@@ -219,7 +219,7 @@ def test_the_largest_seed_does_not_fill_the_help(deepbots):
     assert all("9223372036854775807" not in deepbots(verb, "--help").out for verb in ("try", "train", "eval"))
 
 
-def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
+def test_an_internal_error_has_its_own_exit_code_and_its_traceback_is_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
@@ -240,7 +240,7 @@ def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
         deepbots("compile", "cartpole")
 
 
-def test_a_terminal_that_knows_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
+def test_a_terminal_with_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\nname: Pölé\n", encoding="utf-8")
     command = [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"]
     done = subprocess.run(
@@ -294,7 +294,7 @@ for line, absent, _ in {WITHOUT}:
 
 
 @pytest.mark.slow
-def test_what_runs_nothing_needs_no_extra(tmp_path):
+def test_commands_that_run_nothing_need_no_extra(tmp_path):
     lines = [
         "lint cartpole",
         "compile cartpole",
@@ -340,8 +340,8 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [
         ("broken", "unreadable")
     ]
-    shown = deepbots("runs")
-    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
+    ran = deepbots("runs")
+    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in ran.err
 
 
 def test_without_runs_the_list_says_how_to_make_one(deepbots):

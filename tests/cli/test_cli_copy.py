@@ -1,4 +1,5 @@
-"""`deepbots new --from` and `deepbots compile --project`: what they write, and what they leave alone."""
+"""`deepbots new --from` and `deepbots compile --project`: the files that they write, and those that they
+leave alone."""
 
 from __future__ import annotations
 

@@ -112,11 +112,11 @@ def test_every_pair_of_shipped_variants_is_the_same_from_both_sides(deepbots):
         ("cartpole", "cartpole_wireless"),
         ("cartpole", "cartpole_continuous"),
     ]
-    for one, other in pairs:
-        _, forth = differences(deepbots, one, other)
-        _, back = differences(deepbots, other, one)
+    for first, second in pairs:
+        _, forth = differences(deepbots, first, second)
+        _, back = differences(deepbots, second, first)
         assert set(forth) == set(back)
-        assert api.compile(one).digest != api.compile(other).digest
+        assert api.compile(first).digest != api.compile(second).digest
         assert any(group != "cosmetic" for group, _ in forth)
         opposite = {"added": "removed", "removed": "added", "changed": "changed"}
         assert all(back[key]["kind"] == opposite[row["kind"]] for key, row in forth.items())
@@ -170,7 +170,7 @@ def test_what_is_written_as_the_default_is_shown_on_both_sides(deepbots):
     assert (row["kind"], row["one"], row["other"]) == ("changed", "2", "1")
 
 
-def test_a_color_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
+def test_a_color_and_a_drawn_number_are_shown_as_they_are_written(deepbots):
     _, rows = differences(
         deepbots, "see_ball", "see_ball", "--set", "objects.ball.color=choice(green | orange)"
     )
@@ -182,7 +182,7 @@ def test_a_color_and_a_drawn_figure_are_told_as_they_are_written(deepbots):
     assert rows["world", "robots.cart.links.pole.mass"]["other"] == "uniform(0.1 .. 0.2 kg)"
 
 
-def test_a_figure_that_differs_in_the_last_digit_means_the_same(deepbots):
+def test_a_number_that_differs_in_the_last_digit_means_the_same(deepbots):
     code, rows = differences(
         deepbots, "cartpole", "cartpole", "--set", "robots.cart.links={tip: {mass: 0.020000000000000004 kg}}"
     )
@@ -190,7 +190,7 @@ def test_a_figure_that_differs_in_the_last_digit_means_the_same(deepbots):
     assert {group for group, _ in rows} == {"cosmetic"}
 
 
-def test_a_figure_that_differs_in_the_sixth_digit_is_told(deepbots):
+def test_a_number_that_differs_in_the_sixth_digit_is_a_difference(deepbots):
     _, rows = differences(deepbots, "cartpole", "cartpole", "--set", "world.ground={friction: 1.000001}")
     (row,) = rows.values()
     assert row["other"] == "{friction: 1.000001}"
@@ -202,27 +202,27 @@ def test_the_group_of_a_difference_is_the_same_from_both_sides(deepbots):
         assert ("world", "look of objects.ball") in rows
 
 
-def test_what_stands_on_several_lines_is_told_without_its_comments(deepbots):
+def test_a_value_on_several_lines_is_shown_without_its_comments(deepbots):
     _, rows = differences(deepbots, "cartpole", "pit_escape")
     metric = rows["task", "signals.metric"]["other"]
     assert metric.startswith("hold(0.5 * reach / radius if reach < radius else 0.5 + 0.5 *")
     assert "#" not in metric
 
 
-def test_what_only_one_has_by_default_is_told_by_its_figures(deepbots):
+def test_a_default_that_only_one_has_is_shown_with_its_numbers(deepbots):
     _, rows = differences(deepbots, "cartpole", "pit_escape")
     assert rows["world", "world.ground"]["one"] == "kind ground, friction 1, restitution 0"
     assert rows["world", "world.ground"]["other"] == ""
 
 
 def test_a_link_that_only_one_has_is_named_without_its_inside(deepbots):
-    shown = deepbots("diff", "cartpole", "pit_escape").out
-    assert "  robots.cart.links.pole\n    - (not written)\n" in shown
-    assert "  robots.roller.links.ball\n    + " in shown
-    assert "inertial" not in shown
+    output = deepbots("diff", "cartpole", "pit_escape").out
+    assert "  robots.cart.links.pole\n    - (not written)\n" in output
+    assert "  robots.roller.links.ball\n    + " in output
+    assert "inertial" not in output
 
 
-def test_a_figure_of_a_link_that_both_have_is_told(deepbots, tmp_path):
+def test_a_changed_number_of_a_link_is_shown(deepbots, tmp_path):
     deepbots("new", "quadrotor", "--from", "quadrotor", "--json")
     (tmp_path / "other").mkdir()
     deepbots("new", "quadrotor", "other", "--from", "quadrotor", "--json")
@@ -276,7 +276,7 @@ def test_a_run_is_compared_with_the_file_it_was_trained_on(deepbots, tmp_path):
     assert rows["training", "train.total_timesteps"]["one"] == "512"
 
 
-def test_the_start_of_a_group_of_joints_is_told_where_a_robot_has_several(deepbots, tmp_path):
+def test_the_start_of_each_group_of_joints_is_compared(deepbots, tmp_path):
     """Of two entries for one robot, only the last was compared."""
     deepbots("new", "push", "--from", "panda_push", "--json")
     text = (tmp_path / "push.yaml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`deepbots explain`: what a finding means, in the terminal and for programs."""
+"""`deepbots explain`: the meaning of a finding, in the terminal and for programs."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, wo
 
 def test_the_text_is_that_of_the_reference(deepbots):
     for page in every_page():
-        (shown,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
-        assert {"about": page.about, "example": page.example, "instead": page.instead} in shown["pages"]
+        (explained,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
+        assert {"about": page.about, "example": page.example, "instead": page.instead} in explained["pages"]
 
 
 def test_without_a_code_every_finding_has_its_line(deepbots):

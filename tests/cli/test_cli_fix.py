@@ -1,4 +1,4 @@
-"""`deepbots lint --fix`: what it writes, what it leaves alone, and what it says."""
+"""`deepbots lint --fix`: the files that it writes, those that it leaves alone, and its output."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ def test_a_fix_may_uncover_the_next(deepbots, scenario):
     assert path.read_text() == CARTPOLE
 
 
-def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbots, scenario):
+def test_a_mistake_hidden_by_a_misspelling_is_reported_after_its_fix(deepbots, scenario):
     path = scenario(
         faulty(("abs(x) > track", "abs(speed) > trak"), ("  timestep: 32 ms", "  timestop: 32 kg"))
     )
@@ -263,7 +263,7 @@ def test_a_mistake_that_a_misspelling_hid_is_told_once_that_is_put_right(deepbot
     assert ran.code == 1
 
 
-def test_a_number_in_odd_groups_stays_the_text_that_it_is(deepbots, scenario):
+def test_a_number_in_unusual_groups_stays_a_text(deepbots, scenario):
     path = scenario(
         CARTPOLE.replace(
             "summary: Keep a free pole upright by driving a four-wheeled cart back and forth.",
@@ -433,7 +433,7 @@ def test_a_figure_that_the_help_names_is_a_guess_that_may_be_taken(
     assert upon.read_text() == f"deepbots: 1\nextends: a.yaml\n{right}\n"
 
 
-def test_a_difference_takes_no_format_since_it_holds_no_findings(deepbots, scenario):
+def test_a_difference_takes_no_format_because_it_contains_no_findings(deepbots, scenario):
     scenario(CARTPOLE)
     for option in (["--json"], ["--format", "sarif"]):
         ran = deepbots("lint", "a.yaml", "--diff", *option)
@@ -477,7 +477,7 @@ def test_no_name_of_a_file_is_a_command_to_the_log_of_a_workflow(deepbots, scena
 
 
 @pytest.mark.skipif(shutil.which("patch") is None, reason="there is no `patch` here")
-def test_the_difference_of_a_file_with_an_odd_name_is_a_patch_without_control_characters(
+def test_the_difference_of_a_file_with_an_unusual_name_is_a_patch_without_control_characters(
     deepbots, scenario, tmp_path
 ):
     path = scenario(faulty(("  timestep:", "  timestop:"))).rename(tmp_path / 'a\x1b[31m"\\é.yaml')

@@ -1,4 +1,4 @@
-"""`deepbots lint`: what it prints, and how it ends, for good files and bad ones."""
+"""`deepbots lint`: its output and its exit code, for good files and bad ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_no_file_whatever_gives_more_than_findings(deepbots, tmp_path, content):
     assert "\x1b" not in ran.out
 
 
-def test_what_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
+def test_text_that_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
     for number, text in enumerate(("[" * 100_000, "? " * 100_000, "{a: " * 100_000)):
         (tmp_path / f"{number}.yaml").write_text(text)
     command = [
@@ -142,9 +142,9 @@ def test_a_folder_stands_for_no_file_to_which_a_link_leads_out_of_the_project(de
     (inside / "loop.yaml").symlink_to("loop.yaml")
     assert deepbots("lint", "project", "--fix").code == 2
     (inside / "real.yaml").write_text("deepbots: 1\n")
-    assert {one["file"] for one in json.loads(deepbots("lint", "project", "--json").out)["findings"]} == {
-        "project/real.yaml"
-    }
+    assert {
+        finding["file"] for finding in json.loads(deepbots("lint", "project", "--json").out)["findings"]
+    } == {"project/real.yaml"}
     assert (tmp_path / "private.yaml").read_text() == "deepbots: 1\nmesages: {}\n"
 
 

@@ -1,5 +1,4 @@
-"""What other programs are given to run `deepbots lint` and to read what it says: a hook and a problem
-matcher."""
+"""Files for other programs that run `deepbots lint` or read its output: a hook and a problem matcher."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_a_rule_in_preview_that_does_not_run_is_a_warning_at_the_word_that_selec
     assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--preview")) == []
 
 
-def test_findings_can_be_told_without_failing(deepbots, files):
+def test_findings_can_be_printed_without_failing(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--exit-zero", "--format", "concise")
     assert ran.code == 0
     assert "DB402" in ran.out
@@ -118,10 +118,10 @@ def test_standard_input_that_cannot_be_meant_is_wrong_usage(deepbots, files, wor
 def test_several_processes_say_the_same_in_the_same_order(deepbots, files):
     for name in ("b", "a", "c"):
         (files / f"{name}.yaml").write_text(WARNED)
-    one = deepbots("lint", "c.yaml", ".", "--format", "concise")
+    single = deepbots("lint", "c.yaml", ".", "--format", "concise")
     several = deepbots("lint", "c.yaml", ".", "--format", "concise", "--jobs", 3)
-    assert several == one
-    assert len(one.out.splitlines()) == 9
+    assert several == single
+    assert len(single.out.splitlines()) == 9
 
 
 def test_only_what_is_asked_for_is_fixed(deepbots, files):
@@ -169,7 +169,7 @@ def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deep
     assert deepbots("lint", "drafts").out == "0 scenarios: no findings\n"
 
 
-def test_the_settings_are_those_of_the_project_one_stands_in(deepbots, files, monkeypatch):
+def test_the_settings_are_those_of_the_project_of_the_working_directory(deepbots, files, monkeypatch):
     (files / "deepbots.toml").write_text("[lint]\nselect = ['DB6']\n")
     (files / "inner").mkdir()
     monkeypatch.chdir(files / "inner")
@@ -225,8 +225,8 @@ def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots,
 
 def test_the_settings_in_the_docs_are_settings(deepbots, files):
     page = (Path(__file__).parents[2] / "docs" / "linting.md").read_text(encoding="utf-8")
-    (shown,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-    (files / "deepbots.toml").write_text(shown)
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (files / "deepbots.toml").write_text(example)
     ran = deepbots("lint", "warned.yaml")
     assert ran.code == 1
     assert [line.split()[2] for line in ran.out.splitlines()] == [

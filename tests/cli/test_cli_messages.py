@@ -1,5 +1,5 @@
-"""Messages of commands about mistakes that are no mistakes of a scenario, each named after what a person
-saw."""
+"""Messages of commands about mistakes that are no mistakes of a scenario. Each test is named after the report
+of a user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`deepbots new`: what it writes is a whole scenario, and nothing is overwritten."""
+"""`deepbots new` writes a whole scenario and overwrites nothing."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_ending_of_the_file_may_be_written_or_left_out(deepbots):
     assert deepbots("new", "mine.yaml", "--template", "pit").out.split() == ["mine.yaml"]
 
 
-def test_without_a_template_one_is_told_which_there_are(deepbots):
+def test_without_a_template_the_templates_are_listed(deepbots):
     ran = deepbots("new", "mine")
     assert ran.code == 2
     assert "cartpole|wheeled|arm|pit|duel" in ran.err
@@ -201,7 +201,7 @@ def test_a_legged_robot_stands_on_feet_below_its_hips(deepbots, tmp_path, robot)
         assert abs(np.dot(read()[1], upright)) > np.cos(np.radians(15.0) / 2.0)
 
 
-def test_feet_without_links_of_their_own_are_not_said_to_be_below_the_hips(deepbots, tmp_path):
+def test_feet_without_links_of_their_own_are_not_described_as_below_the_hips(deepbots, tmp_path):
     pytest.importorskip("pybullet_data")
     deepbots("new", "first", "--urdf", "package://pybullet_data/quadruped/minitaur.urdf", "--json")
     text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
@@ -236,7 +236,7 @@ def test_wheels_of_a_robot_file_turn_the_way_that_the_scenario_says(deepbots, ro
     assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
 
 
-def test_wheels_steering_and_what_is_to_be_held_are_told_apart(deepbots, tmp_path):
+def test_wheels_steering_and_held_joints_are_distinguished(deepbots, tmp_path):
     pytest.importorskip("pybullet_data")
     deepbots("new", "car", "--urdf", "package://pybullet_data/racecar/racecar.urdf", "--json")
     deepbots("new", "droid", "--urdf", "package://pybullet_data/r2d2.urdf", "--json")
@@ -270,7 +270,7 @@ def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbot
     assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
 
 
-def test_joints_with_odd_names_and_a_file_of_an_odd_name_make_a_scenario_all_the_same(deepbots, tmp_path):
+def test_joints_and_a_file_with_unusual_names_make_a_scenario(deepbots, tmp_path):
     text = shipped.robot_path("rover").read_text(encoding="utf-8")
     text = text.replace('"left_wheel"', '"on"').replace('"right_wheel"', '"right: wheel, {1}"')
     (tmp_path / "a\nname: B.urdf").write_text(text, encoding="utf-8")
@@ -352,11 +352,11 @@ def test_a_schema_that_is_there_already_is_not_written_over(deepbots, tmp_path):
     assert not (tmp_path / "mine.yaml").exists()
 
 
-def test_without_a_schema_a_new_scenario_names_none_and_the_way_to_one_is_said(deepbots, tmp_path):
+def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_one(deepbots, tmp_path):
     ran = deepbots("new", "mine", "--template", "pit")
     assert "yaml-language-server" not in (tmp_path / "mine.yaml").read_text(encoding="utf-8")
-    shown = next(line for line in ran.err.splitlines() if "--schema" in line)
-    command = shown.partition("deepbots ")[2]
+    hint = next(line for line in ran.err.splitlines() if "--schema" in line)
+    command = hint.partition("deepbots ")[2]
     assert deepbots(*command.split()).code == 0
     assert (tmp_path / "mine.schema.json").exists()
 

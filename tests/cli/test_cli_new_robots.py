@@ -326,7 +326,7 @@ ODD = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", few(ODD, ODD[:2]))
-def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
+def test_a_robot_with_an_unusual_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
     pytest.importorskip("pybullet_data")
     created = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
     assert created.code == 0, created.err

@@ -1,4 +1,4 @@
-"""`inspect` of robot files: tables, what is odd in them, pictures."""
+"""`inspect` of robot files: tables, warnings, pictures."""
 
 from __future__ import annotations
 

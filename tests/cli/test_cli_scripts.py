@@ -1,4 +1,4 @@
-"""`try --driver`, and what `try` says of many episodes."""
+"""`try --driver`, and the summary of `try` over many episodes."""
 
 from __future__ import annotations
 
@@ -114,11 +114,11 @@ def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
 
 def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):
     words = ("try", scripted, "--driver", "onward", "--episodes", "21")
-    shown = deepbots(*words)
-    assert "\n        4 " in shown.out
-    assert "\n        5 " not in shown.out
-    assert "\n  and 16 more\n" in shown.out
-    assert "of 21 episodes\n" in shown.err
+    ran = deepbots(*words)
+    assert "\n        4 " in ran.out
+    assert "\n        5 " not in ran.out
+    assert "\n  and 16 more\n" in ran.out
+    assert "of 21 episodes\n" in ran.err
     data = json.loads(deepbots(*words, "--json").out)
     assert len(data["episodes"]) == 21
 
@@ -149,7 +149,7 @@ def test_a_limit_of_steps_holds_for_all_episodes_of_a_script(deepbots, scripted)
     assert data["episodes"][-1]["ended_by"] == "--steps"
 
 
-def test_inspect_shows_what_each_script_decides(deepbots, scripted):
+def test_inspect_shows_the_action_of_each_script(deepbots, scripted):
     rows = json.loads(deepbots("inspect", scripted, "--json").out)["scripts"]
     assert rows == [
         {"script": "onward", "action": "drive", "is": "forward"},
@@ -179,10 +179,10 @@ def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
     for number in range(1, 41):
         bar.update(number)
     bar.close()
-    shown = screen.getvalue()
-    assert "1 of 40 episodes" in shown
-    assert "40 of 40 episodes" in shown
-    assert shown.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
+    text = screen.getvalue()
+    assert "1 of 40 episodes" in text
+    assert "40 of 40 episodes" in text
+    assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
 
 
 def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(capsys):

@@ -1,4 +1,4 @@
-"""`inspect`, `compile`, `run` and `bench`: what a scenario is, without training."""
+"""`inspect`, `compile`, `run` and `bench`: commands about a scenario without training."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_without_sensors_and_hands_the_end_that_the_reset_sets_has_a_pose(deepbo
     assert abs(pose["pitch_deg"]) < 1.0
 
 
-def test_what_cannot_begin_is_inspected_without_poses(deepbots):
+def test_a_world_that_cannot_begin_is_inspected_without_poses(deepbots):
     ran = deepbots("inspect", "cartpole", "--json", "--set", "termination.failure.fallen=age(cart) < 1 s")
     assert ran.code == 0
     assert "poses" not in json.loads(ran.out)
@@ -184,8 +184,10 @@ def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
 
 
 def test_the_same_seed_runs_the_same_episodes(deepbots):
-    first, again, other = (deepbots("try", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
-    assert first == again != other
+    first, again, another_seed = (
+        deepbots("try", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4)
+    )
+    assert first == again != another_seed
     episode = json.loads(first)["episodes"][0]
     assert episode["return"] == episode["length"] == episode["reward_terms"]["alive"]
 
@@ -227,9 +229,9 @@ def test_bench_compares_a_step_with_bare_physics(deepbots):
     assert figures["step_us"] > 0
     assert figures["bare_us"] > 0
     assert figures["ratio"] > 0
-    shown = deepbots(*bench).out
-    assert "ratio" in shown
-    assert "mujoco steps" not in shown  # an engine that is named is not compared with others
+    output = deepbots(*bench).out
+    assert "ratio" in output
+    assert "mujoco steps" not in output  # an engine that is named is not compared with others
 
 
 def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbots):
@@ -413,7 +415,7 @@ def test_a_window_that_another_program_disturbed_does_not_choose_the_engine():
     assert "busy" not in idle.text
 
 
-def test_an_engine_that_cannot_hold_the_world_is_not_compared(tmp_path):
+def test_an_engine_that_cannot_build_the_world_is_not_compared(tmp_path):
     pytest.importorskip("pybullet")
     (tmp_path / "ground.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "hills.yaml").write_text(

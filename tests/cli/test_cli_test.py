@@ -1,4 +1,4 @@
-"""`deepbots test`: what passes, what a failed test shows, and that tests change nothing else."""
+"""`deepbots test`: passing tests, the output of a failed test, and that tests change nothing else."""
 
 from __future__ import annotations
 
@@ -203,13 +203,13 @@ def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_pa
     (tmp_path / "other.yaml").write_text(
         "deepbots: 1\nextends: small.yaml\nname: Other\nremove: [scripts.onward]\n"
     )
-    tested, plain, other = (
+    tested, plain, extending = (
         api.compile(api.load(tmp_path / name)) for name in ("small.yaml", "plain.yaml", "other.yaml")
     )
     assert (tested.digest, tested.code, digest(tested.program)) == (plain.digest, plain.code, plain.digest)
     assert api.load(tmp_path / "small.yaml").tests
     assert api.load(tmp_path / "other.yaml").tests == ()
-    assert [finding.code for finding in other.findings] == [finding.code for finding in plain.findings]
+    assert [finding.code for finding in extending.findings] == [finding.code for finding in plain.findings]
 
 
 def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:

@@ -52,7 +52,7 @@ def first(tmp_path_factory):
 
 @pytest.fixture
 def trained(first, tmp_path):
-    """What the training of `mine` printed; the run is copied to the working directory."""
+    """The output of the training of `mine`; the run is copied to the working directory."""
     folder, ran = first
     shutil.copytree(folder / "mine", tmp_path / "mine")
     return ran
@@ -631,7 +631,7 @@ def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(d
     assert "abs(cart.pole_angle) > fall_angle" in deepbots("inspect", "mine").out
 
 
-def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots, trained, tmp_path):
+def test_the_list_distinguishes_runs_of_scenarios_with_the_same_name(deepbots, trained, tmp_path):
     for name in ("one", "same"):
         shutil.copytree(tmp_path / "mine", tmp_path / "runs" / name)
     assert deepbots(*TINY, "--timesteps", "1", "--set", "fall_angle=3 deg", "--run", "runs/other").code == 0
@@ -640,7 +640,7 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
 
 
 @pytest.mark.parametrize(
-    ("teacher", "shown"),
+    ("teacher", "listed"),
     [
         ("by_hand", "by_hand"),
         ("{script: by_hand, share: 0.2}", "by_hand"),
@@ -649,11 +649,11 @@ def test_the_list_tells_runs_of_different_scenarios_with_one_name_apart(deepbots
         ("{share: 0.2}", None),
     ],
 )
-def test_the_list_names_the_script_that_teaches(deepbots, trained, tmp_path, teacher, shown):
+def test_the_list_names_the_script_that_teaches(deepbots, trained, tmp_path, teacher, listed):
     kept = tmp_path / "mine" / "resolved.yaml"
     kept.write_text(kept.read_text().replace("\ntrain:\n", f"\ntrain:\n  teacher: {teacher}\n"))
-    assert json.loads(deepbots("runs", "mine", "--json").out)["teacher"] == shown
-    assert ("  teacher  " in deepbots("runs", ".").out) == (shown is not None)
+    assert json.loads(deepbots("runs", "mine", "--json").out)["teacher"] == listed
+    assert ("  teacher  " in deepbots("runs", ".").out) == (listed is not None)
 
 
 def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_be_pasted(

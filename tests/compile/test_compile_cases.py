@@ -51,7 +51,7 @@ def test_a_parameter_that_only_a_case_uses_is_used(workshop, cartpole) -> None:
     assert workshop.codes(cartpole(spare, with_cases("steep: {set: {fall_angle: spare}}"))) == []
 
 
-def test_an_error_of_the_scenario_itself_is_not_told_again_for_each_case(workshop, cartpole) -> None:
+def test_an_error_of_the_scenario_itself_is_not_repeated_for_each_case(workshop, cartpole) -> None:
     assert workshop.codes(
         cartpole(("fall_angle:  15 deg", "fall_angle: 15 kg"), with_cases("a: {set: {track: 1 m}}, b: {}"))
     ) == ["DB503"]
@@ -87,7 +87,7 @@ def test_there_may_be_many_cases_but_not_any_number(workshop, cartpole) -> None:
     assert workshop.codes(cartpole(with_cases(", ".join(f"case_{i}: {{}}" for i in range(65))))) == ["DB005"]
 
 
-def test_a_case_that_is_not_there_is_told_with_those_that_are(workshop, cartpole) -> None:
+def test_a_missing_case_is_refused_with_the_cases_that_exist(workshop, cartpole) -> None:
     program = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program
     assert program.case("steep") is program.cases[0]
     with pytest.raises(UsageError, match="no case 'flat'; there are: steep"):

@@ -45,7 +45,7 @@ def test_a_number_without_its_unit_is_shown_with_the_probable_one(workshop, head
 
 
 @pytest.mark.parametrize("word", ["random", "uniform", "anny"])
-def test_a_yaw_at_random_is_told_any(workshop, head, word):
+def test_a_word_for_a_random_yaw_is_corrected_to_any(workshop, head, word):
     (finding,) = workshop.lint(f"{head}reset: {{place: {{cart: {{z: 0.04 m, yaw: {word}}}}}}}\n")
     assert finding.help.startswith("write the word `any`, or a value")
 
@@ -63,7 +63,7 @@ def test_a_word_for_inverse_kinematics_is_corrected_to_cartesian(workshop, head,
     assert not finding.fix.safe
 
 
-def test_other_names_stand_for_words_of_the_language_and_are_none():
+def test_synonyms_name_words_of_the_language_and_are_no_words_themselves():
     words = {*ACTUATORS, *SENSORS, *OBJECTS, *ENGINES, "any"}
     assert words.issuperset(synonyms().words)
     for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
@@ -161,11 +161,11 @@ PLACES = {
 @pytest.mark.parametrize("place", every(3, PLACES))
 def test_a_share_may_be_written_in_percent(workshop, head, place):
     text = f"{head}{PLACES[place]}\n"
-    plain, percent, other = (
+    plain, percent, half_of_it = (
         to_json(workshop.compile(text.replace("SHARE", share)).program) for share in ("0.8", "80 %", "0.7")
     )
     assert percent == plain
-    assert percent != other
+    assert percent != half_of_it
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a scenario means, as far as the compiler settles it: order, when values are known, draws, endings,
+"""The meaning of a scenario that the compiler fixes: order, when values are known, draws, endings,
 messages."""
 
 from __future__ import annotations
@@ -16,12 +16,7 @@ def draws(compiled) -> list[str]:
     reset = compiled.program.reset
     values = [value for parameter in compiled.program.parameters for value in parameter.scalars]
     values += [value for place in reset.placements for value in (*place.xyz, *place.rpy)]
-    values += [
-        value
-        for first_observation in reset.joint_starts
-        for _, *state in first_observation.states
-        for value in state
-    ]
+    values += [value for start in reset.joint_starts for _, *state in start.states for value in state]
     return [node.stream for value in values for node in walk(value) if isinstance(node, Draw)]
 
 
@@ -100,11 +95,9 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
     )
     compiled = workshop.compile(text)
     assert draws(compiled) == ["parameters.turn#0"]
-    assert {
-        position
-        for first_observation in compiled.program.reset.joint_starts
-        for _, position, _ in first_observation.states
-    } == {Name("turn")}
+    assert {position for start in compiled.program.reset.joint_starts for _, position, _ in start.states} == {
+        Name("turn")
+    }
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
@@ -230,7 +223,7 @@ EMIT = "    emit: [place, rate, lean, turn]\n"
 SPIN = ("    actuators:", "      spin: {type: joint_velocity, joint: hinge}\n    actuators:")
 
 
-def sent(compiled: api.Compiled) -> list[str]:
+def sent_names(compiled: api.Compiled) -> list[str]:
     return [field.name for field in compiled.program.robots[0].emit]
 
 
@@ -242,12 +235,12 @@ def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_
     plain = workshop.compile(rail((EMIT, "")))
     assert plain.code == listed.code
     assert plain.program.robots[0].from_robot == listed.program.robots[0].from_robot
-    assert sent(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
+    assert sent_names(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
     for use in (
         "signals: {spun: delta(cart.spin)}",
         "scripts: {mine: {drive: {forward: cart.spin > 0 rad/s, backward: true}}}",
     ):
-        assert sent(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == [
+        assert sent_names(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == [
             "spin",
             "place",
             "rate",

@@ -1,4 +1,4 @@
-"""What a scenario may change of a robot, an object or the world, and within which bounds."""
+"""The changes that a scenario may make to a robot, an object or the world, and their bounds."""
 
 from __future__ import annotations
 

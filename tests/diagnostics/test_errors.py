@@ -1,4 +1,4 @@
-"""The exceptions: one tree, told in the docstring of its module."""
+"""The exceptions: one tree, drawn in the docstring of its module."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def test_nothing_from_a_file_becomes_a_workflow_command_of_its_own() -> None:
     assert "::100 %25 x" in output
 
 
-def test_sarif_has_a_result_for_each_finding_and_tells_of_the_rules() -> None:
+def test_sarif_has_a_result_for_each_finding_and_describes_the_rules() -> None:
     run = sarif_of([warning(), finding(help="did you mean `timestep`?"), finding(name="b.yaml")])
     results = run["results"]
     rules = run["tool"]["driver"]["rules"]  # type: ignore[index]
@@ -114,7 +114,7 @@ def test_sarif_without_findings_is_a_run_with_no_results() -> None:
     assert sarif_of([])["results"] == []
 
 
-def test_sarif_holds_the_fix_of_a_finding_as_replacements() -> None:
+def test_sarif_has_the_fix_of_a_finding_as_replacements() -> None:
     plain = finding()
     fixed = finding(
         fix=Fix.replacing(plain.span, "tmiestep", "timestep", safe=True), help="did you mean `timestep`?"

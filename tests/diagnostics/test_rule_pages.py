@@ -1,5 +1,5 @@
-"""What the pages of lint rules show is so: the example has the finding, and what stands there instead has
-none of that code."""
+"""The pages of lint rules are true: the example has the finding, and its replacement has none of that
+code."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
         assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
 
 
-def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
+def test_every_simulated_rule_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
     assert (
         deep
@@ -116,7 +116,7 @@ def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     )
 
 
-def test_what_the_text_tells_has_a_page_of_its_own() -> None:
+def test_every_static_rule_has_a_page_of_its_own() -> None:
     assert {rule.code for rule in STATIC_RULES} <= {page.code for page in every_page() if not page.deep}
 
 

@@ -34,7 +34,7 @@ def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
     assert not selection.selects_all
 
 
-def test_what_is_ignored_is_not_shown() -> None:
+def test_ignored_findings_are_not_shown() -> None:
     assert selected_codes(Selection(None, selectors("DB5")), "DB003", "DB504") == ["DB003"]
 
 
@@ -86,7 +86,7 @@ def test_a_selection_of_nothing_is_refused() -> None:
         Selection(selectors())
 
 
-def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
+def test_a_rule_in_preview_that_is_selected_by_itself_is_noted() -> None:
     (doubt,) = Selection(selectors("DB5", "hidden-state-reward")).inactive_rules()
     assert doubt.code == "DB902"
     assert doubt.span.location == "--select:1:5"
@@ -104,7 +104,7 @@ def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
         Selection(None, selectors("DB706", option="--ignore")),
     ],
 )
-def test_nothing_is_told_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
+def test_nothing_is_noted_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
     assert selection.inactive_rules() == []
 
 

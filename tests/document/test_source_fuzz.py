@@ -125,7 +125,7 @@ def test_any_assignment_gives_a_document(text: str) -> None:
 
 
 @given(TEXTS.map("a: ".__add__))
-def test_text_without_findings_holds_what_pyyaml_finds_in_it(text: str) -> None:
+def test_text_without_findings_has_the_data_that_pyyaml_reads(text: str) -> None:
     document = loads(text)
     assume(document.root is not None and not len(document.findings))
     assert texts(document.root) == yaml.load(text, yaml.CBaseLoader)

@@ -156,7 +156,7 @@ def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
     assert document.directory_of(robot.entries["extra"].value.span) == Path.cwd()
 
 
-def test_a_finding_in_an_included_file_knows_what_included_it(tmp_path: Path) -> None:
+def test_a_finding_in_an_included_file_has_the_chain_of_inclusions(tmp_path: Path) -> None:
     path = write(tmp_path, main="r:\n  include: part.yaml\n", part="a: 1\na: 2\n")
     (finding,) = load(path).findings
     included_from = finding.span.source.included_from
@@ -245,7 +245,7 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])
-def test_there_is_no_shipped_file_of_an_odd_name(name: str) -> None:
+def test_an_unknown_name_is_no_shipped_file(name: str) -> None:
     assert shipped.scenario_path(name) is None
     assert shipped.robot_path(name) is None
 

@@ -1,4 +1,4 @@
-"""Text to nodes: values, places, and what is said about text that means something else than it seems to."""
+"""Text to nodes: values, places, and findings about text whose meaning differs from its look."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def value(text: str) -> object:
     return to_data(node).get("key")  # type: ignore[attr-defined]
 
 
-def only(text: str) -> Finding:
+def only_finding(text: str) -> Finding:
     _, findings = read(text)
     assert len(findings) == 1, [f.headline for f in findings]
     return findings[0]
@@ -120,7 +120,7 @@ def test_a_block_of_text_begins_below_its_sign_and_ends_before_the_blank_lines_b
 
 
 def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
-    finding = only("a: 1\nb: 2\na: 3\n")
+    finding = only_finding("a: 1\nb: 2\na: 3\n")
     assert finding.code == "DB002"
     assert finding.span.start_position == (3, 1)
     assert finding.labels[0].span.start_position == (1, 1)
@@ -139,7 +139,7 @@ def test_a_duplicate_key_is_reported_with_the_first_one_which_is_kept() -> None:
 def test_a_trap_gets_one_finding_at_its_place_that_says_what_to_write(
     text: str, code: str, marked: str, hint: str
 ) -> None:
-    finding = only(text)
+    finding = only_finding(text)
     assert finding.code == code
     assert finding.span.text == marked
     assert hint in (finding.help or "")
@@ -173,7 +173,7 @@ def test_a_list_with_an_item_that_cannot_be_read_is_left_out_as_a_whole() -> Non
 
 @pytest.mark.parametrize("unit", ["[", "{", "- ", "? ", "[a: ", "{a: ", "{? ", "[\n", "- - ", "? - "])
 def test_any_depth_of_nesting_ends_in_one_finding(unit: str) -> None:
-    assert only(unit * 100_000).code == "DB005"
+    assert only_finding(unit * 100_000).code == "DB005"
 
 
 @pytest.mark.parametrize(
@@ -187,7 +187,7 @@ def test_any_depth_of_nesting_ends_in_one_finding(unit: str) -> None:
     ],
 )
 def test_any_amount_of_repetition_ends_in_one_finding(text: str) -> None:
-    assert only(text).code in ("DB001", "DB005")
+    assert only_finding(text).code in ("DB001", "DB005")
 
 
 def test_a_number_with_a_comma_in_braces_is_no_key_to_be_quoted() -> None:
@@ -201,30 +201,30 @@ def test_a_number_with_a_comma_in_braces_is_no_key_to_be_quoted() -> None:
 
 def test_64_levels_are_allowed_and_65_are_not() -> None:
     assert read("[" * 64 + "]" * 64)[1] == []
-    assert only("[" * 65 + "]" * 65).code == "DB005"
+    assert only_finding("[" * 65 + "]" * 65).code == "DB005"
 
 
 def test_more_than_8_000_values_are_refused() -> None:
     assert isinstance(read("[" + "1," * 7_900 + "]")[0], SequenceNode)
-    assert only("[" + "1," * 8_001 + "]").code == "DB005"
+    assert only_finding("[" + "1," * 8_001 + "]").code == "DB005"
 
 
 def test_aliases_are_counted_before_they_are_expanded() -> None:
     bomb = "a: &a [x,x,x,x,x,x,x,x,x]\n"
-    for one, two in zip("abcdefgh", "bcdefghi", strict=True):
-        bomb += f"{two}: &{two} [{','.join([f'*{one}'] * 9)}]\n"
-    finding = only(bomb)
+    for name, next_name in zip("abcdefgh", "bcdefghi", strict=True):
+        bomb += f"{next_name}: &{next_name} [{','.join([f'*{name}'] * 9)}]\n"
+    finding = only_finding(bomb)
     assert finding.code == "DB005"
     assert "8,000" in finding.headline
 
 
 def test_aliases_cannot_build_a_tree_deeper_than_the_limit() -> None:
     steps = ",".join(f"&b{i + 1} [*b{i}]" for i in range(100))
-    assert only(f"[&b0 [],{steps}]").code == "DB005"
+    assert only_finding(f"[&b0 [],{steps}]").code == "DB005"
 
 
 def test_an_alias_inside_its_own_anchor_is_reported() -> None:
-    assert only("a: &a [*a]").code == "DB001"
+    assert only_finding("a: &a [*a]").code == "DB001"
 
 
 @pytest.mark.parametrize(

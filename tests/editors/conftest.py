@@ -45,7 +45,7 @@ class Typed:
 
     @property
     def messages(self) -> list[tuple[str, str]]:
-        """What is wrong: the text that is underlined, and the message."""
+        """The underlined text and the message of each problem."""
         lines = self.client.texts[self.uri].splitlines()
         return [(_underlined(lines, problem["range"]), problem["message"]) for problem in self.problems]
 

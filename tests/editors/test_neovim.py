@@ -1,5 +1,5 @@
-"""Neovim with the settings of docs/editors.md: what it shows of a scenario. It is looked for on the `PATH`,
-or by `NEOVIM`."""
+"""Neovim with the settings of docs/editors.md shows findings, hover and completion of a scenario. It is
+searched on the `PATH`, or named by `NEOVIM`."""
 
 from __future__ import annotations
 

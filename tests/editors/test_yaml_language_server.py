@@ -1,4 +1,4 @@
-"""What the YAML language server makes of our JSON Schema: what it offers, explains and marks."""
+"""The YAML language server with the JSON Schema of deepbots: its completion, hover and problems."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class Bench:
         return [to_python(scalar, leaf) for scalar in lower(self.clean(text, context), "item")]
 
     def values(self, text: str, **read: float) -> list[float]:
-        """What the printed Python computes, given the values that it reads."""
+        """The values of the printed Python for the values that it reads."""
         return evaluate(self.clean(text), read)
 
     def values_of(self, value: Typed, read: dict[str, object]) -> list[float]:

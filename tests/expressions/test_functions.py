@@ -162,7 +162,7 @@ BROKEN = [
 
 @pytest.fixture(scope="module")
 def linted(tmp_path_factory):
-    """What lint says of a scenario with `double` where every package that could have it is broken."""
+    """The output of lint for a scenario with `double` where every package that could define it is broken."""
     folder = tmp_path_factory.mktemp("broken")
     for target, module, _ in BROKEN:
         install(folder, module, target)

@@ -1,4 +1,4 @@
-"""Texts to trees: what is read, and what is refused with what advice."""
+"""Texts to trees: texts that are read, and texts that are refused with advice."""
 
 import ast
 import re
@@ -97,7 +97,7 @@ def test_numbers_side_by_side_are_a_vector_but_a_detached_minus_subtracts(bench)
     assert isinstance(bench.read("gas -1"), syntax.Binary)
 
 
-def test_every_node_knows_its_place(bench):
+def test_every_node_has_its_place(bench):
     text = "  abs( x ) + cart.pole_angle "
     tree = bench.read(text)
     assert text[tree.start : tree.end] == "abs( x ) + cart.pole_angle"

@@ -1,4 +1,4 @@
-"""Dimensions, shapes and names, and when values are known, of whole expressions, and what is found wrong with
+"""Dimensions, shapes, names and the time when values are known, of whole expressions, and the findings about
 them."""
 
 import pytest
@@ -278,5 +278,5 @@ def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
     assert "did you mean `knee`?" in bench.only("stride.kne > 0").help
 
 
-def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
+def test_a_message_to_a_robot_that_nobody_sends_has_a_finding_that_shows_where_actions_are_named(bench):
     assert "defined under `action`" in bench.only("engine * 2", Context.APPLY).help

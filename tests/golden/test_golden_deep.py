@@ -1,4 +1,4 @@
-"""What a short simulation says of mistakes, word for word.
+"""The findings of a short simulation about mistakes, word for word.
 
 As `test_golden_lint`, for `lint --deep`: each section of `deep/err/<code>.md` is a CartPole (that of `lint/`)
 with one mistake that its text does not show, and what stands in `deep/ok/` is unusual and right. After a

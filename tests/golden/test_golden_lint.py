@@ -1,4 +1,4 @@
-"""What lint says about small mistakes, word for word.
+"""The findings of lint about small mistakes, word for word.
 
 Each section of the pages `lint/err/<code>.md` is a scenario, most often a CartPole, with one mistake, and the
 finding; `several.md` and `original.md` hold more than one. What stands in `lint/ok/` has none. Rules in

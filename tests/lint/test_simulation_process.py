@@ -114,7 +114,7 @@ def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
     assert "ZeroDivisionError" in finding.notes[1]
 
 
-def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
+def test_an_exception_of_deepbots_in_the_process_is_reported_with_its_place(checked) -> None:
     """Here the process is given an empty scenario, which does not compile."""
     inputs = checked().inputs
     report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)

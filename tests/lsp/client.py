@@ -114,14 +114,14 @@ class Client:
         self.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
     def findings(self, uri: str, version: int | None = None) -> list[Message]:
-        """What is published of a document in its present version, or in the given one."""
+        """The published findings of a document in its present version, or in the given one."""
         wanted = self.versions[uri] if version is None else version
         while self.diagnostics.get(uri, {}).get("version") != wanted:
             self._published.get(timeout=PATIENCE)
         return self.diagnostics[uri]["diagnostics"]
 
     def published(self, uri: str) -> list[Message]:
-        """What is published next of a file, which need not be open."""
+        """The next published findings of a file, which need not be open."""
         while self._published.get(timeout=PATIENCE) != uri:
             pass
         return self.diagnostics[uri]["diagnostics"]

@@ -33,7 +33,7 @@ def client(project: Path) -> Iterator[Client]:
 
 @pytest.fixture
 def pit(client: Client, project: Path) -> Iterator[str]:
-    """The address of PitEscape, looked at; what a test makes of it is undone."""
+    """The address of PitEscape, opened and analyzed; changes of a test are undone."""
     yield from _shown(client, project / "scenarios" / "pit_escape.yaml")
 
 

@@ -18,7 +18,7 @@ FIX_ALL = ["source.fixAll.deepbots"]
 
 @pytest.fixture
 def changed(client, pit):
-    """Makes changes to PitEscape, and waits for what is found."""
+    """Changes PitEscape, and waits for the findings."""
 
     def change(*changes: tuple[str, str]) -> list:
         text = client.texts[pit]

@@ -179,7 +179,7 @@ def test_a_scenario_that_was_never_whole_offers_the_names_that_stand_in_it(clien
     client.close(uri)
 
 
-def test_where_a_name_of_ones_own_is_due_an_example_is_offered_and_nothing_else(client, pit):
+def test_where_a_new_name_is_expected_an_example_is_offered_and_nothing_else(client, pit):
     client.change(pit, client.texts[pit] + "disturbances:\n  ")
     (example,) = client.labels_at(pit, len(client.texts[pit]))
     assert example.startswith("{gust: {body:")
@@ -235,7 +235,7 @@ def labels(completions):
     return {item.label for item in completions.items}
 
 
-def test_a_script_is_offered_the_components_that_it_has_to_decide(client, project):
+def test_a_script_is_offered_the_components_of_its_action(client, project):
     text = WHOLE
     uri = client.open(project / "scenarios" / "begun.yaml", text)
     assert [finding["code"] for finding in client.findings(uri) if finding["severity"] == 1] == []

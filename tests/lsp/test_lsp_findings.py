@@ -116,7 +116,7 @@ def test_a_mistake_in_an_included_file_is_reported_there_with_the_place_of_the_i
     assert client.published(piece.as_uri()) == []
 
 
-def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_editor(client, world):
+def test_of_an_open_included_file_the_text_in_the_editor_counts(client, world):
     path = world("find_ball_random")
     uri = client.open(path)
     assert client.findings(uri) == []
@@ -156,7 +156,7 @@ def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
     client.close(uri)
 
 
-def test_a_comment_suppresses_and_one_that_suppresses_nothing_is_told(client, world):
+def test_a_comment_suppresses_a_finding_and_without_it_the_finding_is_reported(client, world):
     unused = ("signals:\n", "signals:\n  spare: time  # deepbots: ignore[DB205]\n")
     uri = client.open(world("pit_escape", unused))
     assert client.findings(uri) == []
@@ -183,7 +183,7 @@ def test_the_settings_of_the_project_of_the_file_count(client, world):
 
 
 @pytest.mark.slow
-def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without(project, world):
+def test_invalid_settings_are_reported_once_and_the_file_is_linted_without_them(project, world):
     path = world("pit_escape", ("timestep:", "timestop:"))
     (path.parents[1] / "deepbots.toml").write_text("[lint]\nignore = 3\n")
     with Client(project) as own:
@@ -207,7 +207,7 @@ def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
         assert only["range"]["end"] == {"line": 4, "character": 2 + len("ü😀".encode())}
 
 
-def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
+def test_a_document_without_a_file_is_linted_in_the_folder_of_the_editor(client):
     uri = "untitled:Untitled-1"
     document = {
         "uri": uri,

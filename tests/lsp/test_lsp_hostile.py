@@ -166,7 +166,7 @@ def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, projec
         "file:///proc/self/mem",
     ],
 )
-def test_an_odd_address_is_a_document_like_any_other(client, uri):
+def test_a_document_with_an_unusual_address_is_handled_like_any_other(client, uri):
     client.notify(
         "textDocument/didOpen",
         {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}},
@@ -229,7 +229,7 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(tmp_path):
+def test_a_port_in_use_and_a_missing_folder_are_errors_of_one_line(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         calls = [["lsp", "--tcp", str(port)], ["lsp", "--allow-path", "missing"]]

@@ -1,4 +1,4 @@
-"""Hover and definitions: what stands under the cursor, and where it comes from."""
+"""Hover and definitions: the text under the cursor, and its origin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_the_hover_of_a_function_shows_its_signature_and_meaning(client, pit, ar
     assert "Here it is" in text
 
 
-def test_a_code_in_a_comment_tells_its_page(client, pit):
+def test_the_hover_of_a_code_in_a_comment_is_its_page(client, pit):
     text = client.texts[pit]
     client.change(
         pit, text.replace("# one action every 256 ms", "# deepbots: ignore[DB205] one action every 256 ms")

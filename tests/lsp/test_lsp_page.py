@@ -1,5 +1,4 @@
-"""What docs/editors.md says of the language server: each example does what its row says, and the settings can
-be read."""
+"""The examples of docs/editors.md about the language server are true, and its settings can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The server as a process that runs all day: how it ends, what it keeps, whom it serves first."""
+"""The server as a process that runs all day: its end, its memory, and the order of its answers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _frozen() -> None:
     gc.freeze()
 
 
-def test_the_exit_code_tells_whether_the_client_has_taken_its_leave(project):
+def test_the_exit_code_says_whether_the_client_asked_for_a_shutdown(project):
     """It is 0 after `shutdown` and `exit`, as the fixture `client` sees of each server."""
     with Client(project) as own:
         own.findings(own.open(project / "scenarios" / "cartpole.yaml"))

@@ -1,4 +1,5 @@
-"""A scenario may be written in Python: what is wrong is raised at once, and it compiles as the file does."""
+"""A scenario may be written in Python: a mistake is raised at once, and the scenario compiles as the file
+does."""
 
 from pathlib import Path
 from typing import Any
@@ -89,7 +90,7 @@ def test_a_scenario_cannot_be_changed() -> None:
         cartpole().name = "Other"
 
 
-def test_what_only_the_whole_scenario_tells_is_a_finding_at_its_line() -> None:
+def test_a_mistake_that_only_the_whole_scenario_shows_is_a_finding_at_its_line() -> None:
     with pytest.raises(ScenarioError, match=r"<Scenario Built>:\d+:\d+: DB402"):
         deepbots_cli.compile(cartpole(reward={"alive": "2 * nothing"}))
 

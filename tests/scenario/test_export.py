@@ -1,4 +1,4 @@
-"""The JSON Schema for editors says what the models say."""
+"""The JSON Schema for editors agrees with the models."""
 
 import json
 import subprocess
@@ -56,8 +56,8 @@ def data(text: str) -> object:
 
 
 def subschemas(node: object, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Json]]:
-    """Every mapping within a schema, with its path; those that only tell forms apart (`if`, `not`) are left
-    out."""
+    """Every mapping within a schema, with its path, without those that only distinguish forms (`if`,
+    `not`)."""
     if isinstance(node, dict):
         yield path, node
         for key, value in node.items():
@@ -148,7 +148,7 @@ def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> N
 
 
 @pytest.mark.parametrize(
-    ("section", "key", "shown"),
+    ("section", "key", "part"),
     [
         ("World", "timestep", "Unit: s. Required. Example: timestep: 32 ms"),
         ("Arena", "wall_height", "Unit: m. Default: 0.1 m. Example: wall_height: 20 cm"),
@@ -158,16 +158,16 @@ def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> N
         ("Wall", "closed", "Default: false. Example: closed: true"),
     ],
 )
-def test_a_description_has_unit_default_and_example(schema: Json, section: str, key: str, shown: str) -> None:
-    assert shown in schema["$defs"][section]["properties"][key]["description"]
+def test_a_description_has_unit_default_and_example(schema: Json, section: str, key: str, part: str) -> None:
+    assert part in schema["$defs"][section]["properties"][key]["description"]
 
 
 def test_the_schema_is_small_enough_for_editors() -> None:
     assert len(schema_text()) < 240_000
 
 
-def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> None:
-    """Of `oneOf` and `anyOf` over mappings an editor shows what is wrong with every branch."""
+def test_kinds_are_distinguished_by_conditions_and_never_by_trial(schema: Json) -> None:
+    """An editor shows the problems of every branch of `oneOf` and `anyOf` over mappings."""
     assert [path for path, node in subschemas(schema) if "oneOf" in node] == []
     tried = [node["anyOf"] for _, node in subschemas(schema) if "anyOf" in node]
     assert all(any("enum" in form for form in forms) for forms in tried)

@@ -1,4 +1,4 @@
-"""The JSON Schema for one scenario knows its names, whatever state the file is in."""
+"""The JSON Schema for one scenario has its names, even when the file is damaged."""
 
 import json
 from collections.abc import Callable

@@ -17,18 +17,18 @@ from deepbots_cli.scenario.search import SearchSpace
 from deepbots_cli.scenario.training import ALGORITHMS, SET_ELSEWHERE_HELP, Training
 
 
-def searched(search: str) -> CheckedScenario:
+def with_search(search: str) -> CheckedScenario:
     return api.load("cartpole", overrides=[f"tune.search={{{search}}}"], tests=True)
 
 
 def spaces(search: str) -> dict[str, SearchSpace]:
-    checked = searched(search)
+    checked = with_search(search)
     assert list(checked.findings) == []
     return dict(checked.search)
 
 
 def headlines_of(search: str) -> list[str]:
-    return [f"{finding.code} {finding.headline}" for finding in searched(search).findings]
+    return [f"{finding.code} {finding.headline}" for finding in with_search(search).findings]
 
 
 def test_a_range_has_units_and_a_logarithm():
@@ -77,7 +77,7 @@ def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():
     assert SearchSpace(choices=("tanh", "relu")).value_of("relu") == "relu"
 
 
-def test_what_cannot_be_searched_is_said_at_its_place():
+def test_a_space_that_cannot_be_searched_is_a_finding_at_its_place():
     assert headlines_of("train.lerning_rate: 1e-4 .. 1e-2") == ["DB101 unknown key `lerning_rate` in `train`"]
     assert headlines_of("fall_angl: 1 .. 2 deg") == ["DB201 there is no parameter `fall_angl`"]
     assert headlines_of("train.gamma: 0.9 .. 1.2") == ["DB105 `1.2` is above the largest allowed value"]
@@ -106,7 +106,7 @@ def test_what_cannot_be_searched_is_said_at_its_place():
 
 
 def test_a_run_keeps_the_scenario_without_the_search():
-    compiled = api.compile(searched("fall_angle: 10 .. 20 deg"))
+    compiled = api.compile(with_search("fall_angle: 10 .. 20 deg"))
     assert "tune" not in compiled.resolved
     assert compiled.digest == api.compile("cartpole").digest
 
