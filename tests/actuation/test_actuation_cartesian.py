@@ -1,4 +1,4 @@
-"""Arms that are told where to bring their hand: they get there, stay in their ranges, and open their
+"""Arms that receive poses of their hand as commands: they reach them, stay in their ranges, and open their
 fingers."""
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ def act(
         environment.step(np.array([*reach, opening], np.float32))
 
 
-def where(reach: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The place in the world that an action stands for."""
+def target_of(reach: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The place in the world that belongs to an action."""
     return (0.6 + 0.15 * reach[0], 0.2 + 0.15 * reach[1], 0.3 + 0.15 * reach[2])
 
 
 @pytest.mark.slow
 def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_attitude(make: Make):
     panda = make(ARM)
-    read, states = panda.engine.pose("panda", "panda_grasptarget"), panda.engine.joint_states("panda", JOINTS)
+    read = panda.engine.pose("panda", "panda_grasptarget")
+    states = panda.engine.joint_states("panda", JOINTS)
     model = panda.scenario.world.robots[0].model
     panda.reset(seed=0)
     rng = np.random.default_rng(3)
@@ -39,7 +40,7 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_
         x, y, z = (float(value) for value in rng.uniform(-1, 1, 3))
         act(panda, (x, y, z), ticks=60)
         position, orientation = read()
-        assert position == pytest.approx(where((x, y, z)), abs=1e-3)
+        assert position == pytest.approx(target_of((x, y, z)), abs=1e-3)
         assert abs(orientation[0]) == pytest.approx(1.0, abs=1e-4)  # half a turn about x
         for name, state in zip(JOINTS, states(), strict=True):
             limit = model.joint(name).limit
@@ -53,7 +54,9 @@ def test_a_stretched_arm_finds_a_way_to_bend(make: Make):
     panda = make(ARM, "reset.joints={panda.arm: 0 deg}")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, -1.0), ticks=80)
-    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(where((0, 0, -1)), abs=1e-3)
+    assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
+        target_of((0, 0, -1)), abs=1e-3
+    )
 
 
 def test_joints_move_no_faster_than_their_limits(make: Make):
@@ -72,11 +75,11 @@ def test_without_an_attitude_only_the_place_counts(make: Make):
     panda.reset(seed=0)
     act(panda, (-1.0, 0.5, 1.0), ticks=60)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
-        where((-1, 0.5, 1)), abs=1e-3
+        target_of((-1, 0.5, 1)), abs=1e-3
     )
 
 
-def test_what_is_out_of_reach_is_approached(make: Make):
+def test_a_target_out_of_reach_is_approached(make: Make):
     panda = make(ARM, "robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach")
     panda.reset(seed=0)
     act(panda, (0.0, 0.0, 0.0), ticks=60)
@@ -100,12 +103,12 @@ def test_the_same_commands_give_the_same_motion_after_any_past(make: Make):
     used, fresh = make(ARM), make(ARM)
     used.reset(seed=1)
     act(used, (0.3, -0.7, 0.5), ticks=17)
-    found = []
+    states = []
     for panda in (used, fresh):
         panda.reset(seed=2)
         act(panda, (-0.4, 0.2, 0.9), 0.3, ticks=15)
-        found.append(panda.engine.joint_states("panda", JOINTS)())
-    assert [state[:2] for state in found[0]] == [state[:2] for state in found[1]]
+        states.append(panda.engine.joint_states("panda", JOINTS)())
+    assert [state[:2] for state in states[0]] == [state[:2] for state in states[1]]
 
 
 @pytest.mark.slow
@@ -131,16 +134,16 @@ def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_t
     late, prompt = (
         make(ARM, spring, *steady, f"messages.to_robot={{latency: {latency}}}") for latency in ("10 s", "0 s")
     )
-    found = []
+    states = []
     for panda in (late, prompt):
         panda.reset(seed=0)
         for _ in range(20):
             panda.step(0 * panda.action_space.sample())
-        found.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
-    assert found[0] == pytest.approx(
-        found[1], abs=1e-8
+        states.append([state[0] for state in panda.engine.joint_states("panda", JOINTS)()])
+    assert states[0] == pytest.approx(
+        states[1], abs=1e-8
     )  # the solver stops at 1e-7; one finger follows the other
-    assert found[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
+    assert states[0] != pytest.approx([0, -np.pi / 6, 0, -np.pi / 1.5, 0, np.pi / 2, np.pi / 4], abs=1e-4)
 
 
 def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(make: Make):

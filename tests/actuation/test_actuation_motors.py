@@ -35,29 +35,29 @@ def rail(make: Make) -> Make:
     return make_rail
 
 
-def speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int = 0) -> list[float]:
+def cart_speeds(environment: Supervisor, ticks: int, action: int = FORWARD, seed: int = 0) -> list[float]:
     """The velocity of the cart after each substep of some ticks."""
     environment.reset(seed=seed)
     read = environment.engine.joint_states("cart", ("slider",))
-    found: list[float] = []
+    speeds: list[float] = []
     substeps = environment.scenario.world.substeps
 
     def one_by_one(number: int) -> None:
         assert number == substeps
         for _ in range(number):
             environment.engine.step(1)
-            found.append(read()[0][1])
+            speeds.append(read()[0][1])
 
     environment.physics = one_by_one
     for _ in range(ticks):
         environment.step(action)
-    return found
+    return speeds
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 8])
 def test_a_lagging_motor_follows_the_exponential_after_every_substep(rail: Make, substeps: int):
     motor = rail(f"world.substeps={substeps}", *ENDLESS, time_constant="50 ms", max_torque="100 kN")
-    for k, speed in enumerate(speeds(motor, 10), start=1):
+    for k, speed in enumerate(cart_speeds(motor, 10), start=1):
         assert speed == pytest.approx(1 - exp(-k * TICK / substeps / 0.05), abs=1e-6)
 
 
@@ -66,14 +66,14 @@ def test_a_lagging_motor_follows_the_exponential_after_every_substep(rail: Make,
 def test_a_delay_counts_in_substeps_whatever_the_tick(rail: Make, substeps: int, delay: float):
     motor = rail(f"world.substeps={substeps}", *ENDLESS, delay=f"{delay} s", max_torque="100 kN")
     waits = ceil(delay / TICK * substeps - 1e-9)
-    found = speeds(motor, 5)
-    assert found[waits] == pytest.approx(1.0, abs=1e-6)
-    assert found[:waits] == pytest.approx([0.0] * waits, abs=1e-6)
+    speeds = cart_speeds(motor, 5)
+    assert speeds[waits] == pytest.approx(1.0, abs=1e-6)
+    assert speeds[:waits] == pytest.approx([0.0] * waits, abs=1e-6)
 
 
 def test_an_acceleration_limit_gives_a_ramp(rail: Make):
-    found = speeds(rail(*ENDLESS, max_acceleration="5 m/s^2", max_torque="100 kN"), 15)
-    assert found == pytest.approx([min(1.0, 5.0 * k * TICK / 4) for k in range(1, 61)], abs=1e-6)
+    speeds = cart_speeds(rail(*ENDLESS, max_acceleration="5 m/s^2", max_torque="100 kN"), 15)
+    assert speeds == pytest.approx([min(1.0, 5.0 * k * TICK / 4) for k in range(1, 61)], abs=1e-6)
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 8])
@@ -102,7 +102,7 @@ def test_strength_multiplies_what_a_motor_exerts_whatever_the_substeps(rail: Mak
             type=kind,
             max_torque="7 N",
         )
-    assert speeds(weak, 5) == pytest.approx(speeds(full, 5), rel=1e-12)
+    assert cart_speeds(weak, 5) == pytest.approx(cart_speeds(full, 5), rel=1e-12)
     torques = weak.engine.joint_torques("cart", ("slider",))
     assert torques()[0] == pytest.approx(7.0)
 
@@ -114,7 +114,7 @@ def test_strength_multiplies_the_spring_its_damper_and_its_limit(rail: Make):
     half = rail(
         *ENDLESS, apply, stiffness="25 N/m", damping="2 N*s/m", type="position_motor", max_torque="4 N"
     )
-    assert speeds(weak, 20) == pytest.approx(speeds(half, 20), rel=1e-12)
+    assert cart_speeds(weak, 20) == pytest.approx(cart_speeds(half, 20), rel=1e-12)
 
 
 def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rail: Make):
@@ -125,8 +125,8 @@ def test_a_position_motor_moves_its_target_no_faster_than_its_velocity_limit(rai
         max_velocity="0.5 m/s",
         max_torque="100 kN",
     )
-    found = speeds(arm, 100)
-    assert max(found) < 0.5 * 1.01
+    speeds = cart_speeds(arm, 100)
+    assert max(speeds) < 0.5 * 1.01
     assert arm.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-3)
 
 
@@ -141,7 +141,7 @@ def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: M
     drive = drawn.robot_cart.drive_motor
     figures = []
     for seed in (1, 2, 1):
-        first = speeds(drawn, 8, seed=seed)
+        first = cart_speeds(drawn, 8, seed=seed)
         figures.append(
             (*drive.strength, *drive.max_torque, drive.response.delay, drive.response.time_constant, first)
         )
@@ -153,7 +153,7 @@ def test_figures_are_drawn_once_per_episode_and_come_again_with_the_seed(rail: M
         time_constant="uniform(10 .. 50 ms)",
         max_torque="uniform(5 .. 10 N)",
     )
-    assert speeds(fresh, 8, seed=1) == figures[0][-1]
+    assert cart_speeds(fresh, 8, seed=1) == figures[0][-1]
 
 
 def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
@@ -170,8 +170,8 @@ def test_a_drawn_strength_is_what_the_motor_then_exerts(rail: Make):
 
 def test_commands_of_an_episode_do_not_reach_the_next(rail: Make):
     late = rail(*ENDLESS, delay="100 ms", max_torque="100 kN")
-    once = speeds(late, 8, FORWARD)
-    again = speeds(late, 8, BACKWARD)
+    once = cart_speeds(late, 8, FORWARD)
+    again = cart_speeds(late, 8, BACKWARD)
     assert np.allclose(once, np.negative(again), atol=1e-6)
 
 
@@ -228,11 +228,11 @@ def test_a_torque_motor_exerts_nothing_until_its_first_command_arrives(rail: Mak
     )
     torque = limp.engine.joint_torques("cart", ("slider",))
     limp.reset(seed=0)
-    found = []
+    torques = []
     for _ in range(6):
         limp.step(FORWARD)
-        found.append(torque()[0])
-    assert found == [0.0] * 5 + [1.0]
+        torques.append(torque()[0])
+    assert torques == [0.0] * 5 + [1.0]
 
 
 def test_the_target_of_a_spring_jumps_unless_the_scenario_bounds_how_fast_it_moves():
@@ -277,15 +277,15 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
         "robots.cart.actuators={place: {type: velocity_motor, joint: slider, time_constant: 20 ms}}",
         "robots.cart.apply={place: drive * 1 m/s - 0.1 * place / s}",
     )
-    found = speeds(twins, 20)
-    assert 0.8 < found[-1] < 1.0
+    speeds = cart_speeds(twins, 20)
+    assert 0.8 < speeds[-1] < 1.0
 
 
-@pytest.mark.parametrize("given", ["20 N", "uniform(20 .. 30 N)"])
-def test_a_limit_beyond_that_of_the_robot_file_does_not_hold(make: Make, given: str):
-    world = make(RAIL, f"robots.cart.actuators.motor.max_torque={given}", *ENDLESS, engine="exact")
+@pytest.mark.parametrize("limit", ["20 N", "uniform(20 .. 30 N)"])
+def test_a_limit_beyond_that_of_the_robot_file_has_no_effect(make: Make, limit: str):
+    world = make(RAIL, f"robots.cart.actuators.motor.max_torque={limit}", *ENDLESS, engine="exact")
     own = make(RAIL, *ENDLESS, engine="exact")
-    assert speeds(world, 3) == speeds(own, 3)
+    assert cart_speeds(world, 3) == cart_speeds(own, 3)
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():
@@ -307,12 +307,13 @@ def test_a_limit_over_several_joints_tightens_those_that_allow_more():
 SUBSTEP = 0.005
 
 
-def followed(response: Response, substeps: int) -> list[float]:
-    """What is followed in each of the next substeps; not a number before the first command takes effect."""
-    values, now = [], float("nan")
+def followed_values(response: Response, substeps: int) -> list[float]:
+    """The value that is followed in each of the next substeps; NaN before the first command takes effect."""
+    values = []
+    now = float("nan")
     for _ in range(substeps):
-        found = response.advance()
-        now = now if found is None else found[0]
+        position = response.advance()
+        now = now if position is None else position[0]
         values.append(now)
     return values
 
@@ -325,14 +326,14 @@ def test_a_lag_is_the_step_response_of_first_order():
     tau = 0.03
     response = Response(SUBSTEP, zero, time_constant=tau)
     response.send([2.0])
-    for k, value in enumerate(followed(response, 40), start=1):
+    for k, value in enumerate(followed_values(response, 40), start=1):
         assert value == pytest.approx(2.0 * (1 - exp(-k * SUBSTEP / tau)), abs=1e-12)
 
 
 def test_a_lag_ends_at_the_command_and_then_has_nothing_to_do():
     response = Response(SUBSTEP, zero, time_constant=0.01)
     response.send([0.3])
-    assert followed(response, 200)[-1] == pytest.approx(0.3, abs=1e-15)
+    assert followed_values(response, 200)[-1] == pytest.approx(0.3, abs=1e-15)
     assert response.advance() is None
 
 
@@ -342,7 +343,7 @@ def test_a_lag_ends_at_the_command_and_then_has_nothing_to_do():
 def test_a_command_takes_effect_in_the_first_substep_that_begins_late_enough(delay: float, waits: int):
     response = Response(SUBSTEP, zero, delay=delay)
     response.send([1.0])
-    values = followed(response, waits + 1)
+    values = followed_values(response, waits + 1)
     assert values[-1] == 1.0
     assert all(value != value for value in values[:-1])
 
@@ -354,9 +355,9 @@ def test_a_delay_longer_than_a_tick_keeps_commands_in_order(substeps: int):
     for tick in range(10):
         response.send([float(tick)])
         for k in range(substeps):
-            found = response.advance()
-            if found is not None:
-                changes[tick * substeps + k] = found[0]
+            position = response.advance()
+            if position is not None:
+                changes[tick * substeps + k] = position[0]
     assert changes == {
         tick * substeps + 3: float(tick) for tick in range(10) if tick * substeps + 3 < 10 * substeps
     }
@@ -375,7 +376,7 @@ def test_a_rate_bounds_every_change_and_the_command_is_reached_exactly():
 def test_after_a_reset_nothing_is_left_of_earlier_commands_and_new_figures_are_in_force():
     response = Response(SUBSTEP, zero, delay=0.01, time_constant=0.1)
     response.send([1.0])
-    followed(response, 10)
+    followed_values(response, 10)
     response.delay, response.time_constant = 0.0, 0.0
     response.reset()
     assert response.advance() is None
@@ -419,7 +420,7 @@ truncation: {max_steps: 1000}
 """
 
 
-def held(make: Make, tmp_path: Path, engine: str, link: str, joint: str = "{}") -> Supervisor:
+def held_beam(make: Make, tmp_path: Path, engine: str, link: str, joint: str = "{}") -> Supervisor:
     """A beam of 2 kg that a stiff motor holds level."""
     (tmp_path / "beam.urdf").write_text(BEAM, encoding="utf-8")
     scenario = tmp_path / "held.yaml"
@@ -432,7 +433,7 @@ def held(make: Make, tmp_path: Path, engine: str, link: str, joint: str = "{}") 
 def test_a_motor_holds_the_weight_of_a_link_at_its_center_of_mass(
     make: Make, tmp_path: Path, engine: str, offset: float
 ) -> None:
-    beam = held(make, tmp_path, engine, f"{{com: {offset} 0 0 m}}")
+    beam = held_beam(make, tmp_path, engine, f"{{com: {offset} 0 0 m}}")
     beam.reset(seed=0)
     for _ in range(100):
         (share,), *_ = beam.step(np.zeros(1, np.float32))
@@ -444,7 +445,7 @@ def test_bodies_and_joints_are_drawn_once_per_episode_and_come_again_with_the_se
 ) -> None:
     pytest.importorskip("mujoco")
     link = "{com: uniform(-10 0 0 .. 10 0 0 cm), inertia: uniform(0.5 .. 2)}"
-    beam = held(make, tmp_path, "mujoco", link, "{armature: uniform(0 .. 0.1 kg*m^2)}")
+    beam = held_beam(make, tmp_path, "mujoco", link, "{armature: uniform(0 .. 0.1 kg*m^2)}")
     draws, torques = [], []
     for seed in (1, 2, 1):
         draws.append(beam.reset(seed=seed)[1]["drawn"])

@@ -14,7 +14,8 @@ from deepbots_cli.runtime.actuation import Push
 from tests.worlds import SCENARIOS, Make
 
 DRONE = SCENARIOS / "drone.yaml"
-MASS, TICK = 0.02572680943 + 4 * 0.0005, 0.01
+MASS = 0.02572680943 + 4 * 0.0005
+TICK = 0.01
 ALONE = (
     "world.gravity=0 0 0 m/s^2",
     "parameters.hover=0 N",
@@ -33,15 +34,15 @@ def pushed(make: Make) -> Make:
     return float_under
 
 
-def speeds(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[float, float, float]]:
+def velocities(environment: Supervisor, ticks: int, seed: int = 0) -> list[tuple[float, float, float]]:
     """The velocity after each tick."""
     environment.reset(seed=seed)
     read = environment.engine.velocity("drone")
-    found = []
+    per_tick = []
     for _ in range(ticks):
         environment.step(np.zeros(4, np.float32))
-        found.append(read()[0])
-    return found
+        per_tick.append(read()[0])
+    return per_tick
 
 
 @pytest.mark.parametrize("substeps", [1, 3, 8])
@@ -51,15 +52,15 @@ def test_momentum_is_force_times_time_whatever_the_substeps(pushed: Make, subste
         f"{{push: {{body: drone, force: 0.02 0 0 N, at: 50 ms, duration: {lasts} s}}}}",
         f"world.substeps={substeps}",
     )
-    found = speeds(once, 40)
-    assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in found[:5])
-    assert found[5][0] > 0
-    assert found[-1] == pytest.approx((0.02 * lasts / MASS, 0, 0), rel=1e-3, abs=1e-5)
+    speeds = velocities(once, 40)
+    assert all(speed == pytest.approx((0, 0, 0), abs=1e-12) for speed in speeds[:5])
+    assert speeds[5][0] > 0
+    assert speeds[-1] == pytest.approx((0.02 * lasts / MASS, 0, 0), rel=1e-3, abs=1e-5)
 
 
 def test_a_torque_turns_the_body(pushed: Make):
     once = pushed("{twist: {body: drone.base_link, torque: 0 0 1e-5 N*m, at: 0 s, duration: 50 ms}}")
-    speeds(once, 10)
+    velocities(once, 10)
     _, (_, _, rate) = once.engine.velocity("drone")()
     inertia = 2.2e-5 + 4 * (1.26562e-07 + 0.0005 * 2 * 0.033**2)
     assert rate == pytest.approx(1e-5 * 0.05 / inertia, rel=2e-2)
@@ -67,15 +68,15 @@ def test_a_torque_turns_the_body(pushed: Make):
 
 def test_pushes_repeat_after_their_interval_and_the_first_comes_after_one(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, every: 0.2 s, duration: 20 ms}}")
-    found = [speed[1] for speed in speeds(often, 100)]
-    jumps = [k for k in range(1, 100) if found[k] > found[k - 1] + 1e-6]
+    speeds = [speed[1] for speed in velocities(often, 100)]
+    jumps = [k for k in range(1, 100) if speeds[k] > speeds[k - 1] + 1e-6]
     assert jumps == [k for start in (20, 40, 60, 80) for k in (start, start + 1)]
 
 
 def test_at_says_when_the_first_of_many_pushes_comes(pushed: Make):
     often = pushed("{push: {body: drone, force: 0 0.01 0 N, at: 0 s, every: 0.5 s, duration: 10 ms}}")
-    found = [speed[1] for speed in speeds(often, 100)]
-    assert [k for k in range(100) if found[k] > (found[k - 1] if k else 0.0) + 1e-6] == [0, 50]
+    speeds = [speed[1] for speed in velocities(often, 100)]
+    assert [k for k in range(100) if speeds[k] > (speeds[k - 1] if k else 0.0) + 1e-6] == [0, 50]
 
 
 def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushed: Make):
@@ -84,9 +85,13 @@ def test_pushes_are_drawn_anew_and_come_again_with_the_seed_after_any_past(pushe
         " duration: uniform(10 .. 30 ms)}}"
     )
     used, fresh = pushed(gusts), pushed(gusts)
-    speeds(used, 33, seed=4)
-    first, again, other = speeds(used, 60, seed=7), speeds(fresh, 60, seed=7), speeds(fresh, 60, seed=8)
-    assert first == again != other
+    velocities(used, 33, seed=4)
+    first, again, another_seed = (
+        velocities(used, 60, seed=7),
+        velocities(fresh, 60, seed=7),
+        velocities(fresh, 60, seed=8),
+    )
+    assert first == again != another_seed
     assert len({round(step[0] - before[0], 9) for before, step in pairwise(first)}) > 6
 
 
@@ -99,7 +104,9 @@ def test_another_disturbance_changes_no_draw_of_the_first(pushed: Make):
     both = pushed(
         f"{{lift: {{body: drone, force: 0 0 1 mN, every: uniform(50 .. 90 ms), duration: 20 ms}}, {gust}}}"
     )
-    assert np.allclose(np.array(speeds(alone, 50))[:, :2], np.array(speeds(both, 50))[:, :2], atol=1e-9)
+    assert np.allclose(
+        np.array(velocities(alone, 50))[:, :2], np.array(velocities(both, 50))[:, :2], atol=1e-9
+    )
 
 
 def test_nothing_pushes_while_the_world_settles(pushed: Make):
@@ -108,7 +115,7 @@ def test_nothing_pushes_while_the_world_settles(pushed: Make):
     )
     assert settled.reset(seed=0)
     assert settled.engine.velocity("drone")()[0] == pytest.approx((0, 0, 0), abs=1e-12)
-    assert speeds(settled, 3)[-1][1] == pytest.approx(0.01 * 0.01 / MASS, rel=1e-3)
+    assert velocities(settled, 3)[-1][1] == pytest.approx(0.01 * 0.01 / MASS, rel=1e-3)
 
 
 def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed: Make):
@@ -116,9 +123,9 @@ def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed:
         "{push: {body: drone, force: 'vector(wind, 0 N, 0 N)', every: 0.1 s, duration: 50 ms}}",
         "parameters.wind=uniform(1 .. 20 mN)",
     )
-    found = speeds(windy, 40, seed=3)
-    assert found[19][0] > 0
-    assert found[39][0] == pytest.approx(3 * found[19][0], rel=1e-3)
+    speeds = velocities(windy, 40, seed=3)
+    assert speeds[19][0] > 0
+    assert speeds[39][0] == pytest.approx(3 * speeds[19][0], rel=1e-3)
 
 
 class Pushed:

@@ -13,7 +13,9 @@ from tests.worlds import SCENARIOS, Make
 
 DRONE = SCENARIOS / "drone.yaml"
 
-MASS, GRAVITY, TURNING = 0.02572680943 + 4 * 0.0005, 9.81, 2.2e-5
+MASS = 0.02572680943 + 4 * 0.0005
+GRAVITY = 9.81
+TURNING = 2.2e-5
 TICK = 0.01
 LEVEL = "reset={place: {drone: {z: 1 m}}}"
 PERFECT = (
@@ -76,7 +78,8 @@ def test_commands_beyond_the_range_are_brought_to_its_end(drone: Make):
 
 
 def test_lagging_rotors_follow_the_exponential(drone: Make):
-    lag, substep = 0.03, TICK / 4
+    lag = 0.03
+    substep = TICK / 4
     slow = drone(PERFECT.replace("spin: 1", "spin: 1, time_constant: 30 ms"), EXACT_HOVER)
     fly(slow, 10)
     (_, _, speed), _ = slow.engine.velocity("drone")()
@@ -110,8 +113,8 @@ def test_strength_is_drawn_for_each_rotor_and_multiplies_thrust_and_drag(drone: 
 def test_episodes_with_drawn_rotors_are_the_same_after_any_past(drone: Make):
     used, fresh = drone(), drone()
     fly(used, 37, (0.4, -0.2, 0.1, 0.3), seed=5)
-    found = []
+    states = []
     for environment in (used, fresh):
         fly(environment, 20, (0.1, 0.2, -0.1, 0.0), seed=8)
-        found.append((environment.engine.pose("drone")(), environment.engine.velocity("drone")()))
-    assert found[0] == found[1]
+        states.append((environment.engine.pose("drone")(), environment.engine.velocity("drone")()))
+    assert states[0] == states[1]

@@ -19,7 +19,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from tests.agents.test_agents import SEVERAL
-from tests.agents.test_joint_training import SHARED, written
+from tests.agents.test_joint_training import SHARED, write_scenario
 from tests.few import every, few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
@@ -69,16 +69,16 @@ def compare(program: Program, steps: int = 80) -> int:
                 actions = np.array([np.random.default_rng(step).choice(np.flatnonzero(row)) for row in masks])
             else:
                 actions = np.stack([single.action_space.sample() for _ in range(WORLDS)])
-            one, many = single.step_all(actions), batch.step_all(actions)
-            assert observation_digest(one.observations) == observation_digest(many.observations)
-            assert one.rewards.tolist() == many.rewards.tolist()
-            assert [(end.row, end.episode) for end in one.endings] == [
-                (end.row, end.episode) for end in many.endings
+            of_single, of_batch = single.step_all(actions), batch.step_all(actions)
+            assert observation_digest(of_single.observations) == observation_digest(of_batch.observations)
+            assert of_single.rewards.tolist() == of_batch.rewards.tolist()
+            assert [(end.row, end.episode) for end in of_single.endings] == [
+                (end.row, end.episode) for end in of_batch.endings
             ]
-            episodes += len(one.endings)
+            episodes += len(of_single.endings)
             if step == steps:
                 kept = batch.histories()
-                seen = observation_digest(many.observations)
+                seen = observation_digest(of_batch.observations)
                 assert observation_digest(batch.repeat(kept)) == seen
     return episodes
 
@@ -86,7 +86,7 @@ def compare(program: Program, steps: int = 80) -> int:
 @pytest.mark.parametrize("text", [SEVERAL, CHOOSING], ids=["ranges", "choices"])
 @pytest.mark.parametrize("role", every(3, ROLES))
 def test_an_agent_beside_others_sees_the_same_in_a_batch(tmp_path: Path, role: str, text: str) -> None:
-    program = api.compile(written(tmp_path, text), overrides=[f"role={{{ROLES[role]}}}"]).program
+    program = api.compile(write_scenario(tmp_path, text), overrides=[f"role={{{ROLES[role]}}}"]).program
     assert compare(program) > 0
 
 
@@ -115,11 +115,11 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
         pytest.importorskip("sb3_contrib")
     folder = tmp_path_factory.mktemp("policies")
     text = SHARED.replace("algorithm: PPO", f"algorithm: {request.param}")
-    deepbots_cli.train(written(folder, text), run=folder / "run", seed=1, total_timesteps=128)
+    deepbots_cli.train(write_scenario(folder, text), run=folder / "run", seed=1, total_timesteps=128)
     return folder / "run"
 
 
-def beside(trained: Path, *overrides: str) -> api.Compiled:
+def scenario_with_rival(trained: Path, *overrides: str) -> api.Compiled:
     role = f"role={{agent: left, others: {{right: {json.dumps(str(trained))}}}}}"
     return api.compile(
         trained.parent / "several.yaml",
@@ -129,13 +129,13 @@ def beside(trained: Path, *overrides: str) -> api.Compiled:
 
 
 def test_a_policy_beside_the_agent_acts_the_same_in_a_batch(trained: Path) -> None:
-    assert compare(beside(trained).program) > 0
+    assert compare(scenario_with_rival(trained).program) > 0
 
 
 @pytest.mark.slow
 def test_a_policy_that_takes_masks_acts_the_same_in_a_batch(tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
-    scenario = written(tmp_path, CHOOSING)
+    scenario = write_scenario(tmp_path, CHOOSING)
     deepbots_cli.train(api.compile(scenario, overrides=["role.agent=right"]), run=tmp_path / "run")
     role = f"role={{agent: left, others: {{right: {json.dumps(str(tmp_path / 'run'))}}}}}"
     allowed = Permissions(folders=(tmp_path,))
@@ -144,8 +144,8 @@ def test_a_policy_that_takes_masks_acts_the_same_in_a_batch(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_an_evaluation_beside_a_policy_is_the_same_in_a_batch(trained: Path, tmp_path: Path) -> None:
-    program = beside(trained).program
-    deepbots_cli.train(beside(trained), run=tmp_path / "run", total_timesteps=64)
+    program = scenario_with_rival(trained).program
+    deepbots_cli.train(scenario_with_rival(trained), run=tmp_path / "run", total_timesteps=64)
     model = load_model(Run.open(tmp_path / "run"), "last")
     build = supervisor_factory("mujoco")
     played = []
@@ -160,6 +160,6 @@ def test_an_evaluation_beside_a_policy_is_the_same_in_a_batch(trained: Path, tmp
 
 def test_a_training_beside_others_steps_its_worlds_together(tmp_path: Path) -> None:
     overrides = ["role={agent: left, others: {right: lean}}", "world.engine=mujoco"]
-    program = api.compile(written(tmp_path, SEVERAL), overrides=overrides).program
+    program = api.compile(write_scenario(tmp_path, SEVERAL), overrides=overrides).program
     text = stepping_text(program, 8, "mujoco", supervisor_factory("mujoco"))
     assert text == "Carts steps its 8 worlds together, as a batch"

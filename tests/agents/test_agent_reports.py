@@ -22,7 +22,7 @@ from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
 from deepbots_cli.view.replay import ReplayPlayer
-from tests.agents.test_joint_training import SHARED, written
+from tests.agents.test_joint_training import SHARED, write_scenario
 
 HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late: {when: step > 13")
 """The right agent has failed after 14 steps, whatever it does."""
@@ -32,7 +32,7 @@ HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late:
 def hopeless(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which the right agent cannot succeed; not to be changed."""
     folder = tmp_path_factory.mktemp("hopeless")
-    deepbots_cli.train(written(folder, HOPELESS), run=folder / "run", seed=1)
+    deepbots_cli.train(write_scenario(folder, HOPELESS), run=folder / "run", seed=1)
     assert main(["eval", str(folder / "run"), "--episodes", "20"]) == 0
     return folder / "run"
 
@@ -184,9 +184,9 @@ def test_the_model_of_agents_that_compete_is_called_the_newest(
     hopeless: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["eval", str(hopeless), "--episodes", "2"]) == 0
-    shown = capsys.readouterr().out
-    assert "run (newest, after 768 steps)" in shown
-    assert "2 held-out starts from evaluation seed 1, which no training uses" in shown
+    output = capsys.readouterr().out
+    assert "run (newest, after 768 steps)" in output
+    assert "2 held-out starts from evaluation seed 1, which no training uses" in output
     assert main(["runs", str(hopeless)]) == 0
     assert " newest " in capsys.readouterr().out
 

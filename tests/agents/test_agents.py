@@ -82,21 +82,23 @@ def several(tmp_path: Path) -> Path:
 def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
     several: Path, tmp_path: Path
 ) -> None:
-    one = tmp_path / "one.yaml"
-    one.write_text(ONE)
-    with closing(api.make(several)) as world, closing(api.make(one)) as same:
+    file = tmp_path / "one.yaml"
+    file.write_text(ONE)
+    with closing(api.make(several)) as world, closing(api.make(file)) as same:
         seats = seats_of(world)
         observed, _ = world.reset(seed=3)
-        other, _ = same.reset(seed=3)
+        joint_observation, _ = same.reset(seed=3)
         generator = np.random.default_rng(0)
         for _ in range(60):
             left, right = generator.uniform(-1, 1, (2, 1)).astype(np.float32)
             observed, _, ended, cut, info = world.step(
                 joint_action(world, seats, {"left": left, "right": right})
             )
-            other, reward, other_ended, other_cut, other_info = same.step(np.concatenate([left, right]))
-            assert seats["left"].observation(observed)[:3].tolist() == other[[0, 1, 2]].tolist()
-            assert seats["right"].observation(observed)[:3].tolist() == other[[3, 1, 4]].tolist()
+            joint_observation, reward, other_ended, other_cut, other_info = same.step(
+                np.concatenate([left, right])
+            )
+            assert seats["left"].observation(observed)[:3].tolist() == joint_observation[[0, 1, 2]].tolist()
+            assert seats["right"].observation(observed)[:3].tolist() == joint_observation[[3, 1, 4]].tolist()
             assert seats["left"].observation(observed)[3] == left[0]
             terms = other_info["reward_terms"]
             assert seats["left"].reward(info) == terms["upright_left"] + terms["calm_left"]

@@ -37,7 +37,7 @@ def carts(tmp_path: Path) -> Path:
 
 
 def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
-    """Return the rows of an episode in which the left cart is driven ahead, and the right one stands."""
+    """Return the rows of an episode in which the left cart drives ahead and the right one does not move."""
     rows = []
     with closing(api.make(file, **options)) as world:
         seats = seats_of(world)
@@ -95,7 +95,8 @@ def test_the_robots_of_an_agent_that_has_ended_stop(carts: Path) -> None:
     with closing(api.make(carts)) as world:
         seats = seats_of(world)
         world.reset(seed=3)
-        speeds, ended = [], False
+        speeds = []
+        ended = False
         while not ended:
             observed, _, ended, cut, _ = world.step(joint_action(world, seats, PUSH))
             ended = ended or cut
@@ -114,8 +115,10 @@ def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> 
         driver = AgentsDriver(world, {"left": "ahead", "right": "zero"})
         episode = result_of(steps(world, driver, Start(3)), 0)
         left, right = (own_episode(member, episode) for member in world.scenario.members.values())
-    assert (left.ended_by, left.is_success) == ("left_fell", False)
-    assert (right.ended_by, right.is_success) == ("right_fell", True)
+    assert left.ended_by == "left_fell"
+    assert left.is_success is False
+    assert right.ended_by == "right_fell"
+    assert right.is_success is True
     assert left.length < right.length == episode.length
     assert left.total_return + right.total_return == pytest.approx(episode.total_return)
 
@@ -124,7 +127,8 @@ def test_the_episode_of_a_role_ends_with_its_agent(carts: Path) -> None:
     role = ["role={agent: left, others: {right: zero}}"]
     with closing(api.make(api.compile(carts, overrides=role))) as environment:
         environment.reset(seed=3)
-        ended, number = False, 0
+        ended = False
+        number = 0
         while not ended:
             _, _, ended, cut, info = environment.step(PUSH["left"])
             number += 1

@@ -72,9 +72,9 @@ def test_losses_are_drawn_for_each_pair_and_repeat_with_the_seed(carts: Path) ->
     first, second = _observed(carts, 40), _observed(carts, 40)
     assert first == second
     repeated = [a["left"][2] == b["left"][2] for a, b in pairwise(first)]
-    other = [a["right"][2] == b["right"][2] for a, b in pairwise(first)]
+    of_the_other_robot = [a["right"][2] == b["right"][2] for a, b in pairwise(first)]
     assert 5 < sum(repeated) < 36
-    assert repeated != other
+    assert repeated != of_the_other_robot
 
 
 def test_a_batch_delivers_the_messages_of_single_worlds(carts: Path) -> None:

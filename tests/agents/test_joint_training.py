@@ -39,7 +39,7 @@ TOGETHER = SEVERAL.replace("success: right, failure: left", "failure: all").repl
 )
 
 
-def written(folder: Path, text: str) -> Path:
+def write_scenario(folder: Path, text: str) -> Path:
     file = folder / "several.yaml"
     file.write_text(text)
     return file
@@ -49,12 +49,12 @@ def written(folder: Path, text: str) -> Path:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which both agents have learned."""
     folder = tmp_path_factory.mktemp("joint")
-    deepbots_cli.train(written(folder, SHARED), run=folder / "run", seed=1)
+    deepbots_cli.train(write_scenario(folder, SHARED), run=folder / "run", seed=1)
     return folder / "run"
 
 
 def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> None:
-    program = api.compile(written(tmp_path, SHARED)).program
+    program = api.compile(write_scenario(tmp_path, SHARED)).program
     generator = np.random.default_rng(0)
 
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
@@ -87,7 +87,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
 
 
 def test_a_batch_pays_each_agent_what_single_worlds_do(tmp_path: Path) -> None:
-    program = api.compile(written(tmp_path, SHARED), overrides=["world.engine=mujoco"]).program
+    program = api.compile(write_scenario(tmp_path, SHARED), overrides=["world.engine=mujoco"]).program
     terms = {name: [*member.terms.values()] for name, member in program.members.items()}
     actions = np.random.default_rng(0).uniform(-1, 1, (30, 8, 2)).astype(np.float32)
     single = Worlds([api.build(program) for _ in range(8)], range(8), agent_terms=terms)
@@ -98,10 +98,10 @@ def test_a_batch_pays_each_agent_what_single_worlds_do(tmp_path: Path) -> None:
         for worlds in (single, batch):
             worlds.reset()
         for step in actions:
-            one, many = single.step_all(step).agent_rewards, batch.step_all(step).agent_rewards
-            assert {*one} == {*many} == {"left", "right"}
-            for name in one:
-                assert many[name] == pytest.approx(one[name], rel=1e-5, abs=1e-6)
+            of_single, of_batch = single.step_all(step).agent_rewards, batch.step_all(step).agent_rewards
+            assert {*of_single} == {*of_batch} == {"left", "right"}
+            for name in of_single:
+                assert of_batch[name] == pytest.approx(of_single[name], rel=1e-5, abs=1e-6)
 
 
 def test_all_agents_learn_in_one_run(trained: Path) -> None:
@@ -136,7 +136,7 @@ def test_an_evaluation_has_the_scores_of_each_agent(trained: Path) -> None:
     ],
 )
 def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, training: str) -> None:
-    scenario = written(tmp_path, SEVERAL.replace(OWN, training))
+    scenario = write_scenario(tmp_path, SEVERAL.replace(OWN, training))
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     deepbots_cli.train(scenario, run=whole, seed=2)
     assert deepbots_cli.train(scenario, run=cut, seed=2, progress=At(100)).interrupted
@@ -146,7 +146,7 @@ def test_an_interrupted_training_of_all_agents_becomes_the_same(tmp_path: Path, 
 
 @pytest.mark.slow
 def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: Path) -> None:
-    scenario = written(tmp_path, SHARED.replace("n_steps", "environments: 2, shards: 2, n_steps"))
+    scenario = write_scenario(tmp_path, SHARED.replace("n_steps", "environments: 2, shards: 2, n_steps"))
     here = deepbots_cli.train(scenario, run=tmp_path / "here", seed=3)
     with Cluster(workers=2) as cluster, LocalProcesses(2) as processes:
         cluster._pool = processes
@@ -156,7 +156,7 @@ def test_shards_of_all_agents_give_the_same_weights_wherever_they_run(tmp_path: 
 
 @pytest.mark.slow
 def test_agents_with_a_success_in_common_keep_the_best_model(tmp_path: Path) -> None:
-    program = api.compile(written(tmp_path, TOGETHER)).program
+    program = api.compile(write_scenario(tmp_path, TOGETHER)).program
     assert program.defines_success
     assert not program.has_rivals
     result = deepbots_cli.train(tmp_path / "several.yaml", run=tmp_path / "run", seed=1)
@@ -171,18 +171,18 @@ def test_agents_with_a_success_in_common_keep_the_best_model(tmp_path: Path) -> 
         ("train: {n_steps: 32}", "write `n_steps`"),
     ],
 )
-def test_agents_that_cannot_learn_in_the_same_worlds_are_told_what_to_write(
+def test_agents_that_cannot_learn_in_the_same_worlds_are_refused_with_what_to_write(
     tmp_path: Path, own: str, message: str
 ) -> None:
     text = SHARED.replace("{like: left, robots: [right]}", f"{{like: left, robots: [right], {own}}}")
     with pytest.raises(UsageError, match=message):
-        deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run")
+        deepbots_cli.train(write_scenario(tmp_path, text), run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 def test_agents_learn_in_turns(tmp_path: Path) -> None:
     text = SHARED.replace("n_steps: 64", "n_steps: 64, turns: 128").replace("768", "192")
-    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", seed=1, keep_checkpoints=3)
+    deepbots_cli.train(write_scenario(tmp_path, text), run=tmp_path / "run", seed=1, keep_checkpoints=3)
     run = Run.open(tmp_path / "run")
     weights = [load_model(run, f"step-{steps:09d}").weights() for steps in (64, 128, 192)]
     layer = "mlp_extractor.policy_net.0.weight"
@@ -194,7 +194,7 @@ def test_agents_learn_in_turns(tmp_path: Path) -> None:
 
 
 def test_an_agent_begins_with_its_policy_of_a_run_of_all(trained: Path, tmp_path: Path) -> None:
-    alone = api.compile(written(tmp_path, SHARED), overrides=["role={agent: right}"])
+    alone = api.compile(write_scenario(tmp_path, SHARED), overrides=["role={agent: right}"])
     result = deepbots_cli.train(alone, run=tmp_path / "run", total_timesteps=64, initialize_from=trained)
     assert result.initialized_from is not None
     with own_model(trained / "models" / "agent" / "best.zip", "right") as file:
@@ -203,13 +203,13 @@ def test_an_agent_begins_with_its_policy_of_a_run_of_all(trained: Path, tmp_path
 
 def test_a_teacher_of_all_agents_is_refused(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--agent left"):
-        deepbots_cli.train(written(tmp_path, SHARED), run=tmp_path / "run", demonstrations=trained)
+        deepbots_cli.train(write_scenario(tmp_path, SHARED), run=tmp_path / "run", demonstrations=trained)
 
 
 def test_an_agent_adds_keys_to_the_training_of_all(tmp_path: Path) -> None:
     own = "train: {learning_rate: 1e-5}"
     text = SHARED.replace("{like: left, robots: [right]}", f"{{like: left, robots: [right], {own}}}")
-    members = api.compile(written(tmp_path, text)).program.members
+    members = api.compile(write_scenario(tmp_path, text)).program.members
     settings = {
         name: {entry.name: entry.value for entry in member.program.agent.training.hyperparameters}  # type: ignore[union-attr]
         for name, member in members.items()

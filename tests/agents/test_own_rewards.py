@@ -28,7 +28,8 @@ def test_an_agent_sees_its_own_rewards(tmp_path: Path, repeat: str) -> None:
     file.write_text(OBSERVED + repeat)
     with closing(api.make(file)) as world:
         world.reset(seed=1)
-        seats, generator = seats_of(world), np.random.default_rng(0)
+        seats = seats_of(world)
+        generator = np.random.default_rng(0)
         earned, last = dict.fromkeys(seats, 0.0), dict.fromkeys(seats, 0.0)
         for _ in range(5):
             observed, _, _, _, info = world.step(generator.uniform(-1, 1, 2).astype(np.float32))

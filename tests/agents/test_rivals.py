@@ -22,7 +22,7 @@ from deepbots_cli.runtime.agents import driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, Showing
-from tests.agents.test_joint_training import SHARED, written
+from tests.agents.test_joint_training import SHARED, write_scenario
 from tests.worlds import RAIL
 
 
@@ -30,11 +30,11 @@ from tests.worlds import RAIL
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which both agents have learned, beside its scenario."""
     folder = tmp_path_factory.mktemp("rivals")
-    deepbots_cli.train(written(folder, SHARED), run=folder / "run", seed=1)
+    deepbots_cli.train(write_scenario(folder, SHARED), run=folder / "run", seed=1)
     return folder / "run"
 
 
-def beside(trained: Path, driver: str | Path) -> api.Compiled:
+def scenario_with_rival(trained: Path, driver: str | Path) -> api.Compiled:
     """The scenario of the left agent, with a driver for the right one."""
     role = f"role={{agent: left, others: {{right: {json.dumps(str(driver))}}}}}"
     permissions = Permissions(folders=(trained,))
@@ -45,7 +45,7 @@ def test_the_policy_of_a_run_acts_for_the_other_agent(trained: Path) -> None:
     policy = load_model(Run.open(trained), "best").learners["right"]
     scenario = trained.parent / "several.yaml"
     with (
-        closing(api.build(beside(trained, trained).program)) as world,
+        closing(api.build(scenario_with_rival(trained, trained).program)) as world,
         closing(deepbots_cli.parallel_env(scenario)) as all_agents,
     ):
         own, _ = world.reset(seed=4)
@@ -61,7 +61,7 @@ def test_the_policy_of_a_run_acts_for_the_other_agent(trained: Path) -> None:
 
 
 def test_a_run_keeps_the_policy_that_acts_beside_it(trained: Path, tmp_path: Path) -> None:
-    deepbots_cli.train(beside(trained, trained), run=tmp_path / "run", total_timesteps=64)
+    deepbots_cli.train(scenario_with_rival(trained, trained), run=tmp_path / "run", total_timesteps=64)
     moved = tmp_path / "moved"
     (tmp_path / "run").rename(moved)
     kept = Run.open(moved)
@@ -72,18 +72,18 @@ def test_a_run_keeps_the_policy_that_acts_beside_it(trained: Path, tmp_path: Pat
 
 def test_a_model_has_the_digest_of_its_bytes_and_not_of_its_path(trained: Path, tmp_path: Path) -> None:
     model = trained / "models" / "agent" / "best.zip"
-    assert beside(trained, trained).digest == beside(trained, model).digest
-    assert beside(trained, trained).digest != beside(trained, "random").digest
+    assert scenario_with_rival(trained, trained).digest == scenario_with_rival(trained, model).digest
+    assert scenario_with_rival(trained, trained).digest != scenario_with_rival(trained, "random").digest
 
 
 @pytest.mark.parametrize("path", ["runs/nothing", "nothing/best.zip"])
 def test_a_policy_that_does_not_exist_is_a_finding_at_its_place(trained: Path, path: str) -> None:
     with pytest.raises(ScenarioError, match="does not exist"):
-        beside(trained, path)
+        scenario_with_rival(trained, path)
 
 
 def test_a_policy_with_other_layers_is_refused_with_the_reason(trained: Path, tmp_path: Path) -> None:
-    scenario = written(tmp_path, SHARED.replace("hidden: [8]", "hidden: [16]"))
+    scenario = write_scenario(tmp_path, SHARED.replace("hidden: [8]", "hidden: [16]"))
     role = f"role={{agent: left, others: {{right: {json.dumps(str(trained))}}}}}"
     program = api.compile(scenario, overrides=[role], permissions=Permissions(folders=(trained,))).program
     with pytest.raises(RunError, match="right") as refused:
@@ -92,16 +92,18 @@ def test_a_policy_with_other_layers_is_refused_with_the_reason(trained: Path, tm
 
 
 def test_an_agent_of_a_run_is_evaluated_against_a_driver(trained: Path) -> None:
-    result = evaluate(trained, scenario=beside(trained, "random"), episodes=3, seed=2)
+    result = evaluate(trained, scenario=scenario_with_rival(trained, "random"), episodes=3, seed=2)
     assert set(result.term_means) == {"upright", "calm"}  # of the left agent alone
     joint = load_model(Run.open(trained), "best").learners["left"]
-    with closing(api.build(beside(trained, "random").program)) as world:
+    with closing(api.build(scenario_with_rival(trained, "random").program)) as world:
         observed, _ = world.reset(seed=derive_seed(2, "evaluation", 0))
-        total, ended = 0.0, False
+        total = 0.0
+        ended = False
         while not ended:
             action, _ = joint.predict(observed[None], deterministic=True)
             observed, reward, terminated, truncated, _ = world.step(action[0])
-            total, ended = total + float(reward), terminated or truncated
+            total = total + float(reward)
+            ended = terminated or truncated
     assert result.outcomes[0].total_return == pytest.approx(total)
 
 
@@ -110,7 +112,7 @@ def test_an_agent_of_a_run_is_shown_with_its_own_return(trained: Path) -> None:
     with closing(Player(Showing(str(trained), overrides=overrides).open())) as player:
         seen = [next(iter(frame.agents.values())) for frame in player.episode(1, 0)]
         assert [*seen[-1].terms] == [term.name for term in player.program.agent.reward]
-    assert seen[-1].episode_return == pytest.approx(sum(sum(one.terms.values()) for one in seen[1:]))
+    assert seen[-1].episode_return == pytest.approx(sum(sum(seat.terms.values()) for seat in seen[1:]))
 
 
 def test_players_of_equal_agents_take_both_sides(trained: Path) -> None:
@@ -146,7 +148,7 @@ def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp
     text = SHARED.replace(
         "{like: left, robots: [right]}", "{like: left, robots: [right], reward: {alive: 1}}"
     )
-    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", total_timesteps=64)
+    deepbots_cli.train(write_scenario(tmp_path, text), run=tmp_path / "run", total_timesteps=64)
     table = play_matches([tmp_path / "run"], episodes=2)
     assert not table.is_symmetric
     assert len(table.matches) == 9
@@ -173,19 +175,21 @@ def test_scripts_play_against_each_other_before_any_training(
     (match,) = json.loads(capsys.readouterr().out)["matches"]
     assert sum(match["endings"].values()) == match["episodes"] == 6
     seconds = []
-    for one, two in (("lean", "random"), ("random", "lean")):
-        role = f"role={{agent: left, others: {{right: {two}}}}}"
+    for own, rival in (("lean", "random"), ("random", "lean")):
+        role = f"role={{agent: left, others: {{right: {rival}}}}}"
         with closing(api.make(scenario, overrides=[role])) as world:
             for number in range(3):
-                driver = named_driver(world, one) if one == "lean" else None
+                driver = named_driver(world, own) if own == "lean" else None
                 seat = world.seat  # type: ignore[attr-defined]  # of an agent
                 draw = driven(world.supervisor, seat, "random")  # type: ignore[attr-defined]
                 seen, _ = world.reset(seed=derive_seed(0, "evaluation", number))
-                steps, ended = 0, False
+                steps = 0
+                ended = False
                 while not ended:
                     action = driver.act(seen) if driver is not None else draw(seen)
                     seen, _, terminated, truncated, _ = world.step(action)
-                    steps, ended = steps + 1, terminated or truncated
+                    steps = steps + 1
+                    ended = terminated or truncated
                 seconds.append(steps * 0.032)
     assert match["mean_seconds"] == pytest.approx(np.mean(seconds))
 
@@ -255,7 +259,7 @@ def test_robustness_is_that_of_one_agent(trained: Path, capsys: pytest.CaptureFi
 def test_a_group_of_agents_that_compete_shows_the_return_of_each(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scenario = written(tmp_path, SHARED)
+    scenario = write_scenario(tmp_path, SHARED)
     deepbots_cli.learning.train_group(
         api.compile(scenario), [1, 2], group=tmp_path / "group", total_timesteps=64
     )

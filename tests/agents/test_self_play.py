@@ -21,7 +21,7 @@ from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollect
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.agents import Place
-from tests.agents.test_joint_training import SHARED, written
+from tests.agents.test_joint_training import SHARED, write_scenario
 from tests.learning.interruption import At, outcome
 
 PLAYED = SHARED.replace(
@@ -48,7 +48,7 @@ def test_the_policy_plays_one_or_both_sides_of_each_world(worlds: int, newest: f
 
 
 def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
-    program = api.compile(written(tmp_path, PLAYED)).program
+    program = api.compile(write_scenario(tmp_path, PLAYED)).program
     generator = np.random.default_rng(0)
 
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:
@@ -90,7 +90,7 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
 def test_an_interrupted_training_with_self_play_becomes_the_same(
     tmp_path: Path, text: str, worlds: int
 ) -> None:
-    scenario = written(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
+    scenario = write_scenario(tmp_path, text.replace("environments: 4", f"environments: {worlds}"))
     deepbots_cli.train(scenario, run=tmp_path / "whole", seed=2)
     assert deepbots_cli.train(scenario, run=tmp_path / "cut", seed=2, progress=At(900)).interrupted
     resumed = deepbots_cli.resume(tmp_path / "cut")
@@ -100,7 +100,7 @@ def test_an_interrupted_training_with_self_play_becomes_the_same(
 
 @pytest.mark.slow
 def test_both_agents_of_a_model_have_the_same_policy(tmp_path: Path) -> None:
-    result = deepbots_cli.train(written(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    result = deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
     weights = load_model(Run.open(tmp_path / "run"), "best").weights()
     left = {name.partition("/")[2]: array for name, array in weights.items() if name.startswith("left/")}
     assert left
@@ -128,7 +128,7 @@ def test_past_policies_act_with_the_weights_of_their_time(
 
     digests: dict[int, str] = {}
     monkeypatch.setattr(SelfPlayLearner, "_let_opponents_act", watched)
-    deepbots_cli.train(written(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
     assert pools[0] == []
     assert pools[-1] == [768, 1024, 1280]  # a pool of three, the oldest ones gone
     assert len(set(digests.values())) == len(digests) == 5
@@ -151,7 +151,7 @@ def test_scripts_of_the_scenario_play_the_other_side(
     text = SCRIPTED.replace("environments: 4", "environments: 16").replace(
         "arena:", f"engine: {engine}, arena:"
     )
-    deepbots_cli.train(written(tmp_path, text), run=tmp_path / "run", seed=2)
+    deepbots_cli.train(write_scenario(tmp_path, text), run=tmp_path / "run", seed=2)
     ahead = 0
     for opponents, actions, sides in seen:
         assert set(np.unique(opponents[:, sides.scripted])) <= {-2, -3}  # lean and ahead
@@ -186,13 +186,13 @@ def test_self_play_of_unequal_agents_is_refused(tmp_path: Path, old: str, new: s
     text = PLAYED.replace("newest: 50 %", "newest: 50 %, scripts: 20 %") if "scripts" in message else PLAYED
     assert old in text
     with pytest.raises(UsageError, match=message):
-        deepbots_cli.train(written(tmp_path, text.replace(old, new)), run=tmp_path / "run")
+        deepbots_cli.train(write_scenario(tmp_path, text.replace(old, new)), run=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow
 def test_a_damaged_pool_is_refused(tmp_path: Path) -> None:
-    deepbots_cli.train(written(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
+    deepbots_cli.train(write_scenario(tmp_path, PLAYED), run=tmp_path / "run", seed=2)
     folder = latest_checkpoint(Run.open(tmp_path / "run"))
     assert folder is not None
     arrays = dict(np.load(folder / "arrays.npz"))
@@ -204,10 +204,10 @@ def test_a_damaged_pool_is_refused(tmp_path: Path) -> None:
 
 def test_a_rating_follows_the_results_of_games() -> None:
     rater = self_play._Rater()
-    one, two = rater.new(), rater.new()
+    winner, loser = rater.new(), rater.new()
     for _ in range(20):
-        one, two = rater.rated(one, two, 1)
-    assert one.mean > 25 > two.mean
-    assert one.deviation < rater.new().deviation
+        winner, loser = rater.rated(winner, loser, 1)
+    assert winner.mean > 25 > loser.mean
+    assert winner.deviation < rater.new().deviation
     drawn, _ = rater.rated(rater.new(), rater.new(), 0)
     assert drawn.mean == 25.0

@@ -47,7 +47,7 @@ def test_two_robots_carry_the_bar_to_the_mark_and_one_alone_does_not(right: str,
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_who_leaves_the_ring_loses(seed: int) -> None:
+def test_the_robot_that_leaves_the_ring_loses(seed: int) -> None:
     infos, _ = play("sumo", seed, red="push", blue="push")
     if infos["red"]["ended_by"] != "max_time":
         winner, loser = ("blue", "red") if infos["red"]["ended_by"] == "red_out" else ("red", "blue")

@@ -77,10 +77,10 @@ def test_one_agent_succeeds_at_a_limit(tmp_path: Path, engine: str) -> None:
 
 def test_a_limit_names_agents_that_exist(carts: Path, tmp_path: Path) -> None:
     carts.write_text(LIMITED.replace("success: right}}", "success: middle}}"))
-    one = tmp_path / "one.yaml"
-    one.write_text(
+    alone = tmp_path / "one.yaml"
+    alone.write_text(
         "deepbots: 1\nextends: cartpole\nname: One\ntruncation: {max_time: {limit: 2 s, success: cart}}\n"
     )
-    for file, name in ((carts, "middle"), (one, "cart")):
+    for file, name in ((carts, "middle"), (alone, "cart")):
         errors = [finding for finding in api.lint(file) if finding.severity == "error"]
         assert [finding.headline for finding in errors] == [f"there is no agent `{name}`"]

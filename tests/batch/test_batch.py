@@ -1,4 +1,4 @@
-"""A batch of worlds lives the same episodes as its single worlds."""
+"""A batch of worlds has the same episodes as its single worlds."""
 
 from __future__ import annotations
 
@@ -71,20 +71,20 @@ def rows(observation: Any) -> np.ndarray[Any, Any]:
     return np.asarray(observation)
 
 
-def taken(part: Any, world: int) -> Any:
+def part_of_world(part: Any, world: int) -> Any:
     return {key: value[world] for key, value in part.items()} if isinstance(part, dict) else part[world]
 
 
 def masks(info: dict[str, Any]) -> list[Any]:
     """The mask of each choice; none where nothing is ever forbidden."""
-    found = info.get("action_mask", ())
-    found = found["choices"] if isinstance(found, dict) else found
-    return [found] if isinstance(found, np.ndarray) else list(found)
+    mask = info.get("action_mask", ())
+    mask = mask["choices"] if isinstance(mask, dict) else mask
+    return [mask] if isinstance(mask, np.ndarray) else list(mask)
 
 
-def assert_same(mine: Any, other: Any) -> None:
+def assert_same(actual: Any, expected: Any) -> None:
     """To the bit."""
-    np.testing.assert_array_equal(rows(mine), rows(other))
+    np.testing.assert_array_equal(rows(actual), rows(expected))
 
 
 def compare(
@@ -102,25 +102,25 @@ def compare(
     with closing(deepbots_cli.make_vec(compiled, worlds)) as batch:
         observations, _ = batch.reset(seed=seeds)
         for world, single in enumerate(singles):
-            assert_same(taken(observations, world), single.reset(seed=seeds[world])[0])
+            assert_same(part_of_world(observations, world), single.reset(seed=seeds[world])[0])
         batch.action_space.seed(1)
         for _ in range(steps):
             actions = batch.action_space.sample()
             observations, rewards, terminated, truncated, infos = batch.step(actions)
             for world, single in enumerate(singles):
-                seen, reward, *ends, info = single.step(taken(actions, world))
+                observation, reward, *ends, info = single.step(part_of_world(actions, world))
                 last = info
                 assert ends == [terminated[world], truncated[world]]
                 assert rewards[world] == reward
                 if any(ends):
                     ended += 1
-                    assert_same(infos["final_obs"][world], seen)
+                    assert_same(infos["final_obs"][world], observation)
                     assert infos["final_info"]["ended_by"][world] == last["ended_by"]
                     assert infos["final_info"]["is_success"][world] == last["is_success"]
                     for what, values in last.get("each", {}).items():
                         assert infos["final_info"]["each"][what][world] == values
-                    seen, info = single.reset()
-                assert_same(taken(observations, world), seen)
+                    observation, info = single.reset()
+                assert_same(part_of_world(observations, world), observation)
                 for mine, other in zip(masks(infos), masks(info), strict=True):
                     np.testing.assert_array_equal(mine[world], other)
     for single in singles:
@@ -129,7 +129,7 @@ def compare(
 
 
 @pytest.mark.parametrize("name", few([*FAST, "multi_cartpole", PUSHED, FEET], LIVED, stem))
-def test_a_world_of_a_batch_lives_the_episodes_of_a_single_world(name: str) -> None:
+def test_a_world_of_a_batch_has_the_episodes_of_a_single_world(name: str) -> None:
     overrides = ("truncation.max_time=0.6 s",) if name in ENDLESS else ()
     assert compare(name, worlds=3, steps=40, overrides=overrides) > 0
 
@@ -232,7 +232,8 @@ def test_a_world_of_copies_that_becomes_infinite_ends_for_all_of_them() -> None:
         with pytest.warns(RuntimeWarning, match=r"world 1 \(seed 1\) became infinite or NaN in step 1"):
             observations, rewards, _, truncated, infos = batch.step(np.zeros((3, 9), int))
         assert truncated.tolist() == [False, True, False]
-        assert (rewards[1], infos["final_info"]["ended_by"][1]) == (0.0, "not_finite")
+        assert rewards[1] == 0.0
+        assert infos["final_info"]["ended_by"][1] == "not_finite"
         assert len(batch.batch.losses) == 1
         single.reset(seed=2)
         assert_same(observations[2], single.step(np.zeros(9, int))[0])
@@ -310,9 +311,9 @@ def grip(tmp_path: Path) -> str:
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_a_finger_that_mimics_without_a_motor_moves_with_the_other(grip: str, engine: str) -> None:
     with closing(api.make(grip, engine=engine, permissions=Permissions([HAND.parent]))) as environment:
-        seen, _ = environment.reset(seed=0)
-        assert seen[0] > 0.0
-        assert seen[0] + seen[1] == pytest.approx(-0.1, abs=1e-6)
+        observation, _ = environment.reset(seed=0)
+        assert observation[0] > 0.0
+        assert observation[0] + observation[1] == pytest.approx(-0.1, abs=1e-6)
         for _ in range(20):
             *_, info = environment.step(np.array([1.0], np.float32))
             assert info["reward_terms"]["sum"] == pytest.approx(-0.005, abs=0.0004)  # 1 % of the range
@@ -336,15 +337,15 @@ def cartpole() -> Compiled:
 
 @pytest.fixture
 def batch(cartpole: Compiled) -> Iterator[BatchEnvironment]:
-    with closing(deepbots_cli.make_vec(cartpole, 4)) as made:
-        made.reset(seed=0)
-        yield made
+    with closing(deepbots_cli.make_vec(cartpole, 4)) as vector_env:
+        vector_env.reset(seed=0)
+        yield vector_env
 
 
 @pytest.fixture
 def single(cartpole: Compiled) -> Iterator[Supervisor]:
-    with closing(api.make(cartpole, engine="mujoco")) as made:
-        yield made
+    with closing(api.make(cartpole, engine="mujoco")) as world:
+        yield world
 
 
 def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(
@@ -400,8 +401,11 @@ def test_each_part_of_an_action_is_checked() -> None:
 
 
 def test_a_step_needs_a_reset(cartpole: Compiled) -> None:
-    with closing(deepbots_cli.make_vec(cartpole, 1)) as made, pytest.raises(UsageError, match="call reset"):
-        made.step(np.zeros(1, int))
+    with (
+        closing(deepbots_cli.make_vec(cartpole, 1)) as vector_env,
+        pytest.raises(UsageError, match="call reset"),
+    ):
+        vector_env.step(np.zeros(1, int))
 
 
 def test_a_batch_takes_the_options_of_a_single_world_back(cartpole: Compiled) -> None:

@@ -47,26 +47,30 @@ def test_a_learner_sees_the_same_of_a_batch_as_of_single_worlds(
     name: str, overrides: tuple[str, ...]
 ) -> None:
     program = api.compile(name, overrides=overrides).program
-    told: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
+    episodes: dict[str, list[tuple[int, Episode]]] = {"batch": [], "single": []}
     batched = BatchWorlds(
         lambda stage: api.build_batch(program, 3),
         SEEDS,
-        on_episode=lambda world, episode: told["batch"].append((world, episode)),
+        on_episode=lambda world, episode: episodes["batch"].append((world, episode)),
     )
     singles = [api.build(program, engine="mujoco") for _ in SEEDS]
-    usual = Worlds(singles, SEEDS, on_episode=lambda world, episode: told["single"].append((world, episode)))
+    usual = Worlds(
+        singles, SEEDS, on_episode=lambda world, episode: episodes["single"].append((world, episode))
+    )
     with closing(batched), closing(usual):
         np.testing.assert_array_equal(batched.reset(), usual.reset())
         generator = np.random.default_rng(0)
         for _ in range(60):
             actions = generator.integers(0, 2, usual.rows)
-            for mine, other in zip(batched.step_all(actions)[:3], usual.step_all(actions)[:3], strict=True):
-                np.testing.assert_array_equal(mine, other)
+            for of_batch, of_singles in zip(
+                batched.step_all(actions)[:3], usual.step_all(actions)[:3], strict=True
+            ):
+                np.testing.assert_array_equal(of_batch, of_singles)
             np.testing.assert_array_equal(batched.action_masks(), usual.action_masks())
     masks = CollectorEnvironment(LocalCollector(batched)).env_method("action_masks")
     np.testing.assert_array_equal(masks, batched.action_masks())
     assert batched.action_masks().all() == (not overrides)
-    assert told["batch"] == told["single"] != []
+    assert episodes["batch"] == episodes["single"] != []
 
 
 @pytest.mark.slow
@@ -116,13 +120,13 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
         else:
             singles = [api.build(program, engine="mujoco") for _ in SEEDS]
             env = Worlds(singles, SEEDS, on_episode=count, next_world=next_world)
-        seen: list[object] = [env.reset().tolist()]
+        transitions: list[object] = [env.reset().tolist()]
         of_stages = []
         with closing(env):
             generator = np.random.default_rng(1)
             for _ in range(120):
                 step = env.step_all(generator.integers(0, 2, env.rows))
-                seen.append(
+                transitions.append(
                     (
                         step.observations.tolist(),
                         step.rewards.tolist(),
@@ -137,7 +141,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
                     BatchWorlds(lambda stage: api.build_batch(programs[stage], 3), SEEDS, stages)
                 ) as other:
                     assert observation_digest(other.repeat(histories)) == observation_digest(env.observations)
-        steps.append(seen)
+        steps.append(transitions)
         kinds.append(of_stages)
     assert steps[0] == steps[1]
     assert kinds[0] == kinds[1]
@@ -147,7 +151,7 @@ def test_worlds_of_a_batch_enter_another_stage_one_by_one(name: str, overrides: 
 def test_a_running_batch_is_restored_exactly(program: Program) -> None:
     with (
         closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as first,
-        closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as other,
+        closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as restored,
     ):
         first.reset()
         generator = np.random.default_rng(1)
@@ -155,9 +159,11 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
         for actions in plan[:50]:
             first.step_all(actions)
         assert len({len(history.actions) for history in first.histories()}) > 1
-        assert observation_digest(other.repeat(first.histories())) == observation_digest(first.observations)
+        assert observation_digest(restored.repeat(first.histories())) == observation_digest(
+            first.observations
+        )
         for actions in plan[50:]:
-            mine, again = first.step_all(actions), other.step_all(actions)
+            mine, again = first.step_all(actions), restored.step_all(actions)
             np.testing.assert_array_equal(mine[0], again[0])
             assert [ending.episode for ending in mine.endings] == [ending.episode for ending in again.endings]
 
@@ -168,7 +174,8 @@ def evaluated(
     """Episodes of an untrained policy in a batch, and in two single worlds."""
     program = api.compile(name, overrides=overrides).program
     assert program.agent.training is not None
-    singles, numbers = [api.build(program, engine="mujoco") for _ in range(2)], range(len(seeds))
+    singles = [api.build(program, engine="mujoco") for _ in range(2)]
+    numbers = range(len(seeds))
     with closing(Worlds(singles, [0, 0])), closing(api.build_batch(program, worlds)) as many:
         policy = learner.create(
             learner.Setup(program.agent.training, many.observation_space, many.action_space)
@@ -211,7 +218,7 @@ def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None
             worlds.play(policy, range(8))
 
 
-def test_why_worlds_are_stepped_one_by_one_is_told() -> None:
+def test_a_note_says_why_worlds_are_stepped_one_by_one() -> None:
     camera, cart = api.compile("see_ball").program, api.compile("cartpole").program
     assert (
         stepping_text(camera, 8, "mujoco", supervisor_factory("mujoco"))

@@ -10,14 +10,14 @@ import pytest
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A policy with two memories, that of a filter on board and the last action; not to be changed."""
-    from tests.bundle.untrained import written  # needs onnx
+    from tests.bundle.untrained import write_bundle  # needs onnx
 
-    return written(tmp_path_factory.mktemp("bundle") / "balancer", "balancer")
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "balancer", "balancer")
 
 
 @pytest.fixture(scope="session")
 def choosing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A policy that chooses; not to be changed."""
-    from tests.bundle.untrained import written
+    from tests.bundle.untrained import write_bundle
 
-    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")

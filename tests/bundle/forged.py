@@ -138,21 +138,22 @@ Way = Callable[[random.Random, Forged], object]
 # Bytes
 
 
-def changed(content: bytes, dice: random.Random) -> bytes:
+def changed(content: bytes, rng: random.Random) -> bytes:
     """Bytes flipped, cut, inserted or repeated."""
-    made = bytearray(content or b"\x00")
-    at, size = dice.randrange(len(made)), dice.choice([1, 2, 4, 8, 40, 1_000])
-    match dice.randrange(6):
+    mutated = bytearray(content or b"\x00")
+    at = rng.randrange(len(mutated))
+    size = rng.choice([1, 2, 4, 8, 40, 1_000])
+    match rng.randrange(6):
         case 0:
-            made[at] ^= 1 << dice.randrange(8)
+            mutated[at] ^= 1 << rng.randrange(8)
         case 1:
-            del made[at:]
+            del mutated[at:]
         case 2:
-            del made[at : at + size]
+            del mutated[at : at + size]
         case 3:
-            made[at:at] = dice.randbytes(size)
+            mutated[at:at] = rng.randbytes(size)
         case 4:
-            made[at:at] = made[at : at + size] * dice.choice([1, 2, 1_000])
+            mutated[at:at] = mutated[at : at + size] * rng.choice([1, 2, 1_000])
         case _:
-            made[at : at + size] = bytes([dice.choice([0, 127, 128, 255])]) * size
-    return bytes(made)
+            mutated[at : at + size] = bytes([rng.choice([0, 127, 128, 255])]) * size
+    return bytes(mutated)

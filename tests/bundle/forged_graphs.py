@@ -40,87 +40,90 @@ def _read_varint(content: bytes, at: int) -> tuple[int, int]:
     value = shift = 0
     while True:
         byte = content[at]
-        value, shift, at = value | (byte & 127) << shift, shift + 7, at + 1
+        value = value | (byte & 127) << shift
+        shift = shift + 7
+        at = at + 1
         if byte < 128:
             return value, at
 
 
 def fields(content: bytes) -> list[tuple[int, int, Any]]:
     """Number, wire type and content of the fields of a message that an export wrote."""
-    found, at = [], 0
+    entries = []
+    at = 0
     while at < len(content):
         key, at = _read_varint(content, at)
         if key & 7 == 0:
             value, at = _read_varint(content, at)
-            found.append((key >> 3, 0, value))
+            entries.append((key >> 3, 0, value))
             continue
         size, at = _read_varint(content, at) if key & 7 == 2 else ({1: 8, 5: 4}[key & 7], at)
-        found.append((key >> 3, key & 7, content[at : at + size]))
+        entries.append((key >> 3, key & 7, content[at : at + size]))
         at += size
-    return found
+    return entries
 
 
-def written(parts: Sequence[tuple[int, int, Any]]) -> bytes:
-    made = b""
+def encoded(parts: Sequence[tuple[int, int, Any]]) -> bytes:
+    content = b""
     for number, wire_type, value in parts:
         key = varint(number << 3 | wire_type)
-        made += key + (
+        content += key + (
             varint(value) if wire_type == 0 else (varint(len(value)) if wire_type == 2 else b"") + value
         )
-    return made
+    return content
 
 
 def _at_random(
-    content: bytes, message: str, dice: random.Random, change: Callable[[list[Any], str], bytes]
+    content: bytes, message: str, rng: random.Random, change: Callable[[list[Any], str], bytes]
 ) -> bytes:
     """A message with a change in it, or in a message within."""
     parts = fields(content)
     inner = [
         number for number, part in enumerate(parts) if part[0] in _INNER.get(message, {}) and part[1] == 2
     ]
-    if inner and dice.random() < 0.85:
+    if inner and rng.random() < 0.85:
         # Few messages of the model are of nodes; each kind is as likely as another.
-        kind = dice.choice(sorted({parts[number][0] for number in inner}))
-        at = dice.choice([number for number in inner if parts[number][0] == kind])
+        kind = rng.choice(sorted({parts[number][0] for number in inner}))
+        at = rng.choice([number for number in inner if parts[number][0] == kind])
         number, wire_type, value = parts[at]
-        parts[at] = (number, wire_type, _at_random(value, _INNER[message][number], dice, change))
-        return written(parts)
+        parts[at] = (number, wire_type, _at_random(value, _INNER[message][number], rng, change))
+        return encoded(parts)
     return change(parts, message)
 
 
-def wire(dice: random.Random, forged: Forged) -> None:
+def wire(rng: random.Random, forged: Forged) -> None:
     """Keys, lengths and fields of a message somewhere in the graph."""
 
     def change(parts: list[Any], message: str) -> bytes:
-        at = dice.randrange(len(parts)) if parts else 0
+        at = rng.randrange(len(parts)) if parts else 0
         number, wire_type, value = parts[at] if parts else (1, 2, b"x")
-        before, after = written(parts[:at]), written(parts[at + 1 :])
+        before, after = encoded(parts[:at]), encoded(parts[at + 1 :])
         content = varint(value) if wire_type == 0 else (varint(len(value)) if wire_type == 2 else b"") + value
-        extra = dice.choice([b"", b"Loop", b"RandomNormal", b"x" * 300, b"\xff\xfe"])
-        match dice.randrange(9):
+        extra = rng.choice([b"", b"Loop", b"RandomNormal", b"x" * 300, b"\xff\xfe"])
+        match rng.randrange(9):
             case 0:  # the same key in more bytes
-                return before + varint(number << 3 | wire_type, dice.randrange(2, 11)) + content + after
+                return before + varint(number << 3 | wire_type, rng.randrange(2, 11)) + content + after
             case 1:  # a key that a reader of 32 bits takes for another one
-                key = (1 << dice.choice([32, 33, 40, 61])) + (dice.choice([number, 1, 4, 5, 7]) << 3 | 2)
-                return written(parts) + varint(key) + varint(len(extra)) + extra
+                key = (1 << rng.choice([32, 33, 40, 61])) + (rng.choice([number, 1, 4, 5, 7]) << 3 | 2)
+                return encoded(parts) + varint(key) + varint(len(extra)) + extra
             case 2:  # an unknown field, or one that an export does not write
-                other = dice.choice([0, 6, 8, 15, 16, 19, 20, 25, 99, 19_000, (1 << 29) - 1])
-                return before + varint(other << 3 | 2) + varint(len(extra)) + extra + written(parts[at:])
+                other = rng.choice([0, 6, 8, 15, 16, 19, 20, 25, 99, 19_000, (1 << 29) - 1])
+                return before + varint(other << 3 | 2) + varint(len(extra)) + extra + encoded(parts[at:])
             case 3:  # a field twice
-                return before + written([parts[at], parts[at]] if parts else []) + after
+                return before + encoded([parts[at], parts[at]] if parts else []) + after
             case 4:  # a field is missing
                 return before + after
             case 5:  # another order
-                dice.shuffle(parts)
-                return written(parts)
+                rng.shuffle(parts)
+                return encoded(parts)
             case 6:  # a group, or a type of the wire that there is not
-                kind = dice.choice([3, 4, 6, 7])
+                kind = rng.choice([3, 4, 6, 7])
                 return before + varint(number << 3 | kind) + content + varint(number << 3 | 4) + after
             case 7:  # a length beyond the end
                 return (
                     before
                     + varint(number << 3 | 2)
-                    + varint(dice.choice([len(content) + 1, 1 << 31, 1 << 63, (1 << 64) - 1]))
+                    + varint(rng.choice([len(content) + 1, 1 << 31, 1 << 63, (1 << 64) - 1]))
                     + content
                     + after
                 )
@@ -128,11 +131,11 @@ def wire(dice: random.Random, forged: Forged) -> None:
                 return (
                     before
                     + varint(number << 3)
-                    + varint(dice.choice([0, 1, 7, 16, 255, 1 << 31, (1 << 63) - 1, (1 << 64) - 1]))
+                    + varint(rng.choice([0, 1, 7, 16, 255, 1 << 31, (1 << 63) - 1, (1 << 64) - 1]))
                     + after
                 )
 
-    forged.set_graph(_at_random(forged.files[bundle.GRAPH_NAME], "model", dice, change))
+    forged.set_graph(_at_random(forged.files[bundle.GRAPH_NAME], "model", rng, change))
 
 
 # The graph
@@ -141,46 +144,46 @@ OPERATORS = tuple(sorted({schema.name for schema in onnx.defs.get_all_schemas() 
 KNOWN = tuple(sorted(onnx_file.OPERATORS))
 
 
-def graph_operator(dice: random.Random, forged: Forged) -> None:
+def graph_operator(rng: random.Random, forged: Forged) -> None:
     graph = forged.graph
-    dice.choice(graph.graph.node).op_type = dice.choice(OPERATORS if dice.random() < 0.3 else KNOWN)
+    rng.choice(graph.graph.node).op_type = rng.choice(OPERATORS if rng.random() < 0.3 else KNOWN)
     forged.set_graph(graph)
 
 
-def graph_weight(dice: random.Random, forged: Forged) -> None:
+def graph_weight(rng: random.Random, forged: Forged) -> None:
     """Numbers of a weight, also of those that are places, shapes or truth values."""
     graph = forged.graph
-    for weight in dice.sample(
-        list(graph.graph.initializer), min(len(graph.graph.initializer), dice.choice([1, 1, 3, 1_000]))
+    for weight in rng.sample(
+        list(graph.graph.initializer), min(len(graph.graph.initializer), rng.choice([1, 1, 3, 1_000]))
     ):
         array = numpy_helper.to_array(weight).copy()
         if array.size and array.dtype.kind == "f":
-            value = dice.choice(
+            value = rng.choice(
                 [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30, 1e-40, array.dtype.type(np.finfo(array.dtype).max)]
             )
-            array.flat[slice(None) if dice.random() < 0.4 else dice.randrange(array.size)] = value
+            array.flat[slice(None) if rng.random() < 0.4 else rng.randrange(array.size)] = value
         elif array.size and array.dtype.kind == "i":
-            array.flat[dice.randrange(array.size)] = dice.choice(
+            array.flat[rng.randrange(array.size)] = rng.choice(
                 [-1, 0, 1, 2, 1 << 31, (1 << 63) - 1, -(1 << 63)]
             )
         weight.CopyFrom(numpy_helper.from_array(array, weight.name))
         if array.dtype == np.bool_:
-            weight.raw_data = bytes([dice.choice([0, 1, 2, 255])]) * array.size
+            weight.raw_data = bytes([rng.choice([0, 1, 2, 255])]) * array.size
     forged.set_graph(graph)
 
 
-def graph_tensor(dice: random.Random, forged: Forged) -> None:
+def graph_tensor(rng: random.Random, forged: Forged) -> None:
     """The type, the shape or the place of a weight."""
     graph = forged.graph
-    weight = dice.choice(graph.graph.initializer)
-    match dice.randrange(6):
+    weight = rng.choice(graph.graph.initializer)
+    match rng.randrange(6):
         case 0:
             weight.data_location = TensorProto.EXTERNAL
-            weight.external_data.add(key="location", value=dice.choice(["/etc/passwd", "parity.npz", "../x"]))
+            weight.external_data.add(key="location", value=rng.choice(["/etc/passwd", "parity.npz", "../x"]))
         case 1:
-            weight.data_type = dice.randrange(0, 24)
+            weight.data_type = rng.randrange(0, 24)
         case 2:
-            weight.dims[:] = dice.choice(
+            weight.dims[:] = rng.choice(
                 [[], [0], [-1], [1 << 40], [1 << 32, 1 << 32], [1] * 40, [*weight.dims, 1]]
             )
         case 3:
@@ -188,32 +191,32 @@ def graph_tensor(dice: random.Random, forged: Forged) -> None:
         case 4:
             weight.float_data.extend([1.0])
         case _:
-            weight.name = dice.choice(
+            weight.name = rng.choice(
                 [graph.graph.input[0].name, graph.graph.node[0].output[0], "", weight.name + "x"]
             )
     forged.set_graph(graph)
 
 
-def graph_nodes(dice: random.Random, forged: Forged) -> None:
+def graph_nodes(rng: random.Random, forged: Forged) -> None:
     """Nodes are repeated, missing, in a circle, or in another order."""
     graph = forged.graph
     nodes = list(graph.graph.node)
-    at = dice.randrange(len(nodes))
-    match dice.randrange(8):
+    at = rng.randrange(len(nodes))
+    match rng.randrange(8):
         case 0:
             nodes.insert(at, nodes[at])
         case 1:
             del nodes[at]
         case 2:
-            nodes[at].input[:] = [dice.choice(nodes[at:]).output[0]] * max(1, len(nodes[at].input))
+            nodes[at].input[:] = [rng.choice(nodes[at:]).output[0]] * max(1, len(nodes[at].input))
         case 3:
-            dice.shuffle(nodes)
+            rng.shuffle(nodes)
         case 4:
             nodes[at].input[:] = nodes[at].input[::-1]
         case 5:
-            nodes[at].input[:] = list(nodes[at].input) * dice.choice([2, 100])
+            nodes[at].input[:] = list(nodes[at].input) * rng.choice([2, 100])
         case 6:
-            nodes[at].input[:] = list(nodes[at].input)[: dice.randrange(len(nodes[at].input))]
+            nodes[at].input[:] = list(nodes[at].input)[: rng.randrange(len(nodes[at].input))]
         case _:
             del nodes[at].output[:]
     del graph.graph.node[:]
@@ -221,14 +224,14 @@ def graph_nodes(dice: random.Random, forged: Forged) -> None:
     forged.set_graph(graph)
 
 
-def graph_attribute(dice: random.Random, forged: Forged) -> None:
+def graph_attribute(rng: random.Random, forged: Forged) -> None:
     graph = forged.graph
     with_attributes = [node for node in graph.graph.node if node.attribute]
-    number = dice.choice([-1, -2, 0, 1, 2, 7, 9, 100, 1 << 31, (1 << 63) - 1, -(1 << 63)])
-    if dice.random() < 0.3 or not with_attributes:
-        node = dice.choice(graph.graph.node)
+    number = rng.choice([-1, -2, 0, 1, 2, 7, 9, 100, 1 << 31, (1 << 63) - 1, -(1 << 63)])
+    if rng.random() < 0.3 or not with_attributes:
+        node = rng.choice(graph.graph.node)
         inner = helper.make_graph([], "inner", [], [])
-        value = dice.choice([1, 1.5, "x", [1, 2], inner, numpy_helper.from_array(np.zeros(2), "t")])
+        value = rng.choice([1, 1.5, "x", [1, 2], inner, numpy_helper.from_array(np.zeros(2), "t")])
         names = [
             "body",
             "axis",
@@ -244,72 +247,72 @@ def graph_attribute(dice: random.Random, forged: Forged) -> None:
             "layout",
             "noop_with_empty_axes",
         ]
-        node.attribute.append(helper.make_attribute(dice.choice(names), value))
+        node.attribute.append(helper.make_attribute(rng.choice(names), value))
     else:
-        attribute = dice.choice(dice.choice(with_attributes).attribute)
+        attribute = rng.choice(rng.choice(with_attributes).attribute)
         if attribute.type == AttributeProto.INTS:
-            attribute.ints[:] = dice.choice(
+            attribute.ints[:] = rng.choice(
                 [[number] * len(attribute.ints), [], list(attribute.ints) * 2, list(attribute.ints)[::-1]]
             )
         elif attribute.type == AttributeProto.INT:
             attribute.i = number
         else:
-            attribute.f = dice.choice([float("nan"), float("inf"), 0.0, 1e38])
-        if dice.random() < 0.1:
-            attribute.type = dice.randrange(15)
+            attribute.f = rng.choice([float("nan"), float("inf"), 0.0, 1e38])
+        if rng.random() < 0.1:
+            attribute.type = rng.randrange(15)
     forged.set_graph(graph)
 
 
-def graph_shape(dice: random.Random, forged: Forged) -> None:
+def graph_shape(rng: random.Random, forged: Forged) -> None:
     graph = forged.graph
-    value = dice.choice([*graph.graph.input, *graph.graph.output, *graph.graph.value_info])
+    value = rng.choice([*graph.graph.input, *graph.graph.output, *graph.graph.value_info])
     tensor = value.type.tensor_type
-    match dice.randrange(6):
+    match rng.randrange(6):
         case 0:
-            side = tensor.shape.dim.add() if not tensor.shape.dim else dice.choice(tensor.shape.dim)
-            side.dim_value = dice.choice([-1, 0, 1, side.dim_value + 1, 1 << 31, 1 << 40, (1 << 63) - 1])
+            side = tensor.shape.dim.add() if not tensor.shape.dim else rng.choice(tensor.shape.dim)
+            side.dim_value = rng.choice([-1, 0, 1, side.dim_value + 1, 1 << 31, 1 << 40, (1 << 63) - 1])
         case 1:
-            tensor.shape.dim.add(dim_param=dice.choice(["", "n", "batch"]))
+            tensor.shape.dim.add(dim_param=rng.choice(["", "n", "batch"]))
         case 2:
             tensor.ClearField("shape")
         case 3:
-            tensor.elem_type = dice.randrange(0, 24)
+            tensor.elem_type = rng.randrange(0, 24)
         case 4:
-            for _ in range(dice.choice([9, 1_000, 100_000])):
-                tensor.shape.dim.add(dim_value=dice.choice([1, (1 << 40) - 1]))
+            for _ in range(rng.choice([9, 1_000, 100_000])):
+                tensor.shape.dim.add(dim_value=rng.choice([1, (1 << 40) - 1]))
         case _:
             value.type.sequence_type.elem_type.tensor_type.elem_type = 1
     forged.set_graph(graph)
 
 
-def graph_names(dice: random.Random, forged: Forged) -> None:
+def graph_names(rng: random.Random, forged: Forged) -> None:
     graph = forged.graph
-    entries = dice.choice([graph.graph.input, graph.graph.output])
-    match dice.randrange(4):
+    entries = rng.choice([graph.graph.input, graph.graph.output])
+    match rng.randrange(4):
         case 0:
-            dice.choice(entries).name = dice.choice(["", "x", "\x1b[2J\x1b[1;1H", "a\nb", entries[0].name])
+            rng.choice(entries).name = rng.choice(["", "x", "\x1b[2J\x1b[1;1H", "a\nb", entries[0].name])
         case 1:
             swapped = list(entries)
-            dice.shuffle(swapped)
+            rng.shuffle(swapped)
             del entries[:]
             entries.extend(swapped)
         case 2:
-            del entries[dice.randrange(len(entries))]
+            del entries[rng.randrange(len(entries))]
         case _:
-            dice.choice(graph.graph.node).output[0] = dice.choice(["", "\x1b[2J", "x\ny", "v0_0"])
+            rng.choice(graph.graph.node).output[0] = rng.choice(["", "\x1b[2J", "x\ny", "v0_0"])
     forged.set_graph(graph)
 
 
-def graph_model(dice: random.Random, forged: Forged) -> None:
+def graph_model(rng: random.Random, forged: Forged) -> None:
     """The version, the operator sets, the metadata and the texts of the model."""
     graph = forged.graph
-    match dice.randrange(7):
+    match rng.randrange(7):
         case 0:
-            graph.ir_version = dice.choice([0, 1, 2, 3, 9, 99, -1])
+            graph.ir_version = rng.choice([0, 1, 2, 3, 9, 99, -1])
         case 1:
-            graph.opset_import[0].version = dice.choice([1, 5, 7, 11, 16, 18, 21, 25, 99, -1])
+            graph.opset_import[0].version = rng.choice([1, 5, 7, 11, 16, 18, 21, 25, 99, -1])
         case 2:
-            graph.opset_import.add(domain=dice.choice(["com.microsoft", "ai.onnx.ml", ""]), version=1)
+            graph.opset_import.add(domain=rng.choice(["com.microsoft", "ai.onnx.ml", ""]), version=1)
         case 3:
             graph.functions.append(
                 helper.make_function(
@@ -322,34 +325,35 @@ def graph_model(dice: random.Random, forged: Forged) -> None:
                 )
             )
         case 4:
-            graph.doc_string = dice.choice(TEXTS[1:6]) * dice.choice([1, 300_000])
+            graph.doc_string = rng.choice(TEXTS[1:6]) * rng.choice([1, 300_000])
         case 5:
             graph.metadata_props.add(
-                key=dice.choice([bundle.METADATA_KEY, "ort_config", "x"]), value=dice.choice(["{}", "0" * 64])
+                key=rng.choice([bundle.METADATA_KEY, "ort_config", "x"]), value=rng.choice(["{}", "0" * 64])
             )
         case _:
-            dice.choice(graph.graph.node).domain = dice.choice(
+            rng.choice(graph.graph.node).domain = rng.choice(
                 ["com.microsoft", "ai.onnx", "ai.onnx.ml", "\x1b"]
             )
     forged.set_graph(graph)
 
 
-def graph_output(dice: random.Random, forged: Forged) -> None:
-    """What a command is computed by at last: too large, no number, or from an input as it is."""
+def graph_output(rng: random.Random, forged: Forged) -> None:
+    """The last node before a command is changed: its values are too large, not finite, or an input as it
+    is."""
     graph = forged.graph
     outputs = {entry["name"]: entry["shape"][0] for entry in forged.tree["outputs"]}
-    node = dice.choice([node for node in graph.graph.node if node.output[0] in outputs])
+    node = rng.choice([node for node in graph.graph.node if node.output[0] in outputs])
     name, before = node.output[0], node.input[0]
     size = outputs[name]
-    operator = dice.choice(["Mul", "Add", "Div", "Sub", "Pow", "Mod"])
-    number = dice.choice([0.0, 1e300, -1e300, np.inf, np.nan, 1.000001, 1e-320, 1e3])
+    operator = rng.choice(["Mul", "Add", "Div", "Sub", "Pow", "Mod"])
+    number = rng.choice([0.0, 1e300, -1e300, np.inf, np.nan, 1.000001, 1e-320, 1e3])
     graph.graph.initializer.append(numpy_helper.from_array(np.full(size, number), "forged"))
-    inputs = [before, "forged"] if dice.random() < 0.7 else ["forged", before]
+    inputs = [before, "forged"] if rng.random() < 0.7 else ["forged", before]
     node.CopyFrom(helper.make_node(operator, inputs, [name], **({"fmod": 1} if operator == "Mod" else {})))
     forged.set_graph(graph)
 
 
-def graph_work(dice: random.Random, forged: Forged) -> None:
+def graph_work(rng: random.Random, forged: Forged) -> None:
     """Work and memory beside what the commands need."""
     graph = forged.graph
 
@@ -371,10 +375,10 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
     def column(number: float, size: int) -> str:
         return weigh(f"column{number}", np.full((size, 1), number))
 
-    size = dice.choice([300, 1_000, 3_000])
-    match dice.randrange(8):
+    size = rng.choice([300, 1_000, 3_000])
+    match rng.randrange(8):
         case 0:
-            operator = dice.choice(["Mod", "Pow", "Add"])
+            operator = rng.choice(["Mod", "Pow", "Add"])
             row = weigh("row", np.full((1, size), 2.3e-308))
             add(
                 operator,
@@ -383,7 +387,7 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
                 **({"fmod": 1} if operator == "Mod" else {}),
             )
         case 1:
-            add("Max", ["one"] * dice.choice([100, 100_000]), [1_000_000])
+            add("Max", ["one"] * rng.choice([100, 100_000]), [1_000_000])
             weigh("one", np.zeros(1_000_000))
         case 2:
             picture, kernel = (
@@ -393,12 +397,12 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
             side = size - size // 3 + 1
             add("Conv", [picture, kernel], [1, 1, side, side], TensorProto.FLOAT)
         case 3:
-            count = dice.choice([1_000, 4_000, 10_000])
+            count = rng.choice([1_000, 4_000, 10_000])
             weigh("b-1", np.zeros(1))
             for number in range(count):
                 add("Sin", [f"b{number - 1}"], [1], name=f"b{number}")
         case 4:
-            weigh("many", np.zeros(dice.choice([1_000_000, 12_000_000])))
+            weigh("many", np.zeros(rng.choice([1_000_000, 12_000_000])))
         case 5:
             stack = weigh("stack", np.zeros((size * 10, 1, 1)))
             add("MatMul", [stack, stack], [size * 10, 1, 1])
@@ -411,22 +415,22 @@ def graph_work(dice: random.Random, forged: Forged) -> None:
     forged.set_graph(graph)
 
 
-def graph_tiny(dice: random.Random, forged: Forged) -> None:
+def graph_tiny(rng: random.Random, forged: Forged) -> None:
     """Millions of empty messages, each an object of Python."""
-    count = dice.choice([100_000, 1_000_000, 20_000_000])
-    key = dice.choice([b"\x0a", b"\x2a", b"\x6a"])
+    count = rng.choice([100_000, 1_000_000, 20_000_000])
+    key = rng.choice([b"\x0a", b"\x2a", b"\x6a"])
     parts = fields(forged.files[bundle.GRAPH_NAME])
-    if dice.random() < 0.3:
-        forged.set_graph(forged.files[bundle.GRAPH_NAME] + dice.choice([b"\x42\x00", b"\x72\x00"]) * count)
+    if rng.random() < 0.3:
+        forged.set_graph(forged.files[bundle.GRAPH_NAME] + rng.choice([b"\x42\x00", b"\x72\x00"]) * count)
     else:
-        forged.set_graph(written([(n, t, v + (key + b"\x00") * count if n == 7 else v) for n, t, v in parts]))
+        forged.set_graph(encoded([(n, t, v + (key + b"\x00") * count if n == 7 else v) for n, t, v in parts]))
 
 
-def graph_other_format(dice: random.Random, forged: Forged) -> None:
+def graph_other_format(rng: random.Random, forged: Forged) -> None:
     """A model of ONNX that begins like one in the format of onnxruntime."""
     parts = [
         (number, kind, value)
         for number, kind, value in fields(forged.files[bundle.GRAPH_NAME])
         if number not in (1, 4)
     ]
-    forged.set_graph(b"\x08\x08\x22\x04ORTM" + written(parts))
+    forged.set_graph(b"\x08\x08\x22\x04ORTM" + encoded(parts))

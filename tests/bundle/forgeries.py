@@ -100,14 +100,14 @@ class FailedError(Exception):
 
 def prepare(folder: Path, names: Sequence[str] = tuple(BASES)) -> Path:
     """Write the bundles and a key to sign them with; needs what trains."""
-    from tests.bundle.untrained import written
+    from tests.bundle.untrained import write_bundle
 
     folder.mkdir(exist_ok=True)
     if not (folder / "key").exists():
         signature.write_key(folder / "key")
     for name in names:
         if not (folder / name).exists():
-            written(folder / name, *BASES[name])
+            write_bundle(folder / name, *BASES[name])
             forged = Forged.of(folder / name)
             forged.files |= {
                 bundle.README_NAME: b"Limits of the commands: 5 rad/s\n" * 9,
@@ -125,16 +125,16 @@ def prepare(folder: Path, names: Sequence[str] = tuple(BASES)) -> Path:
 
 def forge(number: int, seed: int, bases: Path, folder: Path) -> Outcome:
     """Write the forgery of this number into `folder`, which is then a bundle."""
-    dice = random.Random(f"{seed} {number}")
+    rng = random.Random(f"{seed} {number}")
     attacker = ATTACKERS[number % len(ATTACKERS)]
     areas = SIGNATURE_AREAS if attacker == "signed" else AREAS
-    base = dice.choice(sorted(path.name for path in bases.iterdir() if path.is_dir()))
+    base = rng.choice(sorted(path.name for path in bases.iterdir() if path.is_dir()))
     area = list(areas)[number // len(ATTACKERS) % len(areas)]
-    way = dice.choice(areas[area])
+    way = rng.choice(areas[area])
     forged = Forged.of(bases / base)
     if attacker != "signed":
         del forged.files[bundle.SIGNATURE_NAME]
-    way(dice, forged)
+    way(rng, forged)
     with_digests = attacker != "changes"
     if with_digests and isinstance(forged.description, dict) and area in ("json", "behavior"):
         with suppress(Exception):  # a graph that onnx cannot read keeps its metadata
@@ -156,7 +156,8 @@ def _record_again(forged: Forged) -> None:
         options.log_severity_level = 4
         options.intra_op_num_threads = 1
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-        arrays, names = forged.arrays, [entry.name for entry in session.get_outputs()]
+        arrays = forged.arrays
+        names = [entry.name for entry in session.get_outputs()]
         initial = {entry["name"]: entry for entry in forged.tree["memory"]}
         steps = min(20, len(arrays["output/action"]))
         arrays = {name: rows[:steps].copy() for name, rows in arrays.items()} | {"starts": np.array([0])}
@@ -171,9 +172,9 @@ def _record_again(forged: Forged) -> None:
                     )
                 else:
                     feeds[entry.name] = arrays[f"input/{entry.name}"][step]
-            found = dict(zip(names, session.run(None, feeds), strict=True))
-            memory = {name: found[f"{name}_next"] for name in initial}
-            for name, value in found.items():
+            outputs = dict(zip(names, session.run(None, feeds), strict=True))
+            memory = {name: outputs[f"{name}_next"] for name in initial}
+            for name, value in outputs.items():
                 if f"output/{name}" in arrays:
                     arrays[f"output/{name}"][step] = value
         forged.set_arrays(arrays)
@@ -190,7 +191,8 @@ def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> Non
         try:
             loaded = deepbots_robot.load(folder, trusted=trusted if outcome.attacker == "signed" else None)
         except BundleError as error:
-            outcome.end, outcome.text = "refused", str(error).removeprefix(f"{folder}: ")
+            outcome.end = "refused"
+            outcome.text = str(error).removeprefix(f"{folder}: ")
         outcome.seconds = time.process_time() - started
         outcome.megabytes = (_memory("VmHWM") - before) / 1e6
         if outcome.end != "refused":
@@ -230,7 +232,8 @@ class _Line:
         self.sent: list[Mapping[str, Any]] = []
 
     def take(self) -> Sequence[Arrival]:
-        coming, self.coming = self.coming, []
+        coming = self.coming
+        self.coming = []
         return coming
 
     def send(self, values: Mapping[str, Any], stamp: float) -> None:
@@ -252,13 +255,17 @@ class _Line:
 
 def _act(loaded: deepbots_robot.Bundle, number: int) -> int:
     """Let a policy act on random and extreme values, alone and in a server; how many steps it refused."""
-    info, dice = loaded.info, np.random.default_rng(number)
-    inputs, outputs = inputs_of(info), outputs_of(info)
+    info = loaded.info
+    rng = np.random.default_rng(number)
+    inputs = inputs_of(info)
+    outputs = outputs_of(info)
     with suppress(ServeError):
-        given = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in info.ros.items()}
-        mapped([each.field for each in inputs], given)
-        mapped([each.field for each in outputs], given, commands=True)
-    policy, limits, line = loaded.start(), Commands(outputs), _Line()
+        topics = {name: Topic(topic.topic, topic.type, topic.part) for name, topic in info.ros.items()}
+        mapped([each.field for each in inputs], topics)
+        mapped([each.field for each in outputs], topics, commands=True)
+    policy = loaded.start()
+    limits = Commands(outputs)
+    line = _Line()
     now = 100.0
     server = Server(loaded.start(), inputs, outputs, line, info.rate_hz, clock=lambda: now)
     last: dict[str, Any] | None = None
@@ -266,7 +273,7 @@ def _act(loaded: deepbots_robot.Bundle, number: int) -> int:
     for step in range(_STEPS):
         if step % 15 == 14:
             policy.reset()
-        values = {entry.name: _value(entry, dice, step) for entry in info.inputs}
+        values = {entry.name: _value(entry, rng, step) for entry in info.inputs}
         now += info.timestep_s
         line.coming.append(Arrival("robot", dict(values), now))
         server.turn()
@@ -303,22 +310,22 @@ def _check_ranges(info: deepbots_robot.BundleInfo, commands: Mapping[str, Any]) 
                 raise FailedError(f"'{output.name}' is {value}, and its range {low} .. {high}")
 
 
-def _value(entry: Any, dice: np.random.Generator, step: int) -> Any:
+def _value(entry: Any, rng: np.random.Generator, step: int) -> Any:
     """A value of an input: within its range, at its ends, or as large as its type has it."""
     if entry.dtype == "bool":
-        return dice.random(entry.shape) < 0.5
+        return rng.random(entry.shape) < 0.5
     if entry.dtype in ("uint8", "int64"):
-        return dice.integers(0, 256, entry.shape).astype(entry.dtype)
+        return rng.integers(0, 256, entry.shape).astype(entry.dtype)
     extreme = [0.0, -0.0, 1e-310, 1e300, -1e300, 1.7e308, 1e30, -1e6, 3.4e38][step % 9]
     match step % 4:
         case 0:
-            value = dice.normal(0.0, 1.0, entry.shape)
+            value = rng.normal(0.0, 1.0, entry.shape)
         case 1:
-            value = dice.normal(0.0, 100.0, entry.shape)
+            value = rng.normal(0.0, 100.0, entry.shape)
         case 2:
             value = np.full(entry.shape, extreme)
         case _:
-            value = np.where(dice.random(entry.shape) < 0.5, extreme, dice.normal(0.0, 1.0, entry.shape))
+            value = np.where(rng.random(entry.shape) < 0.5, extreme, rng.normal(0.0, 1.0, entry.shape))
     return np.clip(value, -3.4e38, 3.4e38).astype(entry.dtype)
 
 
@@ -372,8 +379,9 @@ def _copied(source: str, target: str) -> None:
 
 
 def _read_all(reader: int, seconds: float) -> bytes | None:
-    """What a process writes until it ends; None if it does not within `seconds`."""
-    content, until = b"", time.monotonic() + seconds
+    """The output of a process until it ends; None if it does not end within `seconds`."""
+    content = b""
+    until = time.monotonic() + seconds
     while True:
         if not select.select([reader], [], [], max(0.0, until - time.monotonic()))[0]:
             return None
@@ -394,13 +402,16 @@ def _in_child(number: int, seed: int, bases: Path, folder: Path, writer: int) ->
         os.dup2(terminal, 2)
         os.dup2(terminal, 1)
         examine(outcome, folder, bases / "key.pub", bases / outcome.base)
-        said = Path(folder.parent / "terminal").read_text(errors="replace")
-        if said:
-            outcome.end, outcome.text = "failed", f"the terminal shows: {said[:300]}"
+        shown = Path(folder.parent / "terminal").read_text(errors="replace")
+        if shown:
+            outcome.end = "failed"
+            outcome.text = f"the terminal shows: {shown[:300]}"
     except FailedError as error:
-        outcome.end, outcome.text = "failed", str(error)
+        outcome.end = "failed"
+        outcome.text = str(error)
     except BaseException:  # noqa: BLE001  whatever it is, it is what is looked for
-        outcome.end, outcome.text = "failed", traceback.format_exc()
+        outcome.end = "failed"
+        outcome.text = traceback.format_exc()
     os.write(writer, json.dumps(asdict(outcome)).encode())
     os._exit(0)
 
@@ -409,7 +420,7 @@ def _in_child(number: int, seed: int, bases: Path, folder: Path, writer: int) ->
 
 
 def run(count: int, seed: int, bases: Path, *, start: int = 0, keep: Path | None = None) -> list[Outcome]:
-    """The outcomes of so many numbers."""
+    """The outcomes of a range of numbers."""
     return [judged(number, seed, bases, keep) for number in range(start, start + count)]
 
 
@@ -423,10 +434,8 @@ def summary(outcomes: Sequence[Outcome]) -> str:
             f"{attacker:8} {len(own):5}  "
             + ", ".join(f"{count} {end}" for end, count in sorted(ends.items()))
         )
-    slowest, largest = (
-        max(outcomes, key=lambda each: each.seconds),
-        max(outcomes, key=lambda each: each.megabytes),
-    )
+    slowest = max(outcomes, key=lambda each: each.seconds)
+    largest = max(outcomes, key=lambda each: each.megabytes)
     lines.append(
         f"slowest load {slowest.seconds:.2f} s of CPU ({slowest.number}), largest {largest.megabytes:.0f} MB"
         f" ({largest.number})"
@@ -441,7 +450,7 @@ def main() -> int:
         prog="python -m tests.bundle.forgeries", description=(__doc__ or "").partition("\n")[0]
     )
     parser.add_argument("--count", type=int, default=500, help="forgeries, by default 500")
-    parser.add_argument("--seed", type=int, default=1, help="of the dice, by default 1")
+    parser.add_argument("--seed", type=int, default=1, help="of the random numbers, by default 1")
     parser.add_argument("--start", type=int, default=0, help="the first number, by default 0")
     parser.add_argument("--only", type=int, help="one number alone")
     parser.add_argument(
@@ -451,21 +460,21 @@ def main() -> int:
         "--bases", type=Path, help="the folder of the bundles that are forged, by default a new one"
     )
     parser.add_argument("--json", action="store_true", help="print an outcome a line")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        bases = given.bases or Path(place) / "bases"
-        if given.bases is None:  # in a process of its own: torch has threads, and what forks must have none
+        bases = options.bases or Path(place) / "bases"
+        if options.bases is None:  # in a process of its own: torch has threads, and what forks must have none
             code = (
                 "from pathlib import Path; from tests.bundle.forgeries import prepare;"
                 f" prepare(Path({str(bases)!r}))"
             )
             subprocess.run([sys.executable, "-c", code], check=True)
-        start, count = (given.start, given.count) if given.only is None else (given.only, 1)
+        start, count = (options.start, options.count) if options.only is None else (options.only, 1)
         outcomes = []
         for number in range(start, start + count):
-            outcome = judged(number, given.seed, bases.resolve(), given.keep.resolve())
+            outcome = judged(number, options.seed, bases.resolve(), options.keep.resolve())
             outcomes.append(outcome)
-            if given.json or given.only is not None:
+            if options.json or options.only is not None:
                 print(json.dumps(asdict(outcome)), flush=True)
             elif outcome.end == "failed":
                 print(
@@ -473,7 +482,7 @@ def main() -> int:
                     f" {outcome.text}",
                     flush=True,
                 )
-        if not given.json:
+        if not options.json:
             print(summary(outcomes))
     return int(any(outcome.end == "failed" for outcome in outcomes))
 

@@ -55,12 +55,12 @@ from tests.bundle.forged_graphs import (
 
 
 def _bytes_of(*names: str) -> Way:
-    def change(dice: random.Random, forged: Forged) -> None:
-        name = dice.choice(names)
+    def change(rng: random.Random, forged: Forged) -> None:
+        name = rng.choice(names)
         if name == bundle.BUNDLE_NAME:
-            forged.description = changed(as_json(forged.description), dice)
+            forged.description = changed(as_json(forged.description), rng)
         else:
-            forged.files[name] = changed(forged.files[name], dice)
+            forged.files[name] = changed(forged.files[name], rng)
 
     return change
 
@@ -68,9 +68,9 @@ def _bytes_of(*names: str) -> Way:
 # parity.npz
 
 
-def parity_array(dice: random.Random, forged: Forged) -> None:
+def parity_array(rng: random.Random, forged: Forged) -> None:
     arrays = forged.arrays
-    name = dice.choice(sorted(arrays))
+    name = rng.choice(sorted(arrays))
     array = arrays[name]
     types: list[Any] = [
         np.float16,
@@ -85,11 +85,11 @@ def parity_array(dice: random.Random, forged: Forged) -> None:
         np.complex128,
         np.longdouble,
     ]
-    match dice.randrange(8):
+    match rng.randrange(8):
         case 0:
-            arrays[name] = np.zeros(array.shape, dice.choice(types))
+            arrays[name] = np.zeros(array.shape, rng.choice(types))
         case 1:
-            arrays[name] = dice.choice(
+            arrays[name] = rng.choice(
                 [
                     array[:-1],
                     array[:0],
@@ -102,17 +102,17 @@ def parity_array(dice: random.Random, forged: Forged) -> None:
         case 2:
             del arrays[name]
         case 3:
-            arrays[dice.choice(["x", "../x", "output/x", "input/é"])] = array
+            arrays[rng.choice(["x", "../x", "output/x", "input/é"])] = array
         case 4:
             if array.dtype.kind == "f" and array.size:
-                array.flat[dice.randrange(array.size)] = dice.choice([np.nan, np.inf, 1e30, -1e30, 0.0])
+                array.flat[rng.randrange(array.size)] = rng.choice([np.nan, np.inf, 1e30, -1e30, 0.0])
         case 5:
             arrays["starts"] = np.array(
-                dice.choice([[], [1], [-1], [0, 0], [0, 1 << 62], [0.0], [[0]], list(range(len(array)))])
+                rng.choice([[], [1], [-1], [0, 0], [0, 1 << 62], [0.0], [[0]], list(range(len(array)))])
             )
         case 6:
             arrays = {
-                key: np.repeat(value, dice.choice([2, 300]), axis=0) for key, value in arrays.items()
+                key: np.repeat(value, rng.choice([2, 300]), axis=0) for key, value in arrays.items()
             } | {"starts": np.array([0])}
         case _:
             arrays = {key: value[:1] for key, value in arrays.items()}
@@ -124,12 +124,12 @@ def _npy(header: bytes, data: bytes = b"", version: bytes = b"\x01\x00") -> byte
     return b"\x93NUMPY" + version + length + header + data
 
 
-def parity_header(dice: random.Random, forged: Forged) -> None:
+def parity_header(rng: random.Random, forged: Forged) -> None:
     """An array whose header promises another one."""
-    descr = dice.choice(
+    descr = rng.choice(
         ["'<f8'", "'|O'", "'<U2000000000'", "'V0'", "[('a','<f8')]*1", "1", "'<f8','<f8'", "'M8'"]
     )
-    shape = dice.choice(
+    shape = rng.choice(
         [
             "(400, 1)",
             "(1<<62,)",
@@ -141,8 +141,8 @@ def parity_header(dice: random.Random, forged: Forged) -> None:
             "(" + "1," * 3_000 + ")",
         ]
     )
-    header = f"{{'descr': {descr}, 'fortran_order': {dice.choice(['False', 'True', '1'])}, 'shape': {shape}, }}".encode()
-    header = dice.choice(
+    header = f"{{'descr': {descr}, 'fortran_order': {rng.choice(['False', 'True', '1'])}, 'shape': {shape}, }}".encode()
+    header = rng.choice(
         [
             header,
             header,
@@ -154,12 +154,12 @@ def parity_header(dice: random.Random, forged: Forged) -> None:
         ]
     )
     content = _npy(
-        header, dice.randbytes(80), dice.choice([b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x00"])
+        header, rng.randbytes(80), rng.choice([b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x00"])
     )
     _with_entry(
         forged,
-        dice.choice(sorted(forged.arrays)),
-        dice.choice([content, content, b"\x93NUMPY", b"\x80\x04\x95.", b""]),
+        rng.choice(sorted(forged.arrays)),
+        rng.choice([content, content, b"\x93NUMPY", b"\x80\x04\x95.", b""]),
     )
 
 
@@ -175,27 +175,27 @@ def _with_entry(forged: Forged, name: str, content: bytes, **settings: Any) -> N
     forged.files[bundle.PARITY_NAME] = stream.getvalue()
 
 
-def parity_archive(dice: random.Random, forged: Forged) -> None:
-    name = dice.choice(sorted(forged.arrays))
+def parity_archive(rng: random.Random, forged: Forged) -> None:
+    name = rng.choice(sorted(forged.arrays))
     old = forged.files[bundle.PARITY_NAME]
-    match dice.randrange(8):
+    match rng.randrange(8):
         case 0:
             _with_entry(
-                forged, name, bytes(dice.choice([50_000_000, 150_000_000])), compression=zipfile.ZIP_DEFLATED
+                forged, name, bytes(rng.choice([50_000_000, 150_000_000])), compression=zipfile.ZIP_DEFLATED
             )
         case 1:
             _with_entry(
-                forged, name, bytes(1_000_000), compression=dice.choice([zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+                forged, name, bytes(1_000_000), compression=rng.choice([zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
             )
         case 2:
             stream = io.BytesIO(old)
             with zipfile.ZipFile(stream, "a") as archive:
                 archive.writestr(
-                    zipfile.ZipInfo(dice.choice([f"{name}.npy ", "../../x.npy", "/x.npy", "x\x00y"])), b"x"
+                    zipfile.ZipInfo(rng.choice([f"{name}.npy ", "../../x.npy", "/x.npy", "x\x00y"])), b"x"
                 )
             forged.files[bundle.PARITY_NAME] = stream.getvalue()
         case 3:  # hundreds of thousands of entries without content
-            count = dice.choice([1_000, 400_000])
+            count = rng.choice([1_000, 400_000])
             entry = b"PK\x01\x02" + bytes(24) + struct.pack("<H", 1) + bytes(16) + b"x"
             end = b"PK\x05\x06" + struct.pack(
                 "<HHHHIIH", 0, 0, count & 0xFFFF, count & 0xFFFF, len(entry) * count, 0, 0
@@ -203,22 +203,23 @@ def parity_archive(dice: random.Random, forged: Forged) -> None:
             forged.files[bundle.PARITY_NAME] = entry * count + end
         case 4:  # a size, a way of compression, a flag or a checksum in the directory
             at = old.rindex(b"PK\x01\x02")
-            place = at + dice.choice([8, 10, 16, 20, 24, 42])
-            forged.files[bundle.PARITY_NAME] = old[:place] + dice.randbytes(2) + old[place + 2 :]
+            place = at + rng.choice([8, 10, 16, 20, 24, 42])
+            forged.files[bundle.PARITY_NAME] = old[:place] + rng.randbytes(2) + old[place + 2 :]
         case 5:  # two entries of the directory for the same bytes
-            at, end = old.index(b"PK\x01\x02"), old.rindex(b"PK\x05\x06")
+            at = old.index(b"PK\x01\x02")
+            end = old.rindex(b"PK\x05\x06")
             count = struct.unpack("<H", old[end + 10 : end + 12])[0] + 1
             size = struct.unpack("<H", old[at + 28 : at + 30])[0] + 46
             tail = bytearray(old[end:])
             tail[8:16] = struct.pack("<HHI", count, count, end - at + size)
             forged.files[bundle.PARITY_NAME] = old[:end] + old[at : at + size] + bytes(tail)
         case 6:
-            forged.files[bundle.PARITY_NAME] = dice.choice(
+            forged.files[bundle.PARITY_NAME] = rng.choice(
                 [b"x" * 1_000 + old, old + bytes(70_000), old + old, b"", b"PK\x05\x06" + bytes(18)]
             )
         case _:
-            cut = dice.randrange(len(old))
-            forged.files[bundle.PARITY_NAME] = old[:cut] + dice.randbytes(40) + old[cut:]
+            cut = rng.randrange(len(old))
+            forged.files[bundle.PARITY_NAME] = old[:cut] + rng.randbytes(40) + old[cut:]
 
 
 # Files that are none
@@ -233,8 +234,8 @@ def _replaced(name: str, make: Callable[[Path], object]) -> Callable[[Path], Non
 
 
 def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as made:
-        made.bind(os.path.relpath(path))
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(os.path.relpath(path))
 
 
 def _large(path: Path) -> None:
@@ -242,9 +243,9 @@ def _large(path: Path) -> None:
         file.truncate(600_000_000)
 
 
-def links(dice: random.Random, forged: Forged) -> None:
+def links(rng: random.Random, forged: Forged) -> None:
     """A file is a link, a device, a pipe, a folder or too large."""
-    name = dice.choice([*sorted(forged.files), bundle.BUNDLE_NAME])
+    name = rng.choice([*sorted(forged.files), bundle.BUNDLE_NAME])
 
     def elsewhere(path: Path) -> Path:
         """The same content at another place."""
@@ -263,13 +264,14 @@ def links(dice: random.Random, forged: Forged) -> None:
         _large,
         lambda path: None,
     ]
-    forged.last.append(_replaced(name, dice.choice(makes)))
+    forged.last.append(_replaced(name, rng.choice(makes)))
 
 
-def folders(dice: random.Random, forged: Forged) -> None:
+def folders(rng: random.Random, forged: Forged) -> None:
     """The folder `inputs`, or the bundle itself, is a link or deep."""
-    digest, kind = hashlib.sha256(b"x").hexdigest(), dice.randrange(4)
-    deep = "/".join(["a"] * dice.choice([15, 200]))
+    digest = hashlib.sha256(b"x").hexdigest()
+    kind = rng.randrange(4)
+    deep = "/".join(["a"] * rng.choice([15, 200]))
     name = f"{deep}/x" if kind == 3 else "inputs/x"
     forged.tree["files"][name] = digest
     forged.fit_graph()
@@ -295,16 +297,16 @@ def folders(dice: random.Random, forged: Forged) -> None:
 # Signatures, where the attacker must have one
 
 
-def signatures(dice: random.Random, forged: Forged) -> None:
+def signatures(rng: random.Random, forged: Forged) -> None:
     old = forged.files[bundle.SIGNATURE_NAME]
     tree = json.loads(old)
     other = {
-        "format": dice.choice([0, 2, None]),
-        "key": dice.choice(["", "ssh-ed25519 AAAA", tree["key"] + " x"]),
-        "signature": dice.choice(TEXTS),
+        "format": rng.choice([0, 2, None]),
+        "key": rng.choice(["", "ssh-ed25519 AAAA", tree["key"] + " x"]),
+        "signature": rng.choice(TEXTS),
     }
-    key = dice.choice(["key", "signature", "format"])
-    made = dice.choice(
+    key = rng.choice(["key", "signature", "format"])
+    forgery = rng.choice(
         [
             {**tree, key: other[key]},
             {**tree, "x": 1},
@@ -314,9 +316,9 @@ def signatures(dice: random.Random, forged: Forged) -> None:
             {**tree, "signature": tree["signature"][:-8] + "AAAAAA=="},
         ]
     )
-    nested = dice.choice([b"[" * 9_000, b'{"x":' * 1_800, b'{"format":1,"key":' + b"[" * 9_000])
-    forged.files[bundle.SIGNATURE_NAME] = dice.choice(
-        [as_json(made), nested, changed(old, dice), b"", b"x" * 20_000]
+    nested = rng.choice([b"[" * 9_000, b'{"x":' * 1_800, b'{"format":1,"key":' + b"[" * 9_000])
+    forged.files[bundle.SIGNATURE_NAME] = rng.choice(
+        [as_json(forgery), nested, changed(old, rng), b"", b"x" * 20_000]
     )
     forged.tree["rate_hz"] = forged.tree["rate_hz"] * 2
     forged.tree["timestep_s"] = forged.tree["timestep_s"] / 2

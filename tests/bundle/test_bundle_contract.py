@@ -17,7 +17,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export.graph import numbers_read
 from deepbots_robot import Bundle
-from tests.bundle.untrained import compared, made
+from tests.bundle.untrained import compare_with_simulation, untrained_bundle
 from tests.few import WORLDS, few
 
 DATA = Path(__file__).parents[1] / "data" / "scenarios"
@@ -39,17 +39,17 @@ FAST = (*WORLDS, "find_and_avoid")
 
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))
 def test_a_bundle_commands_what_the_robots_of_the_simulation_apply(scenario):
-    found = compared(scenario, steps=60)
-    assert found.steps == 60
-    assert found.worst <= 1e-5
+    comparison = compare_with_simulation(scenario, steps=60)
+    assert comparison.steps == 60
+    assert comparison.worst <= 1e-5
 
 
 @pytest.mark.parametrize("scenario", few(shipped.scenario_names(), FAST))
-def test_lint_knows_which_readings_nothing_on_a_robot_measures(scenario):
+def test_lint_names_the_readings_that_nothing_on_a_robot_measures(scenario):
     """`DB617` asks for a supplier of each."""
-    step, _, known = made(scenario)
+    step, _, loaded = untrained_bundle(scenario)
     of_source = {
-        source: {entry.name for entry in known.info.inputs if entry.source == source}
+        source: {entry.name for entry in loaded.info.inputs if entry.source == source}
         for source in ("sensor", "supervisor", "goal")
     }
     deployment = Deployment(step.program)
@@ -60,9 +60,9 @@ def test_lint_knows_which_readings_nothing_on_a_robot_measures(scenario):
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", shipped.scenario_names())
 def test_over_a_thousand_steps_too(scenario):
-    found = compared(scenario, steps=1000)
-    assert found.steps >= 900  # an episode is left where two options are equally good
-    assert found.worst <= 1e-5
+    comparison = compare_with_simulation(scenario, steps=1000)
+    assert comparison.steps >= 900  # an episode is left where two options are equally good
+    assert comparison.worst <= 1e-5
 
 
 @pytest.mark.parametrize(
@@ -81,24 +81,24 @@ def test_over_a_thousand_steps_too(scenario):
     ],
 )
 def test_what_advances_between_two_actions_does_so_in_a_bundle(scenario, overrides):
-    """The bundle is called in every timestep, and commands in between what it commanded last."""
-    step, _, known = made(scenario, *overrides)
-    assert known.info.timestep_s == step.program.world.timestep
-    found = compared(scenario, *overrides, steps=100)
-    assert found.steps == 100
-    assert found.worst <= 1e-5
+    """The bundle is called in every timestep. Between two actions it repeats its last commands."""
+    step, _, loaded = untrained_bundle(scenario, *overrides)
+    assert loaded.info.timestep_s == step.program.world.timestep
+    comparison = compare_with_simulation(scenario, *overrides, steps=100)
+    assert comparison.steps == 100
+    assert comparison.worst <= 1e-5
 
 
 def test_what_robots_and_messages_remember_advances_when_they_act():
-    found = compared(str(Path(__file__).parent / "messages.yaml"), steps=60)
-    assert found.steps == 60
-    assert found.worst <= 1e-5
+    comparison = compare_with_simulation(str(Path(__file__).parent / "messages.yaml"), steps=60)
+    assert comparison.steps == 60
+    assert comparison.worst <= 1e-5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "overrides"), FURTHER)
 def test_scenarios_of_other_tests_too(name, overrides):
-    assert compared(str(DATA / f"{name}.yaml"), *overrides, steps=100).worst <= 1e-5
+    assert compare_with_simulation(str(DATA / f"{name}.yaml"), *overrides, steps=100).worst <= 1e-5
 
 
 @pytest.mark.parametrize(
@@ -114,9 +114,9 @@ def test_scenarios_of_other_tests_too(name, overrides):
         ),
     ],
 )
-def test_what_cannot_be_exported_is_named(overrides, named):
+def test_a_scenario_that_cannot_be_exported_is_refused_by_name(overrides, named):
     with pytest.raises(UsageError) as caught:
-        made("find_and_avoid", *overrides)
+        untrained_bundle("find_and_avoid", *overrides)
     assert named in str(caught.value)
 
 
@@ -130,25 +130,25 @@ def test_what_cannot_be_exported_is_named(overrides, named):
 def test_numbers_that_the_graph_does_not_read_change_nothing_and_all_others_do(
     scenario: str, unused: dict[str, set[int]]
 ) -> None:
-    step, _, known = made(scenario)
+    step, _, loaded = untrained_bundle(scenario)
     read = numbers_read(step.model({}))
-    found = {entry.name: {*range(entry.shape[0])} - read[entry.name] for entry in known.info.inputs}
-    assert {name: places for name, places in found.items() if places} == unused
-    dice = np.random.default_rng(0)
-    changed = {(entry.name, place): 0 for entry in known.info.inputs for place in range(entry.shape[0])}
+    unread = {entry.name: {*range(entry.shape[0])} - read[entry.name] for entry in loaded.info.inputs}
+    assert {name: places for name, places in unread.items() if places} == unused
+    rng = np.random.default_rng(0)
+    changed = {(entry.name, place): 0 for entry in loaded.info.inputs for place in range(entry.shape[0])}
     for _ in range(20):
-        values = {entry.name: dice.normal(0.0, 0.1, entry.shape) for entry in known.info.inputs}
-        wanted = results(known, values)
+        values = {entry.name: rng.normal(0.0, 0.1, entry.shape) for entry in loaded.info.inputs}
+        wanted = results(loaded, values)
         for name, place in changed:
-            other = {key: value.copy() for key, value in values.items()}
-            other[name][place] += 0.05
-            changed[name, place] += results(known, other) != wanted
+            moved = {key: value.copy() for key, value in values.items()}
+            moved[name][place] += 0.05
+            changed[name, place] += results(loaded, moved) != wanted
     assert {key for key, count in changed.items() if not count} == {
         (name, place) for name, places in unused.items() for place in places
     }
 
 
-def results(known: Bundle, values: dict[str, Any]) -> list[bytes]:
+def results(loaded: Bundle, values: dict[str, Any]) -> list[bytes]:
     """All outputs of two steps with these values."""
-    policy = known.start()
+    policy = loaded.start()
     return [value.tobytes() for _ in range(2) for value in policy.step(values).values()]

@@ -44,11 +44,11 @@ def _graph(
     """A graph from `x` (float32 [size]) to `y`, with nodes between."""
     ends = [helper.make_tensor_value_info(name, FLOAT, [size]) for name in "xy"]
     between = [helper.make_tensor_value_info(name, FLOAT, shape) for name, shape in (shapes or {}).items()]
-    made = helper.make_graph(
+    graph = helper.make_graph(
         list(nodes), "g", ends[:1], ends[1:], parts.pop("weights", []), value_info=between
     )
     return helper.make_model(
-        made, opset_imports=parts.pop("opsets", [helper.make_opsetid("", 17)]), **parts
+        graph, opset_imports=parts.pop("opsets", [helper.make_opsetid("", 17)]), **parts
     ).SerializeToString()
 
 
@@ -163,11 +163,11 @@ def test_a_graph_is_read_strictly(name: str) -> None:
 def test_a_shape_that_is_not_that_of_the_operator_is_refused_by_onnxruntime(
     folder: Path, forged: Path
 ) -> None:
-    known = deepbots_robot.load(folder)
+    loaded = deepbots_robot.load(folder)
     graph = onnx.load_from_string((folder / bundle.GRAPH_NAME).read_bytes())
     value = next(each for each in graph.graph.value_info if len(each.type.tensor_type.shape.dim) == 1)
     value.type.tensor_type.shape.dim[0].dim_value += 1
-    write(forged, known.info, graph.SerializeToString(), (folder / bundle.PARITY_NAME).read_bytes())
+    write(forged, loaded.info, graph.SerializeToString(), (folder / bundle.PARITY_NAME).read_bytes())
     with pytest.raises(BundleError, match=r"cannot be run by onnxruntime"):
         deepbots_robot.load(forged)
 
@@ -262,13 +262,13 @@ PARITIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
 def test_recorded_steps_that_prove_nothing_are_refused(choosing: Path, tmp_path: Path, name: str) -> None:
     """NaN scores made every step a tie, and other types ended in a traceback."""
     change, message = PARITIES[name]
-    known = deepbots_robot.load(choosing)
+    loaded = deepbots_robot.load(choosing)
     with np.load(choosing / bundle.PARITY_NAME) as archive:
         arrays = dict(archive)
     change(arrays)
     stream = io.BytesIO()
     np.savez(stream, **arrays)
-    write(tmp_path, known.info, (choosing / bundle.GRAPH_NAME).read_bytes(), stream.getvalue())
+    write(tmp_path, loaded.info, (choosing / bundle.GRAPH_NAME).read_bytes(), stream.getvalue())
     with pytest.raises(BundleError) as caught:
         deepbots_robot.load(tmp_path)
     assert message in str(caught.value)
@@ -327,10 +327,10 @@ def test_a_signed_bundle_loads_with_its_key_and_a_key_is_private_and_never_overw
     signed: Path, key: Path, tmp_path: Path
 ) -> None:
     assert deepbots_robot.load(signed, trusted=_public(key)).operations > 0
-    other = signature.write_key(tmp_path / "other").read_text()
+    other_key = signature.write_key(tmp_path / "other").read_text()
     assert (
         deepbots_robot.load(
-            signed, trusted=["# keys of the lab", other, f"{_public(key).read_text().strip()} bench"]
+            signed, trusted=["# keys of the lab", other_key, f"{_public(key).read_text().strip()} bench"]
         ).folder
         == signed
     )
@@ -340,9 +340,9 @@ def test_a_signed_bundle_loads_with_its_key_and_a_key_is_private_and_never_overw
 
 
 def _changed_description(folder: Path) -> None:
-    known = deepbots_robot.load(folder)
+    loaded = deepbots_robot.load(folder)
     changed = msgspec.structs.replace(
-        known.info, training=msgspec.structs.replace(known.info.training, seed=7)
+        loaded.info, training=msgspec.structs.replace(loaded.info.training, seed=7)
     )
     graph = onnx.load_from_string((folder / bundle.GRAPH_NAME).read_bytes())
     helper.set_model_props(graph, {bundle.METADATA_KEY: bundle.description_digest(changed)})
@@ -409,6 +409,6 @@ def test_a_bundle_has_no_file_without_a_digest(folder: Path) -> None:
 
 def test_a_name_from_a_scenario_is_no_markup_in_the_readme() -> None:
     """`<script>` passed into README.md, by whose limits a person works."""
-    shown = plain_markdown("a <script>x</script> [link](javascript:x) `code`\n# Limits: none")
-    assert not set("<>[]`#\n") & set(shown.replace("&#", "&"))
-    assert shown.startswith("a &#60;script&#62;x")
+    text = plain_markdown("a <script>x</script> [link](javascript:x) `code`\n# Limits: none")
+    assert not set("<>[]`#\n") & set(text.replace("&#", "&"))
+    assert text.startswith("a &#60;script&#62;x")

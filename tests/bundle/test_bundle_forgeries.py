@@ -27,7 +27,7 @@ from deepbots_robot.__main__ import main
 from deepbots_robot.server import Commands
 from deepbots_robot.serving import ServeError, inputs_of, mapped, outputs_of
 from tests.bundle.forged import Forged
-from tests.bundle.forged_graphs import fields, varint, written
+from tests.bundle.forged_graphs import encoded, fields, varint
 from tests.bundle.forgeries import QUICK, prepare
 from tests.few import every
 
@@ -72,9 +72,9 @@ def test_a_forged_bundle_is_refused_in_a_sentence_or_acts_within_its_limits(
 
 @pytest.mark.slow
 def test_a_number_is_always_the_same_forgery(bases: Path, tmp_path: Path) -> None:
-    found = [_run(bases, "--only", 37, "--keep", tmp_path)[0] for _ in range(2)]
-    assert [{**each, "seconds": 0, "megabytes": 0} for each in found] == [
-        {**found[0], "seconds": 0, "megabytes": 0}
+    outcomes = [_run(bases, "--only", 37, "--keep", tmp_path)[0] for _ in range(2)]
+    assert [{**outcome, "seconds": 0, "megabytes": 0} for outcome in outcomes] == [
+        {**outcomes[0], "seconds": 0, "megabytes": 0}
     ] * 2
 
 
@@ -103,17 +103,17 @@ def _command(
     graph = forged.graph
     end = next(node for node in graph.graph.node if node.output[0] == "bot.wheels")
     own = end.input[0]
-    made = [
+    new_nodes = [
         helper.make_node(node.op_type, [own if name == "own" else name for name in node.input], node.output)
         for node in nodes
     ]
-    for made_node, node in zip(made, nodes, strict=True):
-        made_node.attribute.extend(node.attribute)
+    for new_node, node in zip(new_nodes, nodes, strict=True):
+        new_node.attribute.extend(node.attribute)
     at = list(graph.graph.node).index(end)
     end.input[0] = "forged"
     rest = list(graph.graph.node)
     del graph.graph.node[:]
-    graph.graph.node.extend([*rest[:at], *made, *rest[at:]])
+    graph.graph.node.extend([*rest[:at], *new_nodes, *rest[at:]])
     graph.graph.initializer.extend(
         [numpy_helper.from_array(np.asarray(value), name) for name, value in (weights or {}).items()]
     )
@@ -122,8 +122,8 @@ def _command(
     forged.set_graph(graph)
 
 
-def _values(known: deepbots_robot.Bundle, **changes: Any) -> dict[str, Any]:
-    return {entry.name: np.zeros(entry.shape) for entry in known.info.inputs} | {
+def _values(loaded: deepbots_robot.Bundle, **changes: Any) -> dict[str, Any]:
+    return {entry.name: np.zeros(entry.shape) for entry in loaded.info.inputs} | {
         name.replace("_", "."): value for name, value in changes.items()
     }
 
@@ -169,7 +169,7 @@ def test_a_model_in_the_format_of_onnxruntime_is_none(bases: Path, tmp_path: Pat
         onnx_file.require_plain(both)
     forged = _forged(bases)
     parts = [part for part in fields(forged.files[bundle.GRAPH_NAME]) if part[0] not in (1, 4)]
-    forged.set_graph(head + written(parts))  # short enough for our reader
+    forged.set_graph(head + encoded(parts))  # short enough for our reader
     assert _loaded(forged, tmp_path).start().step(_values(deepbots_robot.load(bases / "balancer")))
 
 
@@ -185,8 +185,11 @@ def test_a_command_is_clipped_where_the_graph_does_not(bases: Path, tmp_path: Pa
         weights={"far": [1e9], "nothing": [0.0], "axes": [0]},
         shapes={"beyond": [3], "more": [3], "sum": [1]},
     )
-    known = _loaded(forged, tmp_path)
-    assert known.start().step(_values(known, bot_gyro=np.full(3, 1e12)))["bot.wheels"].tolist() == [0.1, 0.1]
+    loaded = _loaded(forged, tmp_path)
+    assert loaded.start().step(_values(loaded, bot_gyro=np.full(3, 1e12)))["bot.wheels"].tolist() == [
+        0.1,
+        0.1,
+    ]
 
 
 def test_a_command_that_is_no_number_is_an_error_and_changes_nothing(bases: Path, tmp_path: Path) -> None:
@@ -201,13 +204,13 @@ def test_a_command_that_is_no_number_is_an_error_and_changes_nothing(bases: Path
         weights={"far": [1e9], "zero": [0.0], "axes": [0]},
         shapes={"left": [3], "root": [3], "none": [3], "sum": [1]},
     )
-    known = _loaded(forged, tmp_path)
-    policy, other = known.start(), known.start()
+    loaded = _loaded(forged, tmp_path)
+    policy, unharmed = loaded.start(), loaded.start()
     with pytest.raises(BundleError, match=r"computes 'bot.wheels' as nan, nan"):
-        policy.step(_values(known, bot_gyro=np.full(3, 1e12)))
+        policy.step(_values(loaded, bot_gyro=np.full(3, 1e12)))
     assert (
-        policy.step(_values(known))["bot.wheels"].tolist()
-        == other.step(_values(known))["bot.wheels"].tolist()
+        policy.step(_values(loaded))["bot.wheels"].tolist()
+        == unharmed.step(_values(loaded))["bot.wheels"].tolist()
     )
 
 
@@ -227,9 +230,9 @@ def test_a_place_beyond_a_table_is_an_error_of_the_bundle(bases: Path, tmp_path:
     graph = forged.graph
     graph.graph.value_info.append(helper.make_tensor_value_info("at", TensorProto.INT64, [1]))
     forged.set_graph(graph)
-    known = _loaded(forged, tmp_path)
+    loaded = _loaded(forged, tmp_path)
     with pytest.raises(BundleError, match=r"policy.onnx cannot compute with these values"):
-        known.start().step(_values(known, bot_gyro=np.full(3, 1e12)))
+        loaded.start().step(_values(loaded, bot_gyro=np.full(3, 1e12)))
 
 
 def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: Path, tmp_path: Path) -> None:
@@ -259,17 +262,19 @@ def test_a_policy_that_counts_its_steps_stays_within_its_range_and_rate(bases: P
     starts = arrays.pop("starts")
     forged.set_arrays({name: rows[:200] for name, rows in arrays.items()} | {"starts": starts[starts < 200]})
     forged.fit_graph()
-    known = _loaded(forged, tmp_path)
-    policy, limits, last = known.start(), Commands(outputs_of(known.info)), None
+    loaded = _loaded(forged, tmp_path)
+    policy = loaded.start()
+    limits = Commands(outputs_of(loaded.info))
+    last = None
     raw = []
     for _ in range(2_000):
-        commands = policy.step(_values(known))
+        commands = policy.step(_values(loaded))
         raw.append(float(commands["bot.wheels"][0]))
-        limited = limits.limit(commands, known.info.timestep_s)
+        limited = limits.limit(commands, loaded.info.timestep_s)
         assert limited is not None
         assert np.abs(limited["bot.wheels"]).max() <= 0.1
         assert (
-            last is None or np.abs(limited["bot.wheels"] - last).max() <= 0.5 * known.info.timestep_s + 1e-12
+            last is None or np.abs(limited["bot.wheels"] - last).max() <= 0.5 * loaded.info.timestep_s + 1e-12
         )
         last = limited["bot.wheels"]
     assert {raw[-1], raw[-2]} == {0.1, -0.1}
@@ -330,9 +335,9 @@ def test_a_name_in_a_graph_is_shown_without_control_characters(
     forged.set_graph(graph)
     forged.write(tmp_path / "forged", digests=True)
     assert main(["check", str(tmp_path / "forged")]) == 1
-    shown = capsys.readouterr().err
-    assert shown.count("\n") == 1
-    assert shown[:-1].isprintable()
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error[:-1].isprintable()
 
 
 def test_fields_for_which_no_topic_is_left_are_named(bases: Path) -> None:
@@ -484,16 +489,20 @@ def _key_twice_in_a_header(forged: Forged) -> None:
 
 def _same_bytes(forged: Forged) -> None:
     """Each entry has the bytes of the one after it in itself, so that all unpack the longest one."""
-    entries, content, directory = _plain_entries(forged), b"", b""
+    entries = _plain_entries(forged)
+    content = b""
+    directory = b""
     packer = zlib.compressobj(wbits=-15)
     tail = packer.compress(bytes(1_000_000)) + packer.flush()
     body = tail
     for name, plain in reversed(list(entries.items())):
-        encoded = name.encode()
+        encoded_name = name.encode()
         head = (
-            struct.pack("<IHHHIIIHH", 0x04034B50, 20, 0, 8, 0, zlib.crc32(plain), 0, 0, len(encoded))[:26]
-            + struct.pack("<HH", len(encoded), 0)
-            + encoded
+            struct.pack("<IHHHIIIHH", 0x04034B50, 20, 0, 8, 0, zlib.crc32(plain), 0, 0, len(encoded_name))[
+                :26
+            ]
+            + struct.pack("<HH", len(encoded_name), 0)
+            + encoded_name
         )
         body = head + body
         quoted = len(body)
@@ -509,7 +518,7 @@ def _same_bytes(forged: Forged) -> None:
                 zlib.crc32(plain),
                 quoted,
                 len(plain),
-                len(encoded),
+                len(encoded_name),
                 0,
                 0,
                 0,
@@ -517,7 +526,7 @@ def _same_bytes(forged: Forged) -> None:
                 0,
                 0,
             )
-            + encoded
+            + encoded_name
         )
     content = body
     end = struct.pack(
@@ -560,8 +569,8 @@ def test_a_way_by_hand_is_refused_or_loads_within_the_limits(bases: Path, tmp_pa
     forged = _forged(bases)
     change(forged)
     if not message:
-        known = _loaded(forged, tmp_path)
-        assert known.start().step({entry.name: np.zeros(entry.shape) for entry in known.info.inputs})
+        loaded = _loaded(forged, tmp_path)
+        assert loaded.start().step({entry.name: np.zeros(entry.shape) for entry in loaded.info.inputs})
         return
     with pytest.raises(BundleError) as caught:
         _loaded(forged, tmp_path)
@@ -587,9 +596,9 @@ def test_another_signature_for_the_same_bytes_is_refused(bases: Path, tmp_path: 
     tree = json.loads(forged.files[bundle.SIGNATURE_NAME])
     content = base64.b64decode(tree["signature"])
     order = (1 << 252) + 27742317777372353535851937790883648493
-    other = content[:32] + (int.from_bytes(content[32:], "little") + order).to_bytes(32, "little")
+    malleated = content[:32] + (int.from_bytes(content[32:], "little") + order).to_bytes(32, "little")
     forged.files[bundle.SIGNATURE_NAME] = json.dumps(
-        {**tree, "signature": base64.b64encode(other).decode()}
+        {**tree, "signature": base64.b64encode(malleated).decode()}
     ).encode()
     forged.write(tmp_path / "forged", digests=True)
     with pytest.raises(BundleError, match="is not the file that was signed"):

@@ -21,7 +21,7 @@ from deepbots_cli.insight.export.deploy import deploy_settings
 from deepbots_cli.insight.export.isaac import DEPLOY_NAME, GRAPH_NAME, isaac_files
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
-from tests.bundle.untrained import made, with_training
+from tests.bundle.untrained import untrained_bundle, with_training
 
 WALK = str(Path(__file__).parent / "walk.yaml")
 Terms = Mapping[str, Callable[[Mapping[str, Any], Any], Any]]
@@ -41,15 +41,15 @@ class Runner:
         self._last: Any = np.zeros(len(self._action["scale"]))
 
     def step(self, values: Mapping[str, Any]) -> Any:
-        seen = []
+        numbers = []
         for name, term in self._settings["observations"].items():
             value = np.asarray(self._terms[name](values, self._last), float)
             value = np.clip(value, *term["clip"]) if term["clip"] else value
             count = term["history_length"]
             rows = self._history.setdefault(name, deque([value * term["scale"]] * count, count))
             rows.append(value * term["scale"])
-            seen += rows
-        (actions,) = self._session.run(["actions"], {"obs": np.concatenate(seen)[None].astype(np.float32)})
+            numbers += rows
+        (actions,) = self._session.run(["actions"], {"obs": np.concatenate(numbers)[None].astype(np.float32)})
         self._last = actions[0]
         return np.clip(
             self._last * self._action["scale"] + self._action["offset"], *np.transpose(self._action["clip"])
@@ -57,7 +57,7 @@ class Runner:
 
 
 def test_a_runner_commands_what_the_simulated_robot_applies() -> None:
-    step, learner, _ = made(WALK)
+    step, learner, _ = untrained_bundle(WALK)
     files = isaac_files(step.program, learner)
     settings = yaml.safe_load(files[DEPLOY_NAME])
     assert [*settings["observations"]] == [
@@ -86,7 +86,7 @@ def test_a_runner_commands_what_the_simulated_robot_applies() -> None:
 
 
 def test_the_file_has_all_digits_and_the_order_of_joints() -> None:
-    step, learner, _ = made(WALK)
+    step, learner, _ = untrained_bundle(WALK)
     settings = yaml.safe_load(isaac_files(step.program, learner)[DEPLOY_NAME])
     assert settings == deploy_settings(step.program)
     assert settings["default_joint_pos"][4] == np.pi / 4
@@ -126,12 +126,12 @@ def test_the_file_has_all_digits_and_the_order_of_joints() -> None:
 )
 def test_a_scenario_that_does_not_fit_is_refused(scenario: str, overrides: list[str], named: str) -> None:
     with pytest.raises(UsageError) as caught:
-        deploy_settings(made(scenario, *overrides)[0].program)
+        deploy_settings(untrained_bundle(scenario, *overrides)[0].program)
     assert named in str(caught.value)
 
 
 def test_a_recurrent_policy_is_refused() -> None:
-    program = made(WALK)[0].program
+    program = untrained_bundle(WALK)[0].program
     assert program.agent.training is not None
     recurrent = with_training(program, algorithm="RecurrentPPO")
     with pytest.raises(UsageError, match="a recurrent policy does not fit the runners"):

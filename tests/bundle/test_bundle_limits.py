@@ -1,4 +1,4 @@
-"""What the checks of a bundle cost together, and a folder that changes while it is read."""
+"""The cost of all checks of a bundle together, and a folder that changes while it is read."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import refuse_links_within
 from deepbots_robot import BundleError, bundle
-from tests.bundle.untrained import written
+from tests.bundle.untrained import write_bundle
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return written(tmp_path / "bundle", "cartpole")
+    return write_bundle(tmp_path / "bundle", "cartpole")
 
 
 def test_large_files_leave_less_time_for_recorded_steps(

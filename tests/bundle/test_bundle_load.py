@@ -1,5 +1,5 @@
-"""Loading a bundle: what is damaged, changed or put together from two exports is refused in a sentence, or
-acts the same."""
+"""Loading a bundle: one that is damaged, changed or put together from two exports is refused in a sentence,
+or acts the same."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ from tests.few import every
 ROOT = Path(__file__).parents[2]
 
 
-def values_of(known: deepbots_robot.Bundle, dice: np.random.Generator) -> dict[str, Any]:
-    return {entry.name: dice.normal(0.0, 3.0, entry.shape) for entry in known.info.inputs}
+def values_of(loaded: deepbots_robot.Bundle, rng: np.random.Generator) -> dict[str, Any]:
+    return {entry.name: rng.normal(0.0, 3.0, entry.shape) for entry in loaded.info.inputs}
 
 
 def test_a_policy_remembers_until_it_is_reset(folder: Path) -> None:
-    known = deepbots_robot.load(folder)
-    policy, other = known.start(), known.start()
-    dice = np.random.default_rng(0)
-    rows = [values_of(known, dice) for _ in range(5)]
+    loaded = deepbots_robot.load(folder)
+    policy, independent = loaded.start(), loaded.start()
+    rng = np.random.default_rng(0)
+    rows = [values_of(loaded, rng) for _ in range(5)]
     first = [policy.step(row)["bot.wheels"].tolist() for row in rows]
     again = [policy.step(row)["bot.wheels"].tolist() for row in rows]
     assert first != again
     policy.reset()
     assert [policy.step(row)["bot.wheels"].tolist() for row in rows] == first
     assert [
-        other.step(row)["bot.wheels"].tolist() for row in rows
+        independent.step(row)["bot.wheels"].tolist() for row in rows
     ] == first  # each policy has a memory of its own
 
 
 def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(folder: Path) -> None:
-    known = deepbots_robot.load(folder)
-    policy, fast = known.start(), known.start(3 * known.info.rate_hz)
-    dice = np.random.default_rng(0)
-    rows = [values_of(known, dice) for _ in range(12)]
+    loaded = deepbots_robot.load(folder)
+    policy, fast = loaded.start(), loaded.start(3 * loaded.info.rate_hz)
+    rng = np.random.default_rng(0)
+    rows = [values_of(loaded, rng) for _ in range(12)]
     wanted = [policy.step(row)["bot.wheels"].tolist() for row in rows[::3]]
     assert [fast.step(row)["bot.wheels"].tolist() for row in rows] == [
         command for command in wanted for _ in range(3)
@@ -63,13 +63,13 @@ def test_in_a_loop_that_is_a_multiple_faster_the_policy_acts_on_every_nth_call(f
 
 @pytest.mark.parametrize("ratio", [0.5, 1.5, 0.0, -1.0, float("nan"), float("inf")])
 def test_another_rate_is_refused(folder: Path, ratio: float) -> None:
-    known = deepbots_robot.load(folder)
+    loaded = deepbots_robot.load(folder)
     with pytest.raises(BundleError, match="no whole multiple"):
-        known.start(ratio * known.info.rate_hz)
+        loaded.start(ratio * loaded.info.rate_hz)
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"bot.gyro": [0.0, 0.0]}, "'bot.gyro' has the shape [2]; it must have [3]"),
         ({"bot.gyro": [0.0, np.nan, 0.0]}, "'bot.gyro' is not finite"),
@@ -78,16 +78,16 @@ def test_another_rate_is_refused(folder: Path, ratio: float) -> None:
         ({"bot.compass": 0.0}, "1 unknown (bot.compass)"),
     ],
 )
-def test_values_that_do_not_fit_change_nothing(folder: Path, change: dict[str, Any], told: str) -> None:
-    known = deepbots_robot.load(folder)
-    policy, other = known.start(), known.start()
-    values = values_of(known, np.random.default_rng(0))
-    for each in (policy, other):
+def test_values_that_do_not_fit_change_nothing(folder: Path, change: dict[str, Any], message: str) -> None:
+    loaded = deepbots_robot.load(folder)
+    policy, unharmed = loaded.start(), loaded.start()
+    values = values_of(loaded, np.random.default_rng(0))
+    for each in (policy, unharmed):
         each.step(values)
     with pytest.raises(InputError) as caught:
         policy.step(values | change)
-    assert told in str(caught.value)
-    assert policy.step(values)["bot.wheels"].tolist() == other.step(values)["bot.wheels"].tolist()
+    assert message in str(caught.value)
+    assert policy.step(values)["bot.wheels"].tolist() == unharmed.step(values)["bot.wheels"].tolist()
 
 
 def test_a_missing_value_is_named(folder: Path) -> None:
@@ -104,7 +104,7 @@ Mutation = Callable[
 
 
 def _json(
-    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+    rng: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
 ) -> tuple[bytes, bytes, bytes]:
     """One value of bundle.json changed, removed, repeated or exchanged with its neighbor."""
     tree = json.loads(model.encode(info))
@@ -118,7 +118,7 @@ def _json(
 
     collect({key: value for key, value in tree.items() if key != "files"})
     collect(tree)
-    node, key = dice.choice(
+    node, key = rng.choice(
         [place for place in places if place[0] is not tree["files"] and place[1] != "files"]
     )
     value = node[key]
@@ -134,78 +134,76 @@ def _json(
         ]
     if isinstance(value, list):
         options += [value[::-1], value[:-1], value * 2]
-    chosen = dice.choice([each for each in options if each != value or type(each) is not type(value)])
+    chosen = rng.choice([each for each in options if each != value or type(each) is not type(value)])
     node[key] = chosen
-    if dice.random() < 0.1 and isinstance(node, dict):
+    if rng.random() < 0.1 and isinstance(node, dict):
         del node[key]
     return json.dumps(tree).encode(), graph, parity
 
 
-def _bytes_of(content: bytes, dice: random.Random) -> bytes:
+def _bytes_of(content: bytes, rng: random.Random) -> bytes:
     changed = bytearray(content)
-    match dice.randrange(4):
+    match rng.randrange(4):
         case 0:
-            changed[dice.randrange(len(changed))] ^= 1 << dice.randrange(8)
+            changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
         case 1:
-            del changed[dice.randrange(len(changed)) :]
+            del changed[rng.randrange(len(changed)) :]
         case 2:
-            at = dice.randrange(len(changed))
-            changed[at : at + dice.randrange(1, 40)] = dice.randbytes(dice.randrange(0, 40))
+            at = rng.randrange(len(changed))
+            changed[at : at + rng.randrange(1, 40)] = rng.randbytes(rng.randrange(0, 40))
         case _:
-            changed += dice.randbytes(8)
+            changed += rng.randbytes(8)
     return bytes(changed)
 
 
 def _graph_bytes(
-    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+    rng: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
 ) -> tuple[model.BundleInfo, bytes, bytes]:
-    return info, _bytes_of(graph, dice), parity
+    return info, _bytes_of(graph, rng), parity
 
 
 def _graph_parts(
-    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+    rng: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
 ) -> tuple[model.BundleInfo, bytes, bytes]:
     """A weight, an operator, or the order of arguments, inputs or outputs."""
-    found = onnx.load_from_string(graph)
-    node = dice.choice(found.graph.node)
-    match dice.randrange(5):
+    changed = onnx.load_from_string(graph)
+    node = rng.choice(changed.graph.node)
+    match rng.randrange(5):
         case 0 | 1:
-            weight = dice.choice(found.graph.initializer)
+            weight = rng.choice(changed.graph.initializer)
             array = numpy_helper.to_array(weight).copy()
             if array.size and array.dtype.kind == "f":
-                array.flat[dice.randrange(array.size)] *= dice.choice(
+                array.flat[rng.randrange(array.size)] *= rng.choice(
                     [-1.0, 0.0, 1.5, 1.001, 1e3, float("nan")]
                 )
             weight.CopyFrom(numpy_helper.from_array(array, weight.name))
         case 2:
-            node.op_type = dice.choice(
-                ["Add", "Sub", "Mul", "Tanh", "Relu", "Max", "Min", "Loop", "Identity"]
-            )
+            node.op_type = rng.choice(["Add", "Sub", "Mul", "Tanh", "Relu", "Max", "Min", "Loop", "Identity"])
         case 3:
             node.input[:] = list(node.input)[::-1]
         case _:
-            entries = dice.choice([found.graph.input, found.graph.output])
+            entries = rng.choice([changed.graph.input, changed.graph.output])
             swapped = list(entries)
-            dice.shuffle(swapped)
+            rng.shuffle(swapped)
             del entries[:]
             entries.extend(swapped)
-    return info, found.SerializeToString(), parity
+    return info, changed.SerializeToString(), parity
 
 
 def _parity_arrays(
-    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+    rng: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
 ) -> tuple[model.BundleInfo, bytes, bytes]:
     with np.load(io.BytesIO(parity)) as archive:
         arrays = {name: archive[name].copy() for name in archive.files}
-    name = dice.choice(sorted(arrays))
+    name = rng.choice(sorted(arrays))
     array = arrays[name]
-    match dice.randrange(5):
+    match rng.randrange(5):
         case 0:
-            array.flat[dice.randrange(array.size)] += dice.choice([1, 7])
+            array.flat[rng.randrange(array.size)] += rng.choice([1, 7])
         case 1:
             arrays[name] = array[:-1]
         case 2:
-            arrays[name] = array.astype(dice.choice([np.float16, np.int8, object]))
+            arrays[name] = array.astype(rng.choice([np.float16, np.int8, object]))
         case 3:
             del arrays[name]
         case _:
@@ -216,9 +214,9 @@ def _parity_arrays(
 
 
 def _parity_bytes(
-    dice: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
+    rng: random.Random, info: model.BundleInfo, graph: bytes, parity: bytes
 ) -> tuple[model.BundleInfo, bytes, bytes]:
-    return info, graph, _bytes_of(parity, dice)
+    return info, graph, _bytes_of(parity, rng)
 
 
 MUTATIONS: dict[str, Mutation] = {
@@ -234,13 +232,14 @@ MUTATIONS: dict[str, Mutation] = {
 def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(
     folder: Path, tmp_path: Path, kind: str
 ) -> None:
-    """200 mutations in all; what is loaded acts as the original does on inputs that were not recorded."""
+    """200 mutations in all. A bundle that loads acts as the original does, on inputs that were not
+    recorded."""
     original = deepbots_robot.load(folder)
     graph, parity = (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes()
     refused = 0
     for number in range(40):
-        dice = random.Random(f"{kind} {number}")
-        info, *contents = MUTATIONS[kind](dice, original.info, graph, parity)
+        rng = random.Random(f"{kind} {number}")
+        info, *contents = MUTATIONS[kind](rng, original.info, graph, parity)
         place = tmp_path / str(number)
         place.mkdir()
         write(place, original.info, *contents)
@@ -250,29 +249,36 @@ def test_each_of_many_mutations_with_new_digests_is_refused_or_acts_the_same(
                 tree["files"] = json.loads((place / bundle.BUNDLE_NAME).read_bytes())["files"]
             (place / bundle.BUNDLE_NAME).write_bytes(json.dumps(tree).encode())
         try:
-            found = deepbots_robot.load(place)
+            mutated = deepbots_robot.load(place)
         except BundleError:
             refused += 1
             continue
-        assert found.info.inputs == original.info.inputs
-        assert found.info.outputs == original.info.outputs
-        one, other, rows = found.start(), original.start(), np.random.default_rng(number)
+        assert mutated.info.inputs == original.info.inputs
+        assert mutated.info.outputs == original.info.outputs
+        acting = mutated.start()
+        expected = original.start()
+        rows = np.random.default_rng(number)
         for _ in range(200):
             values = values_of(original, rows)
-            assert one.step(values)["bot.wheels"] == pytest.approx(
-                other.step(values)["bot.wheels"], abs=1e-5 * 0.2
+            assert acting.step(values)["bot.wheels"] == pytest.approx(
+                expected.step(values)["bot.wheels"], abs=1e-5 * 0.2
             )
     assert refused >= 25
 
 
 def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_path: Path) -> None:
-    known = deepbots_robot.load(folder)
-    other = msgspec.structs.replace(
-        known.info, scenario=msgspec.structs.replace(known.info.scenario, summary="other")
+    loaded = deepbots_robot.load(folder)
+    other_info = msgspec.structs.replace(
+        loaded.info, scenario=msgspec.structs.replace(loaded.info.scenario, summary="other")
     )
     place = tmp_path / "mixed"
     place.mkdir()
-    write(place, other, (folder / bundle.GRAPH_NAME).read_bytes(), (folder / bundle.PARITY_NAME).read_bytes())
+    write(
+        place,
+        other_info,
+        (folder / bundle.GRAPH_NAME).read_bytes(),
+        (folder / bundle.PARITY_NAME).read_bytes(),
+    )
     with pytest.raises(BundleError, match=r"policy.onnx and bundle.json are not of the same export"):
         deepbots_robot.load(place)
 
@@ -280,23 +286,23 @@ def test_a_graph_of_another_export_is_refused(folder: Path, choosing: Path, tmp_
 def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(
     choosing: Path, tmp_path: Path
 ) -> None:
-    known = deepbots_robot.load(choosing)
-    parity = bundle.read_parity((choosing / bundle.PARITY_NAME).read_bytes(), known.info)
-    bundle.replay(known, parity)
+    loaded = deepbots_robot.load(choosing)
+    parity = bundle.read_parity((choosing / bundle.PARITY_NAME).read_bytes(), loaded.info)
+    bundle.replay(loaded, parity)
     outputs = {name: rows.copy() for name, rows in parity.outputs.items()}
     outputs["action"][7] = 1 - outputs["action"][7]
     outputs["cart.wheels"][7] *= -1
     with pytest.raises(BundleError, match=r"step 7: 'cart\.wheels'"):
-        bundle.replay(known, bundle.Parity(parity.inputs, outputs, parity.starts))
+        bundle.replay(loaded, bundle.Parity(parity.inputs, outputs, parity.starts))
     outputs["scores"][7] = 0.5
-    bundle.replay(known, bundle.Parity(parity.inputs, outputs, parity.starts))
+    bundle.replay(loaded, bundle.Parity(parity.inputs, outputs, parity.starts))
 
 
 # Hostile files
 
 
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_model_are_refused_or_hold_no_nodes(content: bytes) -> None:
+def test_bytes_that_are_no_model_are_refused_or_have_no_nodes(content: bytes) -> None:
     try:
         onnx_file.require_plain(content)
     except BundleError:
@@ -313,11 +319,11 @@ def test_bytes_that_are_no_description_are_refused(content: bytes) -> None:
 def test_an_archive_that_unpacks_to_too_much_is_refused(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = deepbots_robot.load(folder)
+    loaded = deepbots_robot.load(folder)
     unpacked = sum(entry.file_size for entry in zipfile.ZipFile(folder / bundle.PARITY_NAME).infolist())
     monkeypatch.setattr(bundle, "_MAX_PARITY_BYTES", unpacked - 1)
     with pytest.raises(BundleError, match=f"holds more than {unpacked - 1} bytes"):
-        bundle.read_parity((folder / bundle.PARITY_NAME).read_bytes(), known.info)
+        bundle.read_parity((folder / bundle.PARITY_NAME).read_bytes(), loaded.info)
 
 
 # What is published

@@ -1,4 +1,4 @@
-"""What LeRobot and LEAPP read commands what the robot of the simulation applies."""
+"""The files for LeRobot and LEAPP command what the robot of the simulation applies."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from deepbots_cli.insight.export.lerobot import ACTION, STATE, lerobot_files
 from deepbots_cli.insight.export.recording import recorded_steps
 from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot import model
-from tests.bundle.untrained import made
+from tests.bundle.untrained import untrained_bundle
 
 Files = Mapping[PurePosixPath, bytes]
 
 
 def scaled(files: Files, name: str, key: str, values: Any, *, back: bool = False) -> Any:
-    """What a normalizer of LeRobot computes in float32, by the files of a pipeline; `back` is the
+    """The output of a normalizer of LeRobot in float32, from the files of a pipeline; `back` selects the
     unnormalizer."""
     (step,) = [
         each for each in json.loads(files[PurePosixPath(f"{name}.json")])["steps"] if "state_file" in each
@@ -39,8 +39,8 @@ def scaled(files: Files, name: str, key: str, values: Any, *, back: bool = False
     assert step["config"]["norm_map"][step["config"]["features"][key]["type"]] == "MIN_MAX"
     ends = load(files[PurePosixPath(step["state_file"])])
     low, high = (ends[f"{key}.{end}"].astype(np.float32) for end in ("min", "max"))
-    found = np.asarray(values, np.float32)
-    return (found + 1) / 2 * (high - low) + low if back else 2 * (found - low) / (high - low) - 1
+    numbers = np.asarray(values, np.float32)
+    return (numbers + 1) / 2 * (high - low) + low if back else 2 * (numbers - low) / (high - low) - 1
 
 
 CARTPOLE: Mapping[str, Callable[[Mapping[str, Any]], float]] = {
@@ -55,7 +55,7 @@ CARTPOLE: Mapping[str, Callable[[Mapping[str, Any]], float]] = {
 def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot_applies(
     scenario: str,
 ) -> None:
-    step, learner, _ = made(scenario)
+    step, learner, _ = untrained_bundle(scenario)
     files = lerobot_files(step.program, learner)
     session = onnxruntime.InferenceSession(
         files[PurePosixPath("policy.onnx")], providers=["CPUExecutionProvider"]
@@ -75,7 +75,7 @@ def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot
 
 
 def test_the_ranges_for_lerobot_have_all_digits() -> None:
-    step, learner, _ = made("cartpole")
+    step, learner, _ = untrained_bundle("cartpole")
     files = lerobot_files(step.program, learner)
     ends = load(files[PurePosixPath("policy_preprocessor_step_2_normalizer_processor.safetensors")])
     assert ends[f"{STATE}.max"].tolist() == [number.high for number in step.program.agent.numbers]
@@ -92,14 +92,14 @@ def test_the_ranges_for_lerobot_have_all_digits() -> None:
     ],
 )
 def test_a_scenario_that_lerobot_cannot_represent_is_refused(scenario: str, named: str) -> None:
-    step, learner, _ = made(scenario)
+    step, learner, _ = untrained_bundle(scenario)
     with pytest.raises(UsageError) as caught:
         lerobot_files(step.program, learner)
     assert named in str(caught.value)
 
 
 def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_robot_applies() -> None:
-    step, learner, bundle = made("quadruped")
+    step, learner, bundle = untrained_bundle("quadruped")
     graph = step.model({})
     files = leapp_files(
         {PurePosixPath("bundle.json"): model.encode(bundle.info), PurePosixPath("policy.onnx"): graph}
@@ -107,18 +107,19 @@ def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_
     (file,) = [name for name in files if name.suffix == ".yaml"]
     pipeline = yaml.safe_load(files[file])
     (node,) = pipeline["models"]
-    known, flow = pipeline["models"][node], pipeline["pipeline"]
+    description = pipeline["models"][node]
+    flow = pipeline["pipeline"]
     first = load(files[PurePosixPath(flow["initial_values"])])
     session = onnxruntime.InferenceSession(
-        files[PurePosixPath(known["parameters"]["model_path"])], providers=["CPUExecutionProvider"]
+        files[PurePosixPath(description["parameters"]["model_path"])], providers=["CPUExecutionProvider"]
     )
     for side, tensors in (("inputs", session.get_inputs()), ("outputs", session.get_outputs())):
-        assert [(each["name"], each["shape"]) for each in known[side]] == [
+        assert [(each["name"], each["shape"]) for each in description[side]] == [
             (each.name, each.shape) for each in tensors
         ]
     fed = [target for targets in flow["feedback_flow"].values() for target in targets]
     assert sorted(fed) == sorted(first)
-    assert {each["name"] for each in known["inputs"]} == {
+    assert {each["name"] for each in description["inputs"]} == {
         *flow["inputs"][node],
         *(name.partition("/")[2] for name in fed),
     }
@@ -126,21 +127,21 @@ def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world))
     for each in islice(recorded, 40):
         memory = {name.partition("/")[2]: value for name, value in first.items()} if each.first else memory
-        found = dict(
+        outputs = dict(
             zip(
-                [out["name"] for out in known["outputs"]],
+                [out["name"] for out in description["outputs"]],
                 session.run(None, {**each.inputs, **memory}),
                 strict=True,
             )
         )
         memory = {
-            targets[0].partition("/")[2]: found[source.partition("/")[2]]
+            targets[0].partition("/")[2]: outputs[source.partition("/")[2]]
             for source, targets in flow["feedback_flow"].items()
         }
         for name, command in each.commands.items():
-            assert found[name] == pytest.approx(command, abs=1e-5)
+            assert outputs[name] == pytest.approx(command, abs=1e-5)
     recorded.close()
-    (legs,) = [each for each in known["outputs"] if each["name"] == "dog.legs"]
+    (legs,) = [each for each in description["outputs"] if each["name"] == "dog.legs"]
     assert legs["kind"] == "target/joint/position"
     assert len(legs["element_names"][0]) == 12
     assert flow["configs"] == {"frequency": 1.0 / step.timestep}

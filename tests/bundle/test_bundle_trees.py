@@ -1,4 +1,4 @@
-"""Expressions in a graph compute what they compute in a simulation: each function, and each function with a
+"""Expressions in a graph have the values of the simulation: each function, and each function with a
 memory."""
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def _session(trees: Sequence[Scalar]) -> Any:
         raise AssertionError
 
     printer = TreePrinter(arithmetic, lambda leaf: Item(inputs[leaf.name]), states)
-    found = arithmetic.spread(printer.vector(trees), len(trees))
-    graph.output("found", found.name, found.dtype, len(trees))
+    results = arithmetic.spread(printer.vector(trees), len(trees))
+    graph.output("found", results.name, results.dtype, len(trees))
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4
     return onnxruntime.InferenceSession(graph.model("trees"), options, providers=["CPUExecutionProvider"])
@@ -68,7 +68,8 @@ def _arguments(name: str) -> tuple[Scalar, ...]:
 
 @pytest.mark.parametrize("name", every(4, PURE))
 def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> None:
-    session, function = _session([Op(name, _arguments(name))]), scalar_function(name)
+    session = _session([Op(name, _arguments(name))])
+    function = scalar_function(name)
 
     @given(st.tuples(numbers, numbers, numbers), st.tuples(st.booleans(), st.booleans()))
     def check(given_numbers: tuple[float, ...], given_truths: tuple[bool, ...]) -> None:
@@ -86,8 +87,8 @@ def test_a_function_in_a_graph_is_the_function_of_the_language(name: str) -> Non
             key: np.array([value], np.bool_ if key in TRUTHS else np.float64) for key, value in values.items()
         }
         used = {entry.name for entry in session.get_inputs()}
-        (found,) = session.run(None, {key: value for key, value in feeds.items() if key in used})
-        assert found[0] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
+        (result,) = session.run(None, {key: value for key, value in feeds.items() if key in used})
+        assert result[0] == pytest.approx(wanted, rel=1e-12, abs=1e-12)
 
     check()
 
@@ -114,8 +115,8 @@ def test_true_is_not_one_and_zero_has_a_sign() -> None:
     feeds = {name: np.zeros(1) for name in NAMES} | {"p": np.array([True]), "q": np.array([True])}
     assert _session([Op("where", (choices[0], choices[1], Const(7.0)))]).run(None, feeds)[0].tolist() == [1.0]
     turns = [Op("atan2", (Const(zero), Name("a"))) for zero in (0.0, -0.0)]
-    found = _session(turns).run(None, feeds | {"a": np.array([-1.0])})[0]
-    assert found == pytest.approx([math.pi, -math.pi])
+    angles = _session(turns).run(None, feeds | {"a": np.array([-1.0])})[0]
+    assert angles == pytest.approx([math.pi, -math.pi])
 
 
 # Functions with a memory
@@ -158,15 +159,18 @@ def test_a_memory_in_a_graph_is_that_of_a_simulation(name: str, count: int) -> N
         )
     if name == "accumulate":
         args = [args[0], arithmetic.constant([-0.5]), arithmetic.constant([0.7]), arithmetic.constant([0.1])]
-    made = MemoryFormulas(arithmetic, STEP)
-    first, then = made.begin(name, args), made.proceed(name, kept, args)
+    memories = MemoryFormulas(arithmetic, STEP)
+    first = memories.begin(name, args)
+    then = memories.proceed(name, kept, args)
     for place, output in enumerate(("next", "value")):
         chosen = arithmetic.where(started, then[place], first[place])
         graph.output(output, chosen.name, chosen.dtype, 1)
     session = onnxruntime.InferenceSession(graph.model(name), providers=["CPUExecutionProvider"])
-    dice, state = np.random.default_rng(1), np.zeros(1, kept.dtype)
+    rng = np.random.default_rng(1)
+    state = np.zeros(1, kept.dtype)
     for step in range(50):
-        x, y = dice.normal(), dice.random() < 0.4 if name == "hold" else abs(dice.normal())
+        x = rng.normal()
+        y = rng.random() < 0.4 if name == "hold" else abs(rng.normal())
         feeds = {
             "x": np.array([x > 0.0 if truth else x]),
             "y": np.array([y]),

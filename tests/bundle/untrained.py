@@ -31,16 +31,18 @@ def learner_of(program: Program, *, seed: int = 0) -> Any:
     agent = program.agent
     assert agent.training is not None
     with torch.random.fork_rng():
-        made = learners.create(learners.Setup(agent.training, observation_space(agent), action_space(agent)))
+        learner = learners.create(
+            learners.Setup(agent.training, observation_space(agent), action_space(agent))
+        )
         torch.manual_seed(seed)
         with torch.no_grad():
-            for weight in made.model.policy.parameters():
+            for weight in learner.model.policy.parameters():
                 weight.mul_(1.5).add_(0.05 * torch.randn_like(weight))
-    return made
+    return learner
 
 
 @cache
-def made(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot.Bundle]:
+def untrained_bundle(source: str, *overrides: str) -> tuple[ControlStep, Any, deepbots_robot.Bundle]:
     """The graph of a scenario, its policy, and the bundle in memory; that of the first of several agents."""
     compiled = api.compile(source, overrides=overrides)
     if compiled.program.members:
@@ -92,10 +94,12 @@ def info_of(step: ControlStep) -> model.BundleInfo:
     )
 
 
-def compared(source: str, *overrides: str, steps: int, engine: str | None = None) -> Comparison:
+def compare_with_simulation(
+    source: str, *overrides: str, steps: int, engine: str | None = None
+) -> Comparison:
     """A bundle beside the simulation of its scenario, in which its policy acts."""
-    step, learner, known = made(source, *overrides)
-    comparison = Comparison(known)
+    step, learner, loaded = untrained_bundle(source, *overrides)
+    comparison = Comparison(loaded)
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
     for each in islice(recorded, steps):
         comparison.add(each)
@@ -103,12 +107,12 @@ def compared(source: str, *overrides: str, steps: int, engine: str | None = None
     return comparison
 
 
-def written(folder: Path, source: str, *overrides: str) -> Path:
+def write_bundle(folder: Path, source: str, *overrides: str) -> Path:
     """The files of a bundle in a new folder; README and scenario are empty."""
-    step, learner, known = made(source, *overrides)
+    step, learner, loaded = untrained_bundle(source, *overrides)
     folder.mkdir()
-    graph = step.model({bundle.METADATA_KEY: bundle.description_digest(known.info)})
-    write(folder, known.info, graph, recorded_parity(known, step, learner, engine=None))
+    graph = step.model({bundle.METADATA_KEY: bundle.description_digest(loaded.info)})
+    write(folder, loaded.info, graph, recorded_parity(loaded, step, learner, engine=None))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Carts on a rail whose messages meet what a test says; the exact engine moves them."""
+"""Carts on a rail whose messages are late or lost as a test sets it; the exact engine moves them."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ class Plain:
 def radio(
     *, latency: float = 0.0, loss: float = 0.0, seed: int = 0, name: str = "cart.to_robot", **others: Any
 ) -> LossyChannel:
-    made = LossyChannel(name, Route(constant(latency), constant(loss), **others), TICK, wire=Plain())
-    made.begin(Streams(seed))
-    return made
+    channel = LossyChannel(name, Route(constant(latency), constant(loss), **others), TICK, wire=Plain())
+    channel.begin(Streams(seed))
+    return channel
 
 
 def arrivals(link: LossyChannel, latencies: Sequence[float]) -> list[list[Any]]:
@@ -103,8 +103,11 @@ def delay_p(delays: Sequence[int]) -> float:
 def geometric_p(runs: Sequence[int], stay: float) -> float:
     """Of runs whose length is k with the share (1 - stay) stay^(k-1); classes with an expectation of at least
     10, the rest together."""
-    counts, observed, expected = Counter(runs), [], []
-    length, left = 1, float(len(runs))
+    counts = Counter(runs)
+    observed = []
+    expected = []
+    length = 1
+    left = float(len(runs))
     while (wanted := len(runs) * (1 - stay) * stay ** (length - 1)) >= 10 and left - wanted >= 10:
         observed.append(counts[length])
         expected.append(wanted)

@@ -1,5 +1,4 @@
-"""The radio on its own: how late, in which order and how seldom messages arrive, against what the route
-says."""
+"""The radio alone: latency, order and loss of messages, against the numbers of the route."""
 
 from __future__ import annotations
 
@@ -74,16 +73,16 @@ def test_newest_drops_what_is_older_than_what_was_delivered() -> None:
     ("order", "latest", "measured"),
     [("sent", 1, [0, 0, 2]), ("arrival", 0, [0, 2, 1]), ("newest", 1, [0, 2, 2])],
 )
-def test_what_is_gone_by_is_the_message_that_came_last(order: Any, latest: int, measured: list[int]) -> None:
+def test_the_message_that_came_last_counts(order: Any, latest: int, measured: list[int]) -> None:
     link = radio(order=order)
-    seen = []
+    measured_ticks = []
     for number, latency in enumerate([2.0, 0.0]):
         link.latency = latency * TICK
         link.send(number)
         link.receive()
-        seen.append(link.measured_tick)
+        measured_ticks.append(link.measured_tick)
     link.receive()
-    assert (link.latest, [*seen, link.measured_tick]) == (latest, measured)
+    assert (link.latest, [*measured_ticks, link.measured_tick]) == (latest, measured)
 
 
 # Loss
@@ -104,7 +103,8 @@ def test_losses_in_bursts_have_the_share_and_the_mean_length_that_are_asked_for(
 ) -> None:
     lost = lost_in(radio(loss=share, burst=burst, seed=seed))
     assert abs(np.mean(lost) - share) < 4 * spread(share, burst)
-    runs, stay = runs_of(lost), 1 - 1 / burst
+    runs = runs_of(lost)
+    stay = 1 - 1 / burst
     assert abs(np.mean(runs) - burst) < 4 * sqrt(stay) * burst / sqrt(len(runs)) + 1e-12
     assert geometric_p(runs, stay) > 1e-3
 
@@ -118,11 +118,11 @@ def test_all_or_nothing_is_lost_at_the_ends() -> None:
 def test_beyond_the_range_nothing_arrives() -> None:
     place = [0.0, 0.0, 0.0]
     link = LossyChannel("cart.to_robot", Route(range=constant(5.0)), TICK, where=lambda: (tuple(place), None))
-    heard = []
+    arrived = []
     for x in (0.0, 3.0, 4.0):
         place[:] = x, 4.0, 0.0
-        heard += [not lost for lost in lost_in(link, 1)]
-    assert heard == [True, True, False]
+        arrived += [not lost for lost in lost_in(link, 1)]
+    assert arrived == [True, True, False]
 
 
 # Gaps
@@ -140,14 +140,15 @@ def test_a_lost_message_is_a_gap_that_the_receiver_fills_as_the_route_says(
     on_loss: Any, taken: list[Any], latest: str
 ) -> None:
     link = radio(on_loss=on_loss)
-    link._loses, link._random = True, lambda: 0.5
-    found, fresh = [], []
+    link._loses = True
+    link._random = lambda: 0.5
+    messages, fresh = [], []
     for message, loss in (("a", 0.0), ("b", 1.0), ("c", 0.0)):
         link.loss = loss
         link.send(message)
-        found.append(link.receive())
+        messages.append(link.receive())
         fresh.append(link.message_received)
-    assert (found, fresh, link.latest) == (taken, [True, False, True], latest)
+    assert (messages, fresh, link.latest) == (taken, [True, False, True], latest)
 
 
 @pytest.mark.parametrize("on_loss", ["hold", "skip"])
@@ -165,10 +166,12 @@ def test_a_gap_comes_when_the_message_would_have_come() -> None:
 
 def test_the_gap_of_a_message_that_would_have_been_dropped_is_dropped() -> None:
     link = radio(order="newest", on_loss="zero")
-    link._loses, link._random = True, lambda: 0.5
+    link._loses = True
+    link._random = lambda: 0.5
     taken = []
     for latency, loss in ((2.0, 1.0), (0.0, 0.0), (0.0, 0.0)):
-        link.latency, link.loss = latency * TICK, loss
+        link.latency = latency * TICK
+        link.loss = loss
         link.send(len(taken))
         taken.append(link.receive())
     assert taken == [[], [1], [2]]
@@ -194,7 +197,9 @@ def test_nothing_leaks_into_the_next_episode() -> None:
 
 
 def test_two_channels_never_share_a_draw() -> None:
-    one, other = (lost_in(radio(loss=0.5, name=name), 2000) for name in ("left.to_robot", "left.from_robot"))
-    alike = sum(a == b for a, b in zip(one, other, strict=True))
+    to_robot, from_robot = (
+        lost_in(radio(loss=0.5, name=name), 2000) for name in ("left.to_robot", "left.from_robot")
+    )
+    alike = sum(a == b for a, b in zip(to_robot, from_robot, strict=True))
     assert abs(alike - 1000) < 4 * sqrt(2000) / 2
-    assert one == lost_in(radio(loss=0.5, name="left.to_robot"), 2000)
+    assert to_robot == lost_in(radio(loss=0.5, name="left.to_robot"), 2000)

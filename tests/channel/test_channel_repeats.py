@@ -39,14 +39,14 @@ def test_rewards_are_summed_over_the_ticks_of_a_step(cart: Make) -> None:
 
 
 def test_the_world_goes_as_far_as_with_the_same_action_given_anew_in_each_tick(cart: Make) -> None:
-    held, given = cart(THREE), cart()
+    held, repeated = cart(THREE), cart()
     held.reset(seed=0)
-    given.reset(seed=0)
+    repeated.reset(seed=0)
     for drive in (0.5, -0.25, 1.0):
         observation = held.step(np.array([drive]))[0]
         for _ in range(3):
-            other = given.step(np.array([drive]))[0]
-        assert observation.tobytes() == other.tobytes()
+            expected = repeated.step(np.array([drive]))[0]
+        assert observation.tobytes() == expected.tobytes()
 
 
 def test_an_ending_stops_the_step_in_its_tick(cart: Make) -> None:
@@ -57,7 +57,8 @@ def test_an_ending_stops_the_step_in_its_tick(cart: Make) -> None:
 
 def test_max_steps_counts_steps_and_max_time_simulated_time(cart: Make) -> None:
     by_steps = episode(cart(THREE, "truncation={max_steps: 4}"), 99)
-    assert (len(by_steps), by_steps[-1][1:3]) == (4, (False, True))
+    assert len(by_steps) == 4
+    assert by_steps[-1][1:3] == (False, True)
     environment = cart(THREE, "reward={one: 1}", "truncation={max_time: 160 ms}")
     by_time = episode(environment, 99)
     assert [row[0] for row in by_time] == [3.0, 3.0, 2.0]
@@ -149,31 +150,31 @@ def test_a_step_without_a_value_names_it_also_in_the_midst(cart: Make) -> None:
 # Redraws
 
 
-def drawn(
+def drawn_values(
     cart: Make, parameters: str, steps: int = 200, *overrides: str, seed: int = 0, term: str = "w"
 ) -> list[float]:
     environment = cart(f"reward={{w: {term}}}", *overrides, more=f"parameters: {{{parameters}}}\n")
     return [row[3]["w"] for row in episode(environment, steps, seed=seed)]
 
 
-def changes(values: list[float]) -> list[int]:
+def ticks_of_changes(values: list[float]) -> list[int]:
     """The steps, counted from 1, in which a value is another than in the step before."""
     return [step + 1 for step in range(1, len(values)) if values[step] != values[step - 1]]
 
 
 @pytest.mark.parametrize(("period", "every"), [("100 ms", 5), ("0.1 s", 5), ("20 ms", 1), ("1 ms", 1)])
 def test_a_draw_is_repeated_after_each_period(cart: Make, period: str, every: int) -> None:
-    found = changes(drawn(cart, f"w: uniform(0 .. 1) every {period}"))
-    assert found == list(range(1 + every, 201, every))
+    ticks = ticks_of_changes(drawn_values(cart, f"w: uniform(0 .. 1) every {period}"))
+    assert ticks == list(range(1 + every, 201, every))
 
 
 def test_a_period_that_is_no_multiple_of_the_timestep_is_kept_on_average(cart: Make) -> None:
-    found = changes(drawn(cart, "w: uniform(0 .. 1) every 50 ms"))
-    assert found == [1 + -(-number * 5 // 2) for number in range(1, 80)]
+    ticks = ticks_of_changes(drawn_values(cart, "w: uniform(0 .. 1) every 50 ms"))
+    assert ticks == [1 + -(-number * 5 // 2) for number in range(1, 80)]
 
 
 def test_each_step_is_a_new_draw_with_the_distribution_it_is_drawn_from(cart: Make) -> None:
-    values = drawn(cart, "w: uniform(0 .. 8) each step", 1000)
+    values = drawn_values(cart, "w: uniform(0 .. 8) each step", 1000)
     counts = Counter(int(value) for value in values)
     assert (
         sum((count - 125) ** 2 / 125 for count in counts.values()) < 24.3
@@ -181,8 +182,8 @@ def test_each_step_is_a_new_draw_with_the_distribution_it_is_drawn_from(cart: Ma
 
 
 def test_a_period_may_be_drawn_anew_each_time(cart: Make) -> None:
-    found = changes(drawn(cart, "w: uniform(0 .. 1) every uniform(40 .. 120 ms)", 900))
-    spans = Counter(after - before for before, after in pairwise(found))
+    ticks = ticks_of_changes(drawn_values(cart, "w: uniform(0 .. 1) every uniform(40 .. 120 ms)", 900))
+    spans = Counter(after - before for before, after in pairwise(ticks))
     assert set(spans) <= {2, 3, 4, 5, 6}
     assert {3, 4, 5} <= set(spans)
 
@@ -193,7 +194,7 @@ def test_with_repeats_a_draw_stands_for_a_whole_step(cart: Make) -> None:
     )
     values = [row[3]["w"] for row in episode(environment, 50)]
     assert all(0 < value < 1 for value in values)
-    assert changes(drawn(cart, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
+    assert ticks_of_changes(drawn_values(cart, "w: uniform(0 .. 1) every 100 ms", 20, THREE)) == [
         3,
         5,
         6,
@@ -210,13 +211,13 @@ def test_with_repeats_a_draw_stands_for_a_whole_step(cart: Make) -> None:
 
 def test_what_is_made_of_a_value_follows_it(cart: Make) -> None:
     parameters = "w: uniform(0 .. 1) every 100 ms, twice: 2 * w, both: 'vector(w, twice)'"
-    assert set(drawn(cart, parameters, 60, term="twice - 2 * w + both.y - 2 * both.x")) == {0.0}
+    assert set(drawn_values(cart, parameters, 60, term="twice - 2 * w + both.y - 2 * both.x")) == {0.0}
 
 
 def test_components_are_drawn_together(cart: Make) -> None:
-    found = drawn(cart, "w: uniform(0 0 .. 1 1) every 100 ms", 60, term="w.x - w.y")
-    assert len(changes(found)) == 11
-    assert 0.0 not in found
+    differences = drawn_values(cart, "w: uniform(0 0 .. 1 1) every 100 ms", 60, term="w.x - w.y")
+    assert len(ticks_of_changes(differences)) == 11
+    assert 0.0 not in differences
 
 
 def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(cart: Make) -> None:
@@ -225,17 +226,17 @@ def test_every_episode_begins_its_periods_anew_and_a_seed_gives_the_same(cart: M
     second = [row[3]["w"] for row in episode(environment, 33)]
     environment.reset()
     assert first == second
-    assert changes(first) == [6, 11, 16, 21, 26, 31]
+    assert ticks_of_changes(first) == [6, 11, 16, 21, 26, 31]
 
 
 def test_a_new_draw_changes_no_other(cart: Make) -> None:
-    alone = drawn(cart, "w: uniform(0 .. 1) every 100 ms")
-    assert alone == drawn(
+    alone = drawn_values(cart, "w: uniform(0 .. 1) every 100 ms")
+    assert alone == drawn_values(
         cart, "v: uniform(0 .. 1) each step, w: uniform(0 .. 1) every 100 ms", term="w + 0 * v"
     )
 
 
-def test_a_robot_is_told_of_such_a_value_by_message(cart: Make) -> None:
+def test_a_robot_receives_such_a_value_by_message(cart: Make) -> None:
     parameters = "w: uniform(0.5 .. 1) every 100 ms"
     environment = cart(
         "robots.cart.receive={wind: w}",

@@ -1,5 +1,5 @@
-"""Messages on their way, from the text of a scenario to what a step returns, on a cart that does at once what
-it is told."""
+"""Messages on their way, from the text of a scenario to the results of a step, on a cart that follows its
+commands at once."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES, seed: int =
     ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
 )
 def test_a_robot_acts_when_the_message_arrives(cart: Make, latency: str, ticks: int) -> None:
-    found = terms(cart(f"messages.to_robot={{latency: {latency}}}"))
-    assert found["truth"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
-    assert found["sent"] == pytest.approx(found["truth"])
+    values = terms(cart(f"messages.to_robot={{latency: {latency}}}"))
+    assert values["truth"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
+    assert values["sent"] == pytest.approx(values["truth"])
 
 
 @pytest.mark.parametrize(
     ("latency", "ticks"), [("0 ms", 0), ("1 ms", 1), ("20 ms", 1), ("40 ms", 2), ("41 ms", 3)]
 )
-def test_a_supervisor_goes_by_what_has_arrived(cart: Make, latency: str, ticks: int) -> None:
-    found = terms(cart(f"messages.from_robot={{latency: {latency}}}"))
-    assert found["truth"] == pytest.approx(DRIVES, abs=NEARLY)
-    assert found["sent"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
+def test_a_supervisor_uses_the_values_that_have_arrived(cart: Make, latency: str, ticks: int) -> None:
+    values = terms(cart(f"messages.from_robot={{latency: {latency}}}"))
+    assert values["truth"] == pytest.approx(DRIVES, abs=NEARLY)
+    assert values["sent"] == pytest.approx([*[0.0] * ticks, *DRIVES][:6], abs=NEARLY)
 
 
 def test_paper_timing_is_one_tick_more_either_way(cart: Make) -> None:
@@ -129,9 +129,9 @@ SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
 def test_age_counts_from_measurement_and_fresh_says_that_one_came(
     cart: Make, route: str, ages: list[int], fresh: list[int]
 ) -> None:
-    found = terms(cart(route, SEEN, more=TOLD))
-    assert found["age"] == pytest.approx(ages)
-    assert found["came"] == fresh
+    values = terms(cart(route, SEEN, more=TOLD))
+    assert values["age"] == pytest.approx(ages)
+    assert values["came"] == fresh
 
 
 def test_the_first_message_of_an_episode_is_there_at_once(cart: Make) -> None:
@@ -159,14 +159,14 @@ def test_ages_of_a_drawn_latency_lie_between_its_ends(cart: Make) -> None:
 def test_a_signal_is_never_observed_whatever_it_is_made_of(cart: Make, tmp_path: Path, signal: str) -> None:
     names = f'{{inner: cart.rate * s / m, seen: "{signal}"}}'
     cart(more=f"parameters: {{limit: 2, wind: uniform(0 .. 1)}}\nsignals: {names}\n")
-    found = api.lint(tmp_path / "scenario.yaml", overrides=["observation={seen: -1 .. 1}"])
-    assert [finding.code for finding in found] == ["DB609"]
+    findings = api.lint(tmp_path / "scenario.yaml", overrides=["observation={seen: -1 .. 1}"])
+    assert [finding.code for finding in findings] == ["DB609"]
 
 
 # Episodes and robots
 
 
-def test_a_new_episode_knows_nothing_of_the_last(cart: Make) -> None:
+def test_a_new_episode_starts_without_messages_of_the_last(cart: Make) -> None:
     route = (
         "{to_robot: {latency: 60 ms, loss: 0.3, burst: 4}, from_robot: {latency: uniform(0 .. 50 ms)"
         " each step, loss: 0.3}}"
@@ -193,9 +193,9 @@ def test_what_happens_on_one_channel_leaves_the_other_alone(cart: Make) -> None:
         observations += [environment.step(np.array([step % 3, 0]))[0] for step in range(50)]
         return [float(observation[2]) for observation in observations]
 
-    both, one = right("3 m"), right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
-    assert len(set(both)) > 10
-    assert both == one
+    in_range, left_out_of_range = right("3 m"), right("3 m", "robots.left.pose={y: 5 m}", "termination={}")
+    assert len(set(in_range)) > 10
+    assert in_range == left_out_of_range
 
 
 @pytest.mark.parametrize(
@@ -214,8 +214,8 @@ def test_the_age_of_a_reading_is_its_own_and_that_of_the_message(
 ) -> None:
     faults = [f"robots.cart.sensors.place.{sensor.replace(': ', '=')}"] if sensor else []
     messages = f"messages={{format: {format}, from_robot: {route}}}"
-    found = terms(cart(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
-    assert found["place"] == pytest.approx(ages)
+    values = terms(cart(messages, *faults, "reward={place: age(cart.place) / (20 ms)}"))
+    assert values["place"] == pytest.approx(ages)
 
 
 REWARD = "reward={rival: joint_velocity(rival.slider) / (0.1 m/s)}"
@@ -236,12 +236,12 @@ SCRIPTED = """\
 
 
 @pytest.mark.parametrize("format", ["struct", "csv", "none"])
-def test_a_scripted_robot_goes_by_its_own_sensors_and_what_it_is_told(cart: Make, format: str) -> None:
-    """No action variable reaches it: it goes forth and back around 3 mm, by what it senses, and drifts with
-    where the other one is."""
+def test_a_scripted_robot_acts_on_its_own_sensors_and_on_received_values(cart: Make, format: str) -> None:
+    """No action variable reaches the robot. It drives forth and back around 3 mm by its own sensors, and
+    drifts with the place of the other robot."""
     environment = cart(f"messages.format={format}", REWARD, rival=SCRIPTED)
-    found = terms(environment, [0.0] * 4)
-    assert found["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
+    values = terms(environment, [0.0] * 4)
+    assert values["rival"] == pytest.approx([1.0, 1.0, -1.0, 1.0], abs=NEARLY)
     drifting = terms(environment, [1.0, 0.0])["rival"]
     assert drifting == pytest.approx([1.0, 1.0 + 0.02], abs=1e-3)
     assert [field.name for field in environment.scenario.robots[1].to_robot.fields] == ["seen"]

@@ -34,17 +34,17 @@ def team(make: Make) -> Make:
 def rows(environment: CopiesSupervisor, steps: int, seed: int | None = 0) -> list[Any]:
     """All that an episode gives, with one action for all that changes every five steps, and other ones for
     the last copy."""
-    given: list[Any] = [environment.reset(seed=seed)]
+    transitions: list[Any] = [environment.reset(seed=seed)]
     for step in range(steps):
         action = np.array([step // 5 % 2] * (len(environment.agents) - 1) + [step // 3 % 2])
-        given.append(environment.step(action))
-        if given[-1][2] or given[-1][3]:
+        transitions.append(environment.step(action))
+        if transitions[-1][2] or transitions[-1][3]:
             break
-    return given
+    return transitions
 
 
-def as_bytes(given: list[Any]) -> bytes:
-    return pickle.dumps([(row[0].tobytes(), row[1:-1], row[-1]) for row in given])
+def as_bytes(transitions: list[Any]) -> bytes:
+    return pickle.dumps([(row[0].tobytes(), row[1:-1], row[-1]) for row in transitions])
 
 
 def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
@@ -74,10 +74,10 @@ def test_observations_and_actions_have_a_row_for_each_copy(team: Make) -> None:
 def test_each_copy_does_what_it_would_do_alone(team: Make, engine: str, overrides: tuple[str, ...]) -> None:
     together = team(CALM, *overrides, engine=engine)
     alone = team(CALM, *(text.replace("each: cart, ", "") for text in overrides), source=RAIL, engine=engine)
-    seen = [observation for observation, *_ in rows(together, 12)]
+    observations = [observation for observation, *_ in rows(together, 12)]
     for copy in range(3):
         observation = alone.reset(seed=0)[0]
-        for step, row in enumerate(seen):
+        for step, row in enumerate(observations):
             assert np.allclose(row[copy], observation, atol=1e-6 if engine == "pybullet" else 1e-12)
             observation = alone.step(step // 5 % 2 if copy < 2 else step // 3 % 2)[0]
 
@@ -89,7 +89,7 @@ def test_copies_stand_in_a_row_around_the_place_of_the_robot(team: Make) -> None
     assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
 
 
-def test_an_environment_holds_its_agents_by_name(team: Make) -> None:
+def test_an_environment_has_its_agents_by_name(team: Make) -> None:
     together, alone = team(), team(source=RAIL)
     assert (
         list(together.agents)
@@ -128,7 +128,9 @@ def test_the_episode_ends_for_all_when_it_ends_for_one(team: Make) -> None:
     environment = team()
     *_, last = rows(environment, 300, seed=1)
     _, reward, terminated, truncated, info = last
-    assert (terminated, truncated, info["ended_by"]) == (True, False, "fallen")
+    assert terminated is True
+    assert truncated is False
+    assert info["ended_by"] == "fallen"
     assert info["each"]["terminated"].count(True) == 1
     assert info["each"]["reward"] == (1.0, 1.0, 1.0)
     assert reward == info["reward_terms"]["alive"] == 1.0
@@ -157,7 +159,9 @@ def test_failure_of_one_beats_success_of_another(team: Make) -> None:
 
 def test_limits_cut_all_short(team: Make) -> None:
     *_, (_, _, terminated, truncated, info) = rows(team(CALM, "truncation={max_steps: 7}"), 99)
-    assert (terminated, truncated, info["ended_by"]) == (False, True, "max_steps")
+    assert terminated is False
+    assert truncated is True
+    assert info["ended_by"] == "max_steps"
 
 
 def test_draws_are_each_copys_own_and_parameters_are_shared(team: Make) -> None:
@@ -177,9 +181,9 @@ def test_channels_of_copies_share_no_draw(team: Make) -> None:
         "reward={a: 1 when message_received(cart)}",
     )
     environment.reset(seed=0)
-    heard = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
-    for one, other in ((0, 1), (1, 2), (0, 2)):
-        assert 10 < np.sum(heard[:, one] == heard[:, other]) < 50
+    rewards = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
+    for first, second in ((0, 1), (1, 2), (0, 2)):
+        assert 10 < np.sum(rewards[:, first] == rewards[:, second]) < 50
 
 
 @pytest.mark.parametrize(
@@ -192,9 +196,9 @@ def test_a_seed_gives_the_same_and_a_reset_world_is_as_new(team: Make, overrides
     rows(environment, 17, seed=4)
     assert as_bytes(rows(environment, 30, seed=3)) == first
     second = as_bytes(rows(environment, 30, seed=None))
-    other = team(*overrides)
-    assert as_bytes(rows(other, 30, seed=3)) == first
-    assert as_bytes(rows(other, 30, seed=None)) == second != first
+    fresh = team(*overrides)
+    assert as_bytes(rows(fresh, 30, seed=3)) == first
+    assert as_bytes(rows(fresh, 30, seed=None)) == second != first
 
 
 def test_settling_happens_once_for_all(team: Make) -> None:
@@ -206,8 +210,8 @@ def test_settling_happens_once_for_all(team: Make) -> None:
 def test_it_is_a_gymnasium_environment(team: Make) -> None:
     environment = team()
     check_env(environment, skip_render_check=True)
-    with closing(pickle.loads(pickle.dumps(environment))) as other:
-        assert as_bytes(rows(other, 9)) == as_bytes(rows(environment, 9))
+    with closing(pickle.loads(pickle.dumps(environment))) as unpickled:
+        assert as_bytes(rows(unpickled, 9)) == as_bytes(rows(environment, 9))
     environment.close()
     with pytest.raises(UsageError, match="closed"):
         environment.step(np.zeros(3, int))
@@ -217,12 +221,12 @@ def test_it_is_a_gymnasium_environment(team: Make) -> None:
     "bad", [0, [0, 0], [0, 0, 2], [0.5, 0, 0], "x", None, np.zeros((3, 1), int), [0, 0, -1]]
 )
 def test_an_action_that_does_not_fit_changes_nothing(team: Make, bad: Any) -> None:
-    environment, other = team(), team()
+    environment, unharmed = team(), team()
     environment.reset(seed=0)
-    other.reset(seed=0)
+    unharmed.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(bad)
-    expected = other.step(np.array([1, 0, 1]))
+    expected = unharmed.step(np.array([1, 0, 1]))
     assert as_bytes([environment.step([1, 0, 1])]) == as_bytes([expected])
 
 

@@ -13,7 +13,7 @@ from deepbots_cli.cli import main
 
 @dataclass(frozen=True)
 class Ran:
-    """What a command line came to."""
+    """The exit code and the output of a command."""
 
     code: int
     out: str

@@ -1,4 +1,4 @@
-"""The command as a whole: help, versions, exit codes, what is imported."""
+"""The command as a whole: help, versions, exit codes, imported modules."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def test_a_process_of_ours_does_not_import_from_the_working_directory(hostile, m
     done = subprocess.run(
         command, cwd=hostile, env=python_environment(), capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n"), done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"deepbots {deepbots_cli.__version__}\n", done.stderr
     assert not list(hostile.glob("*.ran"))
 
 
@@ -83,10 +84,10 @@ def test_only_one_module_starts_python():
 
 @pytest.mark.parametrize("verb", COMMANDS)
 def test_every_verb_explains_itself_with_examples(deepbots, verb):
-    shown = deepbots(verb, "--help")
-    assert shown.code == 0
-    assert COMMANDS[verb][1] in shown.out
-    assert f"  deepbots {verb} " in shown.out or f"  deepbots {verb}\n" in shown.out
+    ran = deepbots(verb, "--help")
+    assert ran.code == 0
+    assert COMMANDS[verb][1] in ran.out
+    assert f"  deepbots {verb} " in ran.out or f"  deepbots {verb}\n" in ran.out
 
 
 def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):
@@ -109,9 +110,9 @@ def test_every_example_in_the_help_is_a_command_line_that_parses(deepbots, verb)
 
 
 def test_the_overview_lists_every_verb(deepbots):
-    shown = deepbots("--help")
-    assert shown.code == 0
-    assert all(verb in shown.out and summary in shown.out for verb, (_, summary) in COMMANDS.items())
+    ran = deepbots("--help")
+    assert ran.code == 0
+    assert all(verb in ran.out and summary in ran.out for verb, (_, summary) in COMMANDS.items())
 
 
 @pytest.mark.parametrize(
@@ -134,22 +135,22 @@ def test_the_version_is_that_of_the_package(deepbots):
 
 
 def test_eval_has_at_most_twelve_options_outside_advanced(deepbots):
-    shown = deepbots("eval", "--help").out
-    common = shown[shown.index("\nOptions:") : shown.index("\nAdvanced:")]
+    output = deepbots("eval", "--help").out
+    common = output[output.index("\nOptions:") : output.index("\nAdvanced:")]
     assert len([line for line in common.splitlines() if line.startswith("  -")]) <= 12
     assert all(
-        option in shown[shown.index("\nAdvanced:") :]
+        option in output[output.index("\nAdvanced:") :]
         for option in ("--allow-code", "--force", "--stochastic")
     )
 
 
 def test_the_overview_has_at_most_33_commands_in_groups_and_begins_with_three(deepbots):
-    shown = deepbots("--help").out
+    output = deepbots("--help").out
     assert len(COMMANDS) <= 33
-    assert [line[:-1] for line in shown.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
+    assert [line[:-1] for line in output.splitlines() if line in {f"{group}:" for group in GROUPS}] == list(
         GROUPS
     )
-    assert len([line for line in shown.splitlines() if line.startswith("    deepbots ")]) == 3
+    assert len([line for line in output.splitlines() if line.startswith("    deepbots ")]) == 3
 
 
 @pytest.mark.parametrize(("old", "new"), REPLACEMENTS.items())
@@ -157,7 +158,8 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     verb = "eval" if old == "--driver" else "try"
     words = (verb, "cartpole", old, "x") if old.startswith("--") else (old, "cartpole")
     ran = deepbots(*words)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert f"use `{new}`" in ran.err
     meant = new.split()[1] if new.startswith("deepbots ") else new.split()[0]
     assert meant in COMMANDS or any(
@@ -168,7 +170,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
 
 
 @pytest.mark.parametrize(
-    ("gone", "said"),
+    ("gone", "message"),
     [
         (("pygls",), "everything works except what needs a missing extra: the language server"),
         ((), "everything works"),
@@ -189,7 +191,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
     ],
 )
 def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing(
-    deepbots, monkeypatch, gone, said
+    deepbots, monkeypatch, gone, message
 ):
     def version(name):
         if name in gone:
@@ -198,7 +200,8 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
 
     monkeypatch.setattr(installation, "version", version)
     ran = deepbots("doctor")
-    assert (ran.code, ran.err) == (0, f"{said}\n")
+    assert ran.code == 0
+    assert ran.err == f"{message}\n"
 
 
 def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
@@ -216,7 +219,7 @@ def test_the_largest_seed_does_not_fill_the_help(deepbots):
     assert all("9223372036854775807" not in deepbots(verb, "--help").out for verb in ("try", "train", "eval"))
 
 
-def test_a_fault_of_ours_is_told_apart_and_its_traceback_kept(deepbots, monkeypatch, tmp_path):
+def test_an_internal_error_has_its_own_exit_code_and_its_traceback_is_kept(deepbots, monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     monkeypatch.setattr(api, "all_findings", lambda *_, **__: 1 // 0)
@@ -237,7 +240,7 @@ def test_a_fault_of_ours_is_raised_for_those_who_debug(deepbots, monkeypatch):
         deepbots("compile", "cartpole")
 
 
-def test_a_terminal_that_knows_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
+def test_a_terminal_with_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     (tmp_path / "a.yaml").write_text("deepbots: 1\nname: Pölé\n", encoding="utf-8")
     command = [sys.executable, "-m", "deepbots_cli", "lint", "a.yaml"]
     done = subprocess.run(
@@ -291,7 +294,7 @@ for line, absent, _ in {WITHOUT}:
 
 
 @pytest.mark.slow
-def test_what_runs_nothing_needs_no_extra(tmp_path):
+def test_commands_that_run_nothing_need_no_extra(tmp_path):
     lines = [
         "lint cartpole",
         "compile cartpole",
@@ -324,7 +327,8 @@ def test_the_package_runs_as_a_module():
     done = subprocess.run(
         [sys.executable, "-m", "deepbots_cli", "--version"], capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stdout) == (0, f"deepbots {deepbots_cli.__version__}\n")
+    assert done.returncode == 0
+    assert done.stdout == f"deepbots {deepbots_cli.__version__}\n"
 
 
 def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
@@ -336,13 +340,14 @@ def test_scenarios_and_runs_are_listed_even_damaged_ones(deepbots, tmp_path):
     assert [(row["name"], row["state"]) for row in json.loads(deepbots("runs", "--json").out)] == [
         ("broken", "unreadable")
     ]
-    shown = deepbots("runs")
-    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in shown.err
+    ran = deepbots("runs")
+    assert "broken: runs/broken/run.json is damaged: it is not valid JSON" in ran.err
 
 
 def test_without_runs_the_list_says_how_to_make_one(deepbots):
     ran = deepbots("runs")
-    assert (ran.code, ran.out) == (0, "")
+    assert ran.code == 0
+    assert ran.out == ""
     assert "deepbots train cartpole" in ran.err
 
 
@@ -359,8 +364,8 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
 
 
 def test_printed_findings_can_be_read():
-    found = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
-    assert repr(found) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
+    findings = api.load("cartpole", overrides=["fall_angle=1lm"]).findings
+    assert repr(findings) == "Findings(['--set fall_angle:1:13: DB501 unknown unit `lm`'])"
 
 
 def _in_shell(line: str) -> str:
@@ -385,7 +390,8 @@ def _in_shell(line: str) -> str:
 )
 def test_the_exit_code_is_the_same_when_nobody_reads_the_output_and_no_error_is_printed(verb):
     *notes, code = _in_shell(f"(deepbots {verb} 2>&3 | true; echo ${{PIPESTATUS[0]}}) 3>&1").splitlines()
-    assert (code, [note for note in notes if "rror" in note]) == ("0", [])
+    assert code == "0"
+    assert [note for note in notes if "rror" in note] == []
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a shell's pipes")
@@ -405,11 +411,9 @@ def test_streams_that_were_closed_from_the_start_are_no_failure(verb, closed):
 @pytest.mark.parametrize("verb", ["lsp --schema", "--help"])
 def test_a_full_disk_is_one_clear_line(verb):
     message, code = _in_shell(f"(deepbots {verb} >/dev/full) 2>&1; echo $?").splitlines()
-    assert (message.startswith("error: "), message.endswith("no space left on device"), code) == (
-        True,
-        True,
-        "2",
-    )
+    assert message.startswith("error: ")
+    assert message.endswith("no space left on device")
+    assert code == "2"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -424,6 +428,7 @@ def test_compile_does_not_write_over_the_scenario(deepbots, tmp_path):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     before = (tmp_path / "cartpole.yaml").read_bytes()
     ran = deepbots("compile", "cartpole.yaml", "-o", "cartpole.yaml")
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "cartpole.yaml is an input of the scenario" in ran.err
     assert (tmp_path / "cartpole.yaml").read_bytes() == before

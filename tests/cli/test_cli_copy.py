@@ -1,4 +1,5 @@
-"""`deepbots new --from` and `deepbots compile --project`: what they write, and what they leave alone."""
+"""`deepbots new --from` and `deepbots compile --project`: the files that they write, and those that they
+leave alone."""
 
 from __future__ import annotations
 
@@ -53,9 +54,10 @@ def test_a_copy_of_another_name_is_that_scenario_under_the_name(deepbots, tmp_pa
 
 def test_a_copy_is_not_called_as_a_scenario_that_it_reads(deepbots, tmp_path):
     ran = deepbots("new", "cartpole", "--from", "cartpole_continuous")
-    assert (ran.code, ran.err) == (
-        2,
-        "error: 'cartpole' is the name of a file that cartpole_continuous reads; choose another name\n",
+    assert ran.code == 2
+    assert (
+        ran.err
+        == "error: 'cartpole' is the name of a file that cartpole_continuous reads; choose another name\n"
     )
     assert not any(tmp_path.iterdir())
 
@@ -161,7 +163,8 @@ def test_a_project_is_never_written_over_anything(deepbots, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine\n")
     ran = deepbots("compile", "cartpole", "--project", "mine", "--json")
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert (
         "mine is not empty; choose another folder, or replace files of the same name with --force" in ran.err
     )

@@ -1,4 +1,4 @@
-"""`deepbots explain`: what a finding means, in the terminal and for programs."""
+"""`deepbots explain`: the meaning of a finding, in the terminal and for programs."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def test_case_and_underscores_do_not_matter_and_a_name_does_as_well(deepbots, wo
 
 def test_the_text_is_that_of_the_reference(deepbots):
     for page in every_page():
-        (shown,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
-        assert {"about": page.about, "example": page.example, "instead": page.instead} in shown["pages"]
+        (explained,) = json.loads(deepbots("explain", page.code, "--json").out)["rules"]
+        assert {"about": page.about, "example": page.example, "instead": page.instead} in explained["pages"]
 
 
 def test_without_a_code_every_finding_has_its_line(deepbots):
@@ -42,7 +42,8 @@ def test_without_a_code_every_finding_has_its_line(deepbots):
 
 def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
     report = json.loads(deepbots("explain", "noise", "--json").out)
-    assert (report["version"], report["see_also"][:2]) == (1, ["exploration", "action_noise"])
+    assert report["version"] == 1
+    assert report["see_also"][:2] == ["exploration", "action_noise"]
     assert [entry["title"] for entry in report["entries"]][:2] == [
         "noise: a concept",
         "noise: a key of `world.terrain` with `type: pit`",
@@ -93,7 +94,8 @@ def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
 )
 def test_a_concept_is_explained_by_its_name_and_by_usual_others(deepbots, word, concept):
     ran = deepbots("explain", word)
-    assert (ran.code, ran.err) == (0, "")
+    assert ran.code == 0
+    assert ran.err == ""
     assert ran.out.startswith(f"{concept}: a concept\n")
     assert "Read more: docs/" in ran.out
 

@@ -23,7 +23,8 @@ def test_a_file_is_replaced_as_a_whole_and_keeps_its_permissions(tmp_path):
     put(path, "one")
     path.chmod(0o640)
     put(path, "two")
-    assert (path.read_text(), path.stat().st_mode & 0o777) == ("two", 0o640)
+    assert path.read_text() == "two"
+    assert path.stat().st_mode & 0o777 == 0o640
     assert [*tmp_path.iterdir()] == [path]
 
 
@@ -38,7 +39,8 @@ def test_an_exception_leaves_the_file_as_it_was(tmp_path):
 
 def test_a_link_stays_a_link(tmp_path):
     (tmp_path / "there").mkdir()
-    target, link = tmp_path / "there" / "a.txt", tmp_path / "link.txt"
+    target = tmp_path / "there" / "a.txt"
+    link = tmp_path / "link.txt"
     target.write_text("one")
     link.symlink_to(target)
     put(link, "two")
@@ -55,7 +57,8 @@ def test_what_is_no_regular_file_is_written_to_and_not_replaced(tmp_path):
     reader.start()
     put(pipe, "through")
     reader.join(10)
-    assert (read, pipe.is_fifo()) == (["through"], True)
+    assert read == ["through"]
+    assert pipe.is_fifo()
 
 
 def test_a_folder_that_is_not_there_is_wrong_usage(tmp_path):
@@ -106,7 +109,8 @@ def test_no_command_overwrites_a_file_without_force(deepbots, tmp_path, words):
     for path in present:
         path.write_text("of the user")
     ran = deepbots(*words)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert re.fullmatch(
         r"error: ((mine\S*|cartpole.yaml) already exists; overwrite it|mine is not empty; .*) with --force"
         r" .*\n",

@@ -1,4 +1,4 @@
-"""`deepbots fmt`: files and folders, what it only shows, and what it refuses."""
+"""`deepbots fmt`: files and folders, differences, and files that it refuses."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def test_check_and_diff_write_nothing(deepbots, tmp_path):
 def test_a_difference_in_a_pipe_is_a_patch_whatever_the_line_ends(deepbots, tmp_path, verb, name, tail):
     before = f"\ufeffdeepbots: 1\r\nreward:  {{}}\r\nworld: {{timestop: 32 ms}}{tail}".encode()
     (tmp_path / name).write_bytes(before)
-    shown = deepbots(*verb, name)
-    assert shown.code == 1
-    (tmp_path / "change.patch").write_text(shown.out, encoding="utf-8", newline="")
+    ran = deepbots(*verb, name)
+    assert ran.code == 1
+    (tmp_path / "change.patch").write_text(ran.out, encoding="utf-8", newline="")
     assert deepbots(
         *(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"),
         name,

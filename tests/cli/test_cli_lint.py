@@ -1,4 +1,4 @@
-"""`deepbots lint`: what it prints, and how it ends, for good files and bad ones."""
+"""`deepbots lint`: its output and its exit code, for good files and bad ones."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_no_file_whatever_gives_more_than_findings(deepbots, tmp_path, content):
     assert "\x1b" not in ran.out
 
 
-def test_what_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
+def test_text_that_would_crash_a_parser_in_c_ends_in_findings(tmp_path):
     for number, text in enumerate(("[" * 100_000, "? " * 100_000, "{a: " * 100_000)):
         (tmp_path / f"{number}.yaml").write_text(text)
     command = [
@@ -127,8 +127,8 @@ def test_the_root_of_a_project_stands_for_the_scenarios_of_all_its_folders(deepb
     (tmp_path / "worlds" / "again").symlink_to(tmp_path / "worlds", target_is_directory=True)
     (tmp_path / "deepbots.toml").write_text('[lint]\nexclude = ["old"]\n')
     ran = deepbots("lint", ".", "--format", "concise")
-    told = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
-    assert told == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
+    files = list(dict.fromkeys(line.split(":")[0] for line in ran.out.splitlines()))
+    assert files == ["top.yaml", "worlds/deep/old/seven.yaml", "worlds/deep/two.yaml", "worlds/one.yaml"]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
@@ -142,9 +142,9 @@ def test_a_folder_stands_for_no_file_to_which_a_link_leads_out_of_the_project(de
     (inside / "loop.yaml").symlink_to("loop.yaml")
     assert deepbots("lint", "project", "--fix").code == 2
     (inside / "real.yaml").write_text("deepbots: 1\n")
-    assert {one["file"] for one in json.loads(deepbots("lint", "project", "--json").out)["findings"]} == {
-        "project/real.yaml"
-    }
+    assert {
+        finding["file"] for finding in json.loads(deepbots("lint", "project", "--json").out)["findings"]
+    } == {"project/real.yaml"}
     assert (tmp_path / "private.yaml").read_text() == "deepbots: 1\nmesages: {}\n"
 
 
@@ -162,7 +162,9 @@ def test_folders_in_folders_by_the_hundred_are_searched_without_a_fault(deepbots
     for _ in range(1200):  # what pytest removes folders with calls itself as well
         os.chdir("..")
         os.rmdir("a")
-    assert (ran.code, ran.out[:10], ran.err) == (1, "real.yaml:", "")
+    assert ran.code == 1
+    assert ran.out[:10] == "real.yaml:"
+    assert ran.err == ""
 
 
 def test_several_files_are_linted_at_once(deepbots, tmp_path):
@@ -181,7 +183,8 @@ def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_eac
 ):
     (tmp_path / "a.yaml").write_text("deepbots: 1\n")
     ran = deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format)
-    assert (ran.code, ran.err) == (1, "")
+    assert ran.code == 1
+    assert ran.err == ""
     assert "DB102" in ran.out
     assert str(tmp_path) not in ran.out
     assert deepbots("lint", tmp_path / "a.yaml", "cartpole", "--format", format).out == ran.out

@@ -31,17 +31,21 @@ def files(deepbots, tmp_path):
     return tmp_path
 
 
-def test_what_is_measured_is_a_finding_like_any_other(deepbots, files):
+def test_a_simulated_finding_is_printed_like_any_other(deepbots, files):
     ran = deepbots("lint", "sunk.yaml", "--deep", "--json")
-    (found,) = json.loads(ran.out)["findings"]
-    assert (ran.code, found["code"], found["file"], found["start"]["line"]) == (1, "DB310", "sunk.yaml", 50)
+    (finding,) = json.loads(ran.out)["findings"]
+    assert ran.code == 1
+    assert finding["code"] == "DB310"
+    assert finding["file"] == "sunk.yaml"
+    assert finding["start"]["line"] == 50
     assert deepbots("lint", "sunk.yaml").code == 0
 
 
 @pytest.mark.slow
-def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
-    said = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
-    assert (said.code, said.out.split()[2]) == (0, "DB608[constant-observation]")
+def test_a_simulated_finding_is_selected_and_suppressed_like_any_other(deepbots, files):
+    ran = deepbots("lint", "still.yaml", "--deep", "--format", "concise")
+    assert ran.code == 0
+    assert ran.out.split()[2] == "DB608[constant-observation]"
     assert (
         deepbots(
             "lint", "still.yaml", "--deep", "--ignore", "constant-observation", "--format", "concise"
@@ -56,21 +60,23 @@ def test_it_is_selected_and_suppressed_like_any_other(deepbots, files):
 
 
 def test_selecting_a_simulated_rule_without_a_simulation_is_reported(deepbots, files):
-    (found,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
-    assert (found["code"], found["message"]) == ("DB902", "DB608 needs a simulation and does not run")
+    (finding,) = json.loads(deepbots("lint", "still.yaml", "--json", "--select", "DB608").out)["findings"]
+    assert (finding["code"], finding["message"]) == ("DB902", "DB608 needs a simulation and does not run")
 
 
-def test_a_scenario_with_errors_is_not_simulated_and_that_is_said(deepbots, files):
+def test_a_scenario_with_errors_is_not_simulated_and_a_note_says_so(deepbots, files):
     (files / "broken.yaml").write_text(SUNK.replace("abs(x) > track", "abs(xx) > track"))
     ran = deepbots("lint", "broken.yaml", "--deep", "--format", "concise")
-    assert (ran.code, ran.out.split()[2]) == (1, "DB402[unknown-name]")
+    assert ran.code == 1
+    assert ran.out.split()[2] == "DB402[unknown-name]"
     assert ran.err == "broken.yaml: not simulated because it has errors\n"
 
 
 @pytest.mark.parametrize("option", ["--fix", "--diff"])
 def test_deep_refuses_fix(deepbots, files, option):
     ran = deepbots("lint", "sunk.yaml", "--deep", option)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "--deep" in ran.err
 
 
@@ -78,5 +84,6 @@ def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepb
     for engine in ("pybullet", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
     ran = deepbots("lint", "sunk.yaml", "--deep")
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert install_hint("sim") in ran.err

@@ -1,5 +1,4 @@
-"""What other programs are given to run `deepbots lint` and to read what it says: a hook and a problem
-matcher."""
+"""Files for other programs that run `deepbots lint` or read its output: a hook and a problem matcher."""
 
 from __future__ import annotations
 
@@ -38,7 +37,8 @@ def pattern():
 
 
 def test_the_hook_for_commits_lints_the_scenarios_of_a_repository(deepbots, tmp_path, hook):
-    assert (hook["language"], hook["pass_filenames"]) == ("python", False)
+    assert hook["language"] == "python"
+    assert hook["pass_filenames"] is False
     command, *words = [*shlex.split(hook["entry"]), *hook["args"]]
     assert command == "deepbots"
     (tmp_path / "scenarios").mkdir()
@@ -65,20 +65,20 @@ def test_the_problem_matcher_reads_each_line_of_the_concise_format(deepbots, tmp
     )
     lines = deepbots("lint", name, "--format", "concise").out.splitlines()
     assert len(lines) == 2
-    found = [re.match(pattern["regexp"], line) for line in lines]
-    assert [match[pattern["file"]] for match in found] == [name, name]
-    assert [match[pattern["severity"]] for match in found] == ["warning", "error"]
-    assert [match[pattern["code"]] for match in found] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
+    matches = [re.match(pattern["regexp"], line) for line in lines]
+    assert [match[pattern["file"]] for match in matches] == [name, name]
+    assert [match[pattern["severity"]] for match in matches] == ["warning", "error"]
+    assert [match[pattern["code"]] for match in matches] == ["DB003[yaml11-boolean]", "DB101[unknown-key]"]
     report = json.loads(deepbots("lint", name, "--json").out)["findings"]
-    assert [int(match[pattern["line"]]) for match in found] == [
+    assert [int(match[pattern["line"]]) for match in matches] == [
         finding["start"]["line"] for finding in report
     ]
-    assert [int(match[pattern["column"]]) for match in found] == [
+    assert [int(match[pattern["column"]]) for match in matches] == [
         finding["start"]["column"] for finding in report
     ]
     assert all(
         match[pattern["message"]].startswith(finding["message"])
-        for match, finding in zip(found, report, strict=True)
+        for match, finding in zip(matches, report, strict=True)
     )
 
 

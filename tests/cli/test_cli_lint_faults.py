@@ -56,11 +56,11 @@ def scenario(name: str) -> str:
 def test_a_rule_that_fails_hides_neither_other_findings_nor_other_files(deepbots, folder) -> None:
     ran = deepbots("lint", ".", "--format", "concise")
     assert ran.code == 3
-    told = [line.split()[:3] for line in ran.out.splitlines()]
-    assert told == [
+    rows = [line.split()[:3] for line in ran.out.splitlines()]
+    assert rows == [
         ["a.yaml:1:1:", "error", "DB903[rule-failed]"],
-        [told[1][0], "warning", "DB205[unused-definition]"],
-        [told[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
+        [rows[1][0], "warning", "DB205[unused-definition]"],
+        [rows[1][0].replace("a.", "b."), "warning", "DB205[unused-definition]"],
     ]
     assert "the rule DB801 failed on this file: IndexError: tuple index out of range" in ran.out
     assert re.search(r" \(deepbots_cli\.lint\.run:\d+\)", ran.out), "the innermost place in deepbots"
@@ -82,10 +82,12 @@ def test_those_who_debug_get_the_exception_of_a_rule(deepbots, folder, monkeypat
         deepbots("lint", "a.yaml")
 
 
-def test_every_format_tells_a_rule_that_failed_as_a_fault_at_the_start_of_the_file(deepbots, folder) -> None:
-    (found, _) = json.loads(deepbots("lint", "a.yaml", "--json").out)["findings"]
-    assert (found["code"], found["severity"], found["start"]) == ("DB903", "error", {"line": 1, "column": 1})
-    assert "report this message" in found["help"]
+def test_every_format_reports_a_rule_that_failed_at_the_start_of_the_file(deepbots, folder) -> None:
+    (finding, _) = json.loads(deepbots("lint", "a.yaml", "--json").out)["findings"]
+    assert finding["code"] == "DB903"
+    assert finding["severity"] == "error"
+    assert finding["start"] == {"line": 1, "column": 1}
+    assert "report this message" in finding["help"]
     assert deepbots("lint", "a.yaml", "--format", "github").out.startswith(
         "::error title=DB903 rule-failed,file=a.yaml,line=1,"
     )
@@ -118,8 +120,10 @@ def test_a_scenario_on_which_a_rule_fails_still_compiles(folder) -> None:
 def test_an_editor_shows_a_rule_that_failed_beside_the_other_findings(folder) -> None:
     path = folder / "a.yaml"
     document = Document(path.as_uri(), 1, path.read_text(encoding="utf-8"), path)
-    (found, _) = diagnostics(analyze(document, {}), {})[path.as_uri()]
-    assert (found.code, found.range.start.line, found.range.start.character) == ("DB903", 0, 0)
+    (diagnostic, _) = diagnostics(analyze(document, {}), {})[path.as_uri()]
+    assert diagnostic.code == "DB903"
+    assert diagnostic.range.start.line == 0
+    assert diagnostic.range.start.character == 0
 
 
 @pytest.mark.slow

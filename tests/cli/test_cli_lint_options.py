@@ -53,12 +53,14 @@ def test_codes_are_selected_and_ignored(deepbots, files):
 def test_unselected_findings_do_not_fail(deepbots, files):
     assert deepbots("lint", "warned.yaml", "--fail-on", "warning").code == 1
     ran = deepbots("lint", "warned.yaml", "--fail-on", "warning", "--select", "DB6")
-    assert (ran.code, ran.out) == (0, "warned.yaml: no findings among the selected rules\n")
+    assert ran.code == 0
+    assert ran.out == "warned.yaml: no findings among the selected rules\n"
 
 
-def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deepbots, files):
+def test_an_error_that_is_not_selected_still_fails_with_one_line(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--select", "DB7", "--format", "concise")
-    assert (ran.code, ran.out) == (1, "")
+    assert ran.code == 1
+    assert ran.out == ""
     assert (
         ran.err == "1 error not selected (DB402) in broken.yaml; these scenarios were not checked further\n"
     )
@@ -66,17 +68,20 @@ def test_an_error_that_is_not_asked_for_still_fails_and_is_told_in_one_line(deep
 
 def test_an_unknown_code_is_wrong_usage_before_anything_is_read(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--ignore", "degrees-as-radian")
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "did you mean degrees-as-radians?" in ran.err
 
 
 def test_a_rule_in_preview_that_does_not_run_is_a_warning_at_the_word_that_selected_it(deepbots, files):
-    (found,) = json.loads(deepbots("lint", "warned.yaml", "--json", "--select", "DB706").out)["findings"]
-    assert (found["code"], found["file"], found["start"]) == ("DB902", "--select", {"line": 1, "column": 1})
+    (finding,) = json.loads(deepbots("lint", "warned.yaml", "--json", "--select", "DB706").out)["findings"]
+    assert finding["code"] == "DB902"
+    assert finding["file"] == "--select"
+    assert finding["start"] == {"line": 1, "column": 1}
     assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--preview")) == []
 
 
-def test_findings_can_be_told_without_failing(deepbots, files):
+def test_findings_can_be_printed_without_failing(deepbots, files):
     ran = deepbots("lint", "broken.yaml", "--exit-zero", "--format", "concise")
     assert ran.code == 0
     assert "DB402" in ran.out
@@ -105,17 +110,18 @@ def test_standard_input_needs_no_name_and_is_any_bytes(deepbots, files, monkeypa
 @pytest.mark.parametrize("words", [["-", "--fix"], ["warned.yaml", "--stdin-filename", "a.yaml"]])
 def test_standard_input_that_cannot_be_meant_is_wrong_usage(deepbots, files, words):
     ran = deepbots("lint", *words)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "standard input" in ran.err
 
 
 def test_several_processes_say_the_same_in_the_same_order(deepbots, files):
     for name in ("b", "a", "c"):
         (files / f"{name}.yaml").write_text(WARNED)
-    one = deepbots("lint", "c.yaml", ".", "--format", "concise")
+    single = deepbots("lint", "c.yaml", ".", "--format", "concise")
     several = deepbots("lint", "c.yaml", ".", "--format", "concise", "--jobs", 3)
-    assert several == one
-    assert len(one.out.splitlines()) == 9
+    assert several == single
+    assert len(single.out.splitlines()) == 9
 
 
 def test_only_what_is_asked_for_is_fixed(deepbots, files):
@@ -137,7 +143,8 @@ def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
         f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\nexclude = ['drafts/*']\n"
     )
     ran = deepbots("lint", "warned.yaml")
-    assert (ran.code, codes(ran)) == (1, ["DB504"])
+    assert ran.code == 1
+    assert codes(ran) == ["DB504"]
 
 
 def test_the_command_line_wins_over_the_project(deepbots, files):
@@ -162,7 +169,7 @@ def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deep
     assert deepbots("lint", "drafts").out == "0 scenarios: no findings\n"
 
 
-def test_the_settings_are_those_of_the_project_one_stands_in(deepbots, files, monkeypatch):
+def test_the_settings_are_those_of_the_project_of_the_working_directory(deepbots, files, monkeypatch):
     (files / "deepbots.toml").write_text("[lint]\nselect = ['DB6']\n")
     (files / "inner").mkdir()
     monkeypatch.chdir(files / "inner")
@@ -171,8 +178,8 @@ def test_the_settings_are_those_of_the_project_one_stands_in(deepbots, files, mo
 
 def test_a_rule_in_preview_in_the_settings_is_shown_at_its_place(deepbots, files):
     (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5', 'DB706']\n")
-    found = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
-    assert next((one["code"], one["file"], one["start"]["line"]) for one in found) == (
+    findings = json.loads(deepbots("lint", "warned.yaml", "--json").out)["findings"]
+    assert next((finding["code"], finding["file"], finding["start"]["line"]) for finding in findings) == (
         "DB902",
         "deepbots.toml",
         2,
@@ -185,7 +192,7 @@ def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[lint]\nselct = ['DB5']\n", "unknown key 'selct'; did you mean 'select'?"),
         ("[lnt]\nselect = ['DB5']\n", "unknown key 'lnt'; did you mean 'lint'?"),
@@ -202,11 +209,12 @@ def test_settings_may_be_written_as_values_of_the_table_of_tools(deepbots, files
         ("[lint]\nexclude = [" + "'*', " * 2000 + "]\n", "'exclude' has 2,000 entries; the limit is 1,000"),
     ],
 )
-def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files, text, said):
+def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files, text, message):
     (files / "deepbots.toml").write_text(text)
     ran = deepbots("lint", "warned.yaml")
-    assert (ran.code, ran.out) == (2, "")
-    assert said in ran.err
+    assert ran.code == 2
+    assert ran.out == ""
+    assert message in ran.err
     assert ran.err.count("\n") == 1
 
 
@@ -217,8 +225,8 @@ def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots,
 
 def test_the_settings_in_the_docs_are_settings(deepbots, files):
     page = (Path(__file__).parents[2] / "docs" / "linting.md").read_text(encoding="utf-8")
-    (shown,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-    (files / "deepbots.toml").write_text(shown)
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (files / "deepbots.toml").write_text(example)
     ran = deepbots("lint", "warned.yaml")
     assert ran.code == 1
     assert [line.split()[2] for line in ran.out.splitlines()] == [
@@ -255,6 +263,8 @@ def test_watching_lints_again_when_a_file_is_saved(deepbots, files, monkeypatch)
     ran = deepbots("lint", "broken.yaml", "--watch", "--format", "concise")
     assert ran.code == 0
     codes_shown = re.findall(r"DB\d+", ran.out)
-    assert (codes_shown[0], codes_shown[-1], len(codes_shown)) == ("DB402", "DB503", 2)
+    assert codes_shown[0] == "DB402"
+    assert codes_shown[-1] == "DB503"
+    assert len(codes_shown) == 2
     assert ran.err.count("watching 2 files; Ctrl-C ends it") == 3
     assert deepbots("lint", "broken.yaml", "--watch", "--fix").code == 2

@@ -1,5 +1,5 @@
-"""Messages of commands about mistakes that are no mistakes of a scenario, each named after what a person
-saw."""
+"""Messages of commands about mistakes that are no mistakes of a scenario. Each test is named after the report
+of a user."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from deepbots_cli.runtime.overview import extent
 CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"
 
 
-def findings(folder: Path, text: str, name: str = "mine.yaml") -> list[tuple[str, str, str]]:
+def findings_of(folder: Path, text: str, name: str = "mine.yaml") -> list[tuple[str, str, str]]:
     (folder / name).write_text(text, encoding="utf-8")
-    return [(found.code, found.headline, found.help or "") for found in api.lint(folder / name)]
+    return [(finding.code, finding.headline, finding.help or "") for finding in api.lint(folder / name)]
 
 
 def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
@@ -38,25 +38,23 @@ def test_xyz_replaces_the_z_of_the_scenario_that_is_extended(tmp_path):
 def test_a_height_of_the_ground_that_is_drawn_is_called_drawn(tmp_path):
     text = f"{CARTPOLE}parameters: {{rise: uniform(1 .. 2 cm)}}\n"
     text += "world: {terrain: {type: formula, heights: rise if x > 1 m else 0 m, size: 9 9 m}}\n"
-    ((code, headline, help),) = findings(tmp_path, text)
-    assert (code, headline) == (
-        "DB407",
-        "`heights` must be fixed, but uses `rise`, which is drawn in every episode",
-    )
+    ((code, headline, help),) = findings_of(tmp_path, text)
+    assert code == "DB407"
+    assert headline == "`heights` must be fixed, but uses `rise`, which is drawn in every episode"
     assert help.startswith("give it a fixed value")
 
 
-def test_an_existing_value_under_augment_is_told_the_list_without_follow_ups(tmp_path):
+def test_an_existing_value_under_augment_has_one_finding_that_shows_the_list(tmp_path):
     text = (
         f"{CARTPOLE}signals: {{clock: sin(360 deg * time / (1 s))}}\naugment: {{clock: clock, track:"
         f" track}}\n"
     )
-    found = [each for each in findings(tmp_path, text) if each[0] in ("DB202", "DB207")]
-    assert [(code, headline) for code, headline, _ in found] == [
+    findings = [finding for finding in findings_of(tmp_path, text) if finding[0] in ("DB202", "DB207")]
+    assert [(code, headline) for code, headline, _ in findings] == [
         ("DB202", "`clock` under `augment` exists already"),
         ("DB202", "`track` under `augment` exists already"),
     ]
-    assert "`augment: [clock, ...]`" in found[0][2]
+    assert "`augment: [clock, ...]`" in findings[0][2]
 
 
 def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path):
@@ -70,11 +68,11 @@ def test_a_robot_outside_the_folder_can_be_allowed_and_named(deepbots, tmp_path)
     assert deepbots("lint", "here/mine.yaml", "--allow-path", "there").code == 0
 
 
-def test_a_copy_of_an_own_scenario_is_told_cp_and_extends(deepbots, tmp_path):
+def test_new_from_an_own_scenario_suggests_cp_and_extends(deepbots, tmp_path):
     (tmp_path / "one.yaml").write_text(CARTPOLE)
-    said = deepbots("new", "base", "--from", "one.yaml").err
-    assert "`cp one.yaml base.yaml`" in said
-    assert "`extends: one.yaml`" in said
+    error = deepbots("new", "base", "--from", "one.yaml").err
+    assert "`cp one.yaml base.yaml`" in error
+    assert "`extends: one.yaml`" in error
 
 
 def test_a_picture_of_a_robot_names_the_option_that_needs_a_scenario(deepbots):

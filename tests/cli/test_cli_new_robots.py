@@ -23,9 +23,11 @@ def link(name: str, shape: str, mass: float = 1.0, middle: str = "0 0 0") -> str
         f'{key}="{0.01 * mass if key[1] == key[2] else 0}"'
         for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     )
-    seen = f'<origin xyz="{middle}"/><geometry>{shape}</geometry>'
+    geometry = f'<origin xyz="{middle}"/><geometry>{shape}</geometry>'
     inertial = f'<inertial><origin xyz="{middle}"/><mass value="{mass}"/><inertia {moments}/></inertial>'
-    return f'<link name="{name}">{inertial}<visual>{seen}</visual><collision>{seen}</collision></link>'
+    return (
+        f'<link name="{name}">{inertial}<visual>{geometry}</visual><collision>{geometry}</collision></link>'
+    )
 
 
 def box(size: str) -> str:
@@ -200,11 +202,12 @@ def robot(request, tmp_path):
 
 
 @pytest.mark.parametrize("robot", few(ROBOTS, ("tall_foot",)), indirect=True)
-def test_what_is_written_is_silent_even_when_it_is_simulated(deepbots, robot):
-    made = deepbots("new", "first", "--urdf", f"{robot}.urdf")
-    assert made.code == 0, made.err
+def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, robot):
+    created = deepbots("new", "first", "--urdf", f"{robot}.urdf")
+    assert created.code == 0, created.err
     ran = deepbots("lint", "first.yaml", "--deep", "--preview")
-    assert (ran.code, ran.out) == (0, "first.yaml: no findings, including the simulation\n")
+    assert ran.code == 0
+    assert ran.out == "first.yaml: no findings, including the simulation\n"
 
 
 @pytest.mark.parametrize("robot", ["tall_foot", "snake"], indirect=True)
@@ -235,9 +238,9 @@ def test_an_arm_that_moves_in_a_plane_reaches_for_places_in_it_and_starts_beside
         world.reset(seed=seed)
         target, tip = world.engine.pose("mark")()[0], world.engine.pose("robot", limb.tip)()[0]
         assert abs(target[across] - tip[across]) < 1e-3
-        seen = frames.subtract(target, world.engine.pose("robot")()[0])
+        offset = frames.subtract(target, world.engine.pose("robot")()[0])
         assert (
-            min(limb.positions_for(seen, joints)[1] for joints in (limb.joints, limb.joints[::-1]))
+            min(limb.positions_for(offset, joints)[1] for joints in (limb.joints, limb.joints[::-1]))
             < 0.03 * limb.reach
         )
         assert dist(target, tip) > 0.03 * limb.reach
@@ -301,9 +304,10 @@ def test_a_joint_that_follows_another_gets_no_motor(deepbots, tmp_path, robot):
 def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tmp_path):
     massless = f'<link name="a"/>{link("foot", box("1 1 0.1"))}{joint("j", "foot", "a", "0 0 1")}'
     (tmp_path / "light.urdf").write_text(f'<robot name="r">{massless}</robot>')
-    made = deepbots("new", "first", "--urdf", "light.urdf")
-    assert (made.code, made.out) == (2, "")
-    assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in made.err
+    created = deepbots("new", "first", "--urdf", "light.urdf")
+    assert created.code == 2
+    assert created.out == ""
+    assert "joint 'j' of light.urdf moves no mass; add an <inertial> with a mass to link 'a'" in created.err
     assert not (tmp_path / "first.yaml").exists()
 
 
@@ -322,13 +326,14 @@ ODD = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", few(ODD, ODD[:2]))
-def test_a_robot_with_an_odd_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
+def test_a_robot_with_an_unusual_file_gets_a_scenario_that_simulates_a_hundred_steps(deepbots, name):
     pytest.importorskip("pybullet_data")
-    made = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
-    assert made.code == 0, made.err
+    created = deepbots("new", "first", "--urdf", f"package://pybullet_data/{name}.urdf")
+    assert created.code == 0, created.err
     assert deepbots("lint", "first.yaml").out == "first.yaml: no findings\n"
     ran = deepbots("try", "first.yaml", "--steps", "100")
-    assert (ran.code, ran.err) == (0, "")
+    assert ran.code == 0
+    assert ran.err == ""
     assert "term" in ran.out
 
 

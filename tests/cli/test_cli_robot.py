@@ -1,4 +1,4 @@
-"""`inspect` of robot files: tables, what is odd in them, pictures."""
+"""`inspect` of robot files: tables, warnings, pictures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_robot_file_is_shown_in_tables(deepbots):
     assert "findings" not in tables
 
 
-def test_what_is_odd_in_a_robot_file_is_said_with_its_place(deepbots, tmp_path):
+def test_a_warning_about_a_robot_file_is_printed_with_its_place(deepbots, tmp_path):
     file = tmp_path / "odd.urdf"
     file.write_text(ODD, encoding="utf-8")
     ran = deepbots("inspect", str(file))
@@ -42,8 +42,8 @@ def test_what_is_odd_in_a_robot_file_is_said_with_its_place(deepbots, tmp_path):
     assert "box 2 1 0.5" in ran.out
     assert "DB305" in ran.err
     assert "odd.urdf:1:31" in ran.err
-    found = json.loads(deepbots("inspect", str(file), "--json").out)["findings"]
-    assert [row["code"] for row in found] == ["DB305"]
+    findings = json.loads(deepbots("inspect", str(file), "--json").out)["findings"]
+    assert [row["code"] for row in findings] == ["DB305"]
 
 
 def test_warnings_about_a_file_of_a_package_are_one_line(deepbots):

@@ -1,4 +1,4 @@
-"""`try --driver`, and what `try` says of many episodes."""
+"""`try --driver`, and the summary of `try` over many episodes."""
 
 from __future__ import annotations
 
@@ -34,38 +34,38 @@ def scripted(tmp_path):
     return "scripted.yaml"
 
 
-def ran(deepbots, *words):
+def report_of(deepbots, *words):
     result = deepbots("try", *words, "--json")
     assert result.code == 0, result.err
     return json.loads(result.out)
 
 
 def test_a_script_drives_every_episode(deepbots, scripted):
-    onward = ran(deepbots, scripted, "--driver", "onward")
+    onward = report_of(deepbots, scripted, "--driver", "onward")
     assert onward["driver"] == "onward"
-    assert onward["episodes"] == ran(deepbots, scripted, "--driver", "forward")["episodes"]
-    assert onward["episodes"] != ran(deepbots, scripted, "--driver", "catch")["episodes"]
+    assert onward["episodes"] == report_of(deepbots, scripted, "--driver", "forward")["episodes"]
+    assert onward["episodes"] != report_of(deepbots, scripted, "--driver", "catch")["episodes"]
 
 
 def test_a_script_may_be_another_in_a_case(deepbots, scripted):
     words = (scripted, "--case", "back")
     assert (
-        ran(deepbots, *words, "--driver", "onward")["episodes"]
-        == ran(deepbots, *words, "--driver", "backward")["episodes"]
+        report_of(deepbots, *words, "--driver", "onward")["episodes"]
+        == report_of(deepbots, *words, "--driver", "backward")["episodes"]
     )
 
 
 def test_actions_are_repeated_and_may_be_those_of_a_script(deepbots, scripted):
-    once = ran(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
-    assert ran(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
-    assert ran(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
+    once = report_of(deepbots, scripted, "--driver", "forward,forward,forward,backward")["episodes"]
+    assert report_of(deepbots, scripted, "--driver", "onward*3,backward*1")["episodes"] == once
+    assert report_of(deepbots, scripted, "--driver", "forward*3,backward")["episodes"] == once
 
 
 KNOWN = "the drivers are onward, catch, random, zero, and actions such as forward,backward\n"
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("cach", f"error: there is no driver 'cach' (did you mean catch?); {KNOWN}"),
         ("best", f"error: there is no driver 'best'; {KNOWN}"),
@@ -87,10 +87,10 @@ KNOWN = "the drivers are onward, catch, random, zero, and actions such as forwar
         ("you", "error: you can drive in the browser only; use `deepbots play`\n"),
     ],
 )
-def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, said):
+def test_a_driver_that_cannot_act_is_refused_with_those_that_can(deepbots, scripted, name, message):
     result = deepbots("try", scripted, "--driver", name)
     assert result.code == 2
-    assert result.err.endswith(said)
+    assert result.err.endswith(message)
     assert result.out == ""
 
 
@@ -114,18 +114,19 @@ def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
 
 def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):
     words = ("try", scripted, "--driver", "onward", "--episodes", "21")
-    shown = deepbots(*words)
-    assert "\n        4 " in shown.out
-    assert "\n        5 " not in shown.out
-    assert "\n  and 16 more\n" in shown.out
-    assert "of 21 episodes\n" in shown.err
+    ran = deepbots(*words)
+    assert "\n        4 " in ran.out
+    assert "\n        5 " not in ran.out
+    assert "\n  and 16 more\n" in ran.out
+    assert "of 21 episodes\n" in ran.err
     data = json.loads(deepbots(*words, "--json").out)
     assert len(data["episodes"]) == 21
 
 
 def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
-    data = ran(deepbots, scripted, "--driver", "random", "--episodes", "8")
-    summary, returns = data["summary"], [episode["return"] for episode in data["episodes"]]
+    data = report_of(deepbots, scripted, "--driver", "random", "--episodes", "8")
+    summary = data["summary"]
+    returns = [episode["return"] for episode in data["episodes"]]
     successes = sum(episode["success"] for episode in data["episodes"])
     assert summary["success_defined"] is True
     assert summary["episodes"] == 8
@@ -139,16 +140,16 @@ def test_the_summary_is_that_of_the_episodes_with_intervals(deepbots, scripted):
 
 def test_a_success_that_the_scenario_does_not_know_is_not_counted(deepbots):
     assert "success rate" not in deepbots("try", "cartpole", "--episodes", "2").out
-    assert ran(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
+    assert report_of(deepbots, "cartpole", "--episodes", "2")["summary"]["success_defined"] is False
 
 
 def test_a_limit_of_steps_holds_for_all_episodes_of_a_script(deepbots, scripted):
-    data = ran(deepbots, scripted, "--driver", "catch", "--episodes", "50", "--steps", "30")
+    data = report_of(deepbots, scripted, "--driver", "catch", "--episodes", "50", "--steps", "30")
     assert sum(episode["length"] for episode in data["episodes"]) == 30
     assert data["episodes"][-1]["ended_by"] == "--steps"
 
 
-def test_inspect_shows_what_each_script_decides(deepbots, scripted):
+def test_inspect_shows_the_action_of_each_script(deepbots, scripted):
     rows = json.loads(deepbots("inspect", scripted, "--json").out)["scripts"]
     assert rows == [
         {"script": "onward", "action": "drive", "is": "forward"},
@@ -178,10 +179,10 @@ def test_on_a_terminal_one_line_is_written_anew_and_taken_away():
     for number in range(1, 41):
         bar.update(number)
     bar.close()
-    shown = screen.getvalue()
-    assert "1 of 40 episodes" in shown
-    assert "40 of 40 episodes" in shown
-    assert shown.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
+    text = screen.getvalue()
+    assert "1 of 40 episodes" in text
+    assert "40 of 40 episodes" in text
+    assert text.rpartition("40 of 40 episodes")[2].endswith("\x1b[2K")
 
 
 def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(capsys):
@@ -203,14 +204,14 @@ def test_elsewhere_there_is_a_line_for_every_tenth():
 
 def test_a_start_is_set_on_the_command_line(deepbots, scripted):
     words = (scripted, "--driver", "onward", "--episodes", "2")
-    upright = ran(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
+    upright = report_of(deepbots, *words, "--start", "reset.joints.cart.pole_hinge=0.01")
     assert upright["start"] == {"reset.joints.cart.pole_hinge": 0.01}
     first, second = upright["episodes"]
     assert first == second
 
 
 @pytest.mark.parametrize(
-    ("start", "said"),
+    ("start", "message"),
     [
         ("pole=0.01", "cannot set 'pole': "),
         ("reset.joints.cart.pole_hinge=far", "it is a single number"),
@@ -222,8 +223,8 @@ def test_a_start_is_set_on_the_command_line(deepbots, scripted):
         ("reset.joints.cart.pole_hinge", "write NAME=VALUE, such as --start mark.x=0.5"),
     ],
 )
-def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, said):
+def test_a_start_that_no_episode_has_ends_in_one_line(deepbots, scripted, start, message):
     result = deepbots("try", scripted, "--start", start)
     assert result.code == 2
-    assert said in result.err
+    assert message in result.err
     assert len(result.err.strip().splitlines()) == 1

@@ -1,4 +1,4 @@
-"""`inspect`, `compile`, `run` and `bench`: what a scenario is, without training."""
+"""`inspect`, `compile`, `run` and `bench`: commands about a scenario without training."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ def inspected(deepbots, *words):
 
 def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
     ran = deepbots("inspect", "cartpole", "--full")
-    assert (ran.code, ran.err) == (0, "")
-    for shown in (
+    assert ran.code == 0
+    assert ran.err == ""
+    for part in (
         "cart.pole_angle",
         "-20",
         "deg",
@@ -36,7 +37,7 @@ def test_inspect_shows_units_ranges_and_what_was_written(deepbots):
         "uniform(-1 .. 1 deg)",
         "n_steps",
     ):
-        assert shown in ran.out
+        assert part in ran.out
 
 
 def test_programs_get_every_table(deepbots):
@@ -66,10 +67,15 @@ def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
     assert (x["is"], x["noise"], tables["goal"]["noise"]) == ("position(cart).x", "2 mm", "1 %")
 
 
-def test_inspect_tells_the_signals_of_the_policy_from_those_of_reward_and_endings(deepbots):
+def test_inspect_shows_which_signals_the_policy_may_see(deepbots):
     rows = json.loads(deepbots("inspect", "find_ball", "--json").out)["signals"]
-    seen = {row["signal"]: row["policy_may_see_it"] for row in rows}
-    assert (seen["apart"], seen["angle"], seen["path"], seen["here"]) == (True, True, False, False)
+    visible = {row["signal"]: row["policy_may_see_it"] for row in rows}
+    assert (visible["apart"], visible["angle"], visible["path"], visible["here"]) == (
+        True,
+        True,
+        False,
+        False,
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +111,7 @@ def test_without_sensors_and_hands_the_end_that_the_reset_sets_has_a_pose(deepbo
     assert abs(pose["pitch_deg"]) < 1.0
 
 
-def test_what_cannot_begin_is_inspected_without_poses(deepbots):
+def test_a_world_that_cannot_begin_is_inspected_without_poses(deepbots):
     ran = deepbots("inspect", "cartpole", "--json", "--set", "termination.failure.fallen=age(cart) < 1 s")
     assert ran.code == 0
     assert "poses" not in json.loads(ran.out)
@@ -124,14 +130,18 @@ def test_immediate_actions_act_at_once_and_every_observation_is_fresh(deepbots):
 
 def test_paper_timing_ages_actions_and_messages_by_a_tick_but_not_what_the_supervisor_adds(deepbots):
     timing = {row["name"]: row for row in inspected(deepbots, "--set", "messages.timing=delayed")["timing"]}
-    assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 5", 0.032)
-    assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("4n", 0.032)
-    assert (timing["x"]["physics_step"], timing["x"]["age_s"]) == ("4n + 4", 0)
+    assert timing["drive"]["physics_step"] == "4n + 5"
+    assert timing["drive"]["age_s"] == 0.032
+    assert timing["cart.pole_angle"]["physics_step"] == "4n"
+    assert timing["cart.pole_angle"]["age_s"] == 0.032
+    assert timing["x"]["physics_step"] == "4n + 4"
+    assert timing["x"]["age_s"] == 0
 
 
 def test_a_picture_of_the_world_is_a_png_with_something_in_it(deepbots, tmp_path):
     ran = deepbots("render", "cartpole", "-o", "world.png")
-    assert (ran.code, ran.out) == (0, "world.png\n")
+    assert ran.code == 0
+    assert ran.out == "world.png\n"
     with Image.open(tmp_path / "world.png") as image:
         assert image.size == (640, 480)
         assert len(set(image.tobytes())) > 20
@@ -174,8 +184,10 @@ def test_the_start_of_an_episode_of_run_can_be_given_back(deepbots):
 
 
 def test_the_same_seed_runs_the_same_episodes(deepbots):
-    first, again, other = (deepbots("try", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4))
-    assert first == again != other
+    first, again, another_seed = (
+        deepbots("try", "cartpole", "--seed", seed, "--json").out for seed in (3, 3, 4)
+    )
+    assert first == again != another_seed
     episode = json.loads(first)["episodes"][0]
     assert episode["return"] == episode["length"] == episode["reward_terms"]["alive"]
 
@@ -217,9 +229,9 @@ def test_bench_compares_a_step_with_bare_physics(deepbots):
     assert figures["step_us"] > 0
     assert figures["bare_us"] > 0
     assert figures["ratio"] > 0
-    shown = deepbots(*bench).out
-    assert "ratio" in shown
-    assert "mujoco steps" not in shown  # an engine that is named is not compared with others
+    output = deepbots(*bench).out
+    assert "ratio" in output
+    assert "mujoco steps" not in output  # an engine that is named is not compared with others
 
 
 def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbots):
@@ -227,8 +239,10 @@ def test_latencies_age_actions_and_observations_and_draws_make_that_vary(deepbot
         deepbots, "--set", "messages.to_robot={latency: 40 ms}", "--set", "messages.from_robot={loss: 5 %}"
     )
     timing = {row["name"]: row for row in sections["timing"]}
-    assert (timing["drive"]["physics_step"], timing["drive"]["age_s"]) == ("4n + 9", 0.064)
-    assert (timing["cart.pole_angle"]["physics_step"], timing["cart.pole_angle"]["age_s"]) == ("varies", None)
+    assert timing["drive"]["physics_step"] == "4n + 9"
+    assert timing["drive"]["age_s"] == 0.064
+    assert timing["cart.pole_angle"]["physics_step"] == "varies"
+    assert timing["cart.pole_angle"]["age_s"] is None
     assert [(row["direction"], row["latency"], row["loss"]) for row in sections["routes"]] == [
         ("to robot", "40 ms", ""),
         ("from robot", "", "5 %"),
@@ -270,10 +284,8 @@ def test_drawn_masses_and_frictions_are_shown_as_draws(deepbots):
         "--set",
         "robots.cart.links={pole: {mass: urdf * uniform(80 % .. 120 %)}}",
     )
-    assert (sections["objects"][0]["mass_kg"], sections["objects"][0]["friction"]) == (
-        "uniform(0.0001 .. 0.3) * 2",
-        "uniform(0.4 .. 0.8)",
-    )
+    assert sections["objects"][0]["mass_kg"] == "uniform(0.0001 .. 0.3) * 2"
+    assert sections["objects"][0]["friction"] == "uniform(0.4 .. 0.8)"
     assert {"drawn": "mass", "of": "cart.pole"}.items() <= sections["drawn"][0].items()
     assert "uniform(0.8 .. 1.2)" in sections["drawn"][0]["from"]
 
@@ -300,10 +312,8 @@ def test_held_actions_are_counted_in_the_steps_of_the_agent(deepbots):
 def test_inspect_shows_the_stages_of_the_curriculum_and_one_of_them(deepbots):
     stages = json.loads(deepbots("inspect", "find_ball_random", "--json").out)["curriculum"]
     assert [row["stage"] for row in stages] == ["open", "few", "crowded"]
-    assert (stages[1]["set"], stages[1]["until"]) == (
-        "{obstacles: integer(1 .. 3)}",
-        "success_rate >= 0.7 over 40 episodes",
-    )
+    assert stages[1]["set"] == "{obstacles: integer(1 .. 3)}"
+    assert stages[1]["until"] == "success_rate >= 0.7 over 40 episodes"
     tables = json.loads(deepbots("inspect", "find_ball_random", "--stage", "few", "--json").out)
     assert {row["parameter"]: row["value"] for row in tables["parameters"]}["obstacles"] == "integer(1 .. 3)"
     assert len(tables["objects"]) == 1 + 3
@@ -315,7 +325,8 @@ def test_a_stage_of_the_curriculum_can_be_run(deepbots):
             "try", "find_ball_random", "--stage", "open", "--episodes", "1", "--steps", "100", "--json"
         ).out
     )
-    assert (lonely["stage"], lonely["episodes"][0]["reward_terms"]["scrape"]) == ("open", 0)
+    assert lonely["stage"] == "open"
+    assert lonely["episodes"][0]["reward_terms"]["scrape"] == 0
 
 
 def test_inspect_shows_every_hyperparameter_with_its_source(deepbots):
@@ -363,14 +374,14 @@ def test_the_engine_that_steps_a_world_fastest_is_named_with_its_ratio(deepbots)
         rf"mujoco steps this world (\d+\.\d) times as fast as pybullet {speeds}\. To use it, add the line"
         r" `engine: mujoco`"
     )
-    shown = deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out
-    assert re.search(line, shown)
-    assert "Motion and results may differ; `deepbots transfer RUN` shows how much." in shown
-    found = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)[
+    output = deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1").out
+    assert re.search(line, output)
+    assert "Motion and results may differ; `deepbots transfer RUN` shows how much." in output
+    faster = json.loads(deepbots("bench", "cartpole", "--steps", "100", "--pairs", "1", "--json").out)[
         "faster_engine"
     ]
-    assert (found["engine"], found["used"]) == ("mujoco", "pybullet")
-    assert found["steps_per_second"] > 1.5 * found["used_steps_per_second"]
+    assert (faster["engine"], faster["used"]) == ("mujoco", "pybullet")
+    assert faster["steps_per_second"] > 1.5 * faster["used_steps_per_second"]
 
 
 def test_the_faster_engine_is_named_where_it_saves_half_a_minute_and_none_is_chosen(capfd):
@@ -404,7 +415,7 @@ def test_a_window_that_another_program_disturbed_does_not_choose_the_engine():
     assert "busy" not in idle.text
 
 
-def test_an_engine_that_cannot_hold_the_world_is_not_compared(tmp_path):
+def test_an_engine_that_cannot_build_the_world_is_not_compared(tmp_path):
     pytest.importorskip("pybullet")
     (tmp_path / "ground.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nf 1 2 3\n")
     (tmp_path / "hills.yaml").write_text(
@@ -427,8 +438,8 @@ def test_a_quick_bench_measures_less(deepbots):
     assert json.loads(deepbots(*quick).out)["pairs"] == 3
 
 
-def test_bench_tells_how_far_it_is():
-    said = []
+def test_bench_reports_its_progress():
+    progress = []
     measure(
         api.compile("cartpole"),
         ["mujoco"],
@@ -436,9 +447,9 @@ def test_bench_tells_how_far_it_is():
         rounds=2,
         seed=0,
         end=math.inf,
-        on_measured=lambda *at: said.append(at),
+        on_measured=lambda *at: progress.append(at),
     )
-    assert said == [(0, 2), (1, 2), (2, 2)]
+    assert progress == [(0, 2), (1, 2), (2, 2)]
 
 
 def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):

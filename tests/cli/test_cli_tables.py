@@ -37,9 +37,9 @@ def test_wide_characters_take_two_columns():
 
 @given(rows=ROWS)
 def test_any_values_make_lines_that_no_terminal_obeys(rows):
-    shown = table(rows)
-    assert shown.replace("\n", "").isprintable()
-    assert shown.count("\n") == len(rows) + 1
+    text = table(rows)
+    assert text.replace("\n", "").isprintable()
+    assert text.count("\n") == len(rows) + 1
 
 
 def test_a_long_list_is_cut_short_and_says_how_long_it_is():

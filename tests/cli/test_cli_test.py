@@ -1,4 +1,4 @@
-"""`deepbots test`: what passes, what a failed test shows, and that tests change nothing else."""
+"""`deepbots test`: passing tests, the output of a failed test, and that tests change nothing else."""
 
 from __future__ import annotations
 
@@ -149,9 +149,10 @@ def test_a_test_with_a_warning_runs(small) -> None:
     assert "see: deepbots lint small.yaml" in ran.err
 
 
-def test_junit_that_cannot_be_written_is_told_before_a_test_runs(small, tmp_path: Path) -> None:
+def test_junit_that_cannot_be_written_is_reported_before_a_test_runs(small, tmp_path: Path) -> None:
     ran = small("  one: {driver: zero, expect: {ends_by: max_steps}}\n", "--junit", tmp_path)
-    assert (ran.code, ran.out) == (2, "")
+    assert ran.code == 2
+    assert ran.out == ""
     assert "it is a directory" in ran.err
 
 
@@ -202,13 +203,13 @@ def test_tests_change_neither_the_scenario_nor_one_that_extends_it(small, tmp_pa
     (tmp_path / "other.yaml").write_text(
         "deepbots: 1\nextends: small.yaml\nname: Other\nremove: [scripts.onward]\n"
     )
-    tested, plain, other = (
+    tested, plain, extending = (
         api.compile(api.load(tmp_path / name)) for name in ("small.yaml", "plain.yaml", "other.yaml")
     )
     assert (tested.digest, tested.code, digest(tested.program)) == (plain.digest, plain.code, plain.digest)
     assert api.load(tmp_path / "small.yaml").tests
     assert api.load(tmp_path / "other.yaml").tests == ()
-    assert [found.code for found in other.findings] == [found.code for found in plain.findings]
+    assert [finding.code for finding in extending.findings] == [finding.code for finding in plain.findings]
 
 
 def test_an_assignment_leaves_tests_out_except_of_a_test(small, deepbots: Deepbots) -> None:

@@ -33,7 +33,7 @@ def commands(text: str) -> Iterator[list[str]]:
             head.append(line)
 
 
-def ran(head: list[str], deepbots: Deepbots, folder: Path) -> Ran:
+def run_command(head: list[str], deepbots: Deepbots, folder: Path) -> Ran:
     command = "\n".join(line[2:] for line in head if not line.startswith("## "))
     if command.startswith("deepbots "):
         return deepbots(*shlex.split(command)[1:])
@@ -46,9 +46,10 @@ def test_commands_print_what_is_written(
     path: Path, deepbots: Deepbots, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "100")
-    text, blocks = path.read_text(encoding="utf-8"), []
+    text = path.read_text(encoding="utf-8")
+    blocks = []
     for head in commands(text):
-        done = ran(head, deepbots, tmp_path)
+        done = run_command(head, deepbots, tmp_path)
         lines = [*head, *done.out.splitlines(), *(f"! {line}".rstrip() for line in done.err.splitlines())]
         blocks.append("\n".join([*lines, *([f"[{done.code}]"] if done.code else [])]))
     printed = "\n\n".join(blocks).replace(str(tmp_path), "FOLDER") + "\n"

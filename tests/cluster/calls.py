@@ -39,7 +39,7 @@ def priority(item: int, attempt: Attempt) -> int:
 
 
 class Echo:
-    """Work of a worker: it returns what it gets."""
+    """Work of a worker that returns its arguments."""
 
     def work(self, value: int) -> int:
         return value

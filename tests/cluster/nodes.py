@@ -13,17 +13,17 @@ import pytest
 
 @contextmanager
 def cluster_of_nodes(head_cpus: int = 0) -> Iterator[Any]:
-    """A Ray cluster on this machine, whose head has so many CPUs for workers."""
+    """A Ray cluster on this machine; `head_cpus` is the number of CPUs of its head."""
     from ray.cluster_utils import Cluster as Nodes
 
     folder = tempfile.mkdtemp(prefix="nodes-", dir="/tmp")  # sockets need a short path
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("RAY_TMPDIR", folder)
-        found = Nodes(
+        nodes = Nodes(
             initialize_head=True, head_node_args={"num_cpus": head_cpus, "object_store_memory": 150 << 20}
         )
         try:
-            yield found
+            yield nodes
         finally:
-            found.shutdown()
+            nodes.shutdown()
             shutil.rmtree(folder, ignore_errors=True)

@@ -32,7 +32,9 @@ class Losses(Watcher):
 def test_results_and_errors_come_in_the_order_of_the_items(either: Cluster) -> None:
     assert list(results(either.map(square, range(3)))) == [0, 1, 4]
     *squares, error, last = either.map(square, range(5))
-    assert (squares, str(error), last) == ([0, 1, 4], "there is no square of 3", 16)
+    assert squares == [0, 1, 4]
+    assert str(error) == "there is no square of 3"
+    assert last == 16
 
 
 def test_a_worker_with_another_version_or_without_a_file_is_refused(
@@ -93,12 +95,12 @@ def begun(seconds: int, folder: Path) -> tuple[subprocess.Popen[str], set[int]]:
 
 def alive(numbers: set[int]) -> set[int]:
     """The processes that have not ended."""
-    found = set()
+    living = set()
     for number in numbers:
         with suppress(ProcessLookupError):
             os.kill(number, 0)
-            found.add(number)
-    return found
+            living.add(number)
+    return living
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])

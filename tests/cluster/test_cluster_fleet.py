@@ -36,7 +36,7 @@ def scenario() -> Compiled:
 
 
 def outcomes(group: Path) -> list[Any]:
-    """What the trainings of a group have made, to the bit."""
+    """The results of the trainings of a group, to the bit."""
     return [outcome(run) for run in sorted(group.glob("seed-*"))]
 
 
@@ -49,8 +49,8 @@ def test_every_error_passes_from_a_worker_to_this_process() -> None:
     for kind in kinds(DeepbotsError):
         error = kind.__new__(kind, "what is wrong")
         error.add_note("what to do")
-        found = pickle.loads(pickle.dumps(error))
-        assert (type(found), found.full_message) == (kind, "what is wrong\nwhat to do")
+        received = pickle.loads(pickle.dumps(error))
+        assert (type(received), received.full_message) == (kind, "what is wrong\nwhat to do")
 
 
 def act_at(
@@ -138,13 +138,14 @@ def test_evaluations_on_workers_are_the_same_and_stop_at_the_same_episode(
 def test_the_episodes_of_an_evaluation_on_workers_are_the_same(
     cluster: Cluster, trained_here: GroupTraining, options: dict[str, Any]
 ) -> None:
-    run, shown = trained_here.group / "seed-0", [0]
+    run = trained_here.group / "seed-0"
+    progress = [0]
     here = evaluate(run, episodes=21, **options)
     workers = evaluate(
-        run, episodes=21, executor=cluster, on_episode=lambda done, of: shown.append(done), **options
+        run, episodes=21, executor=cluster, on_episode=lambda done, of: progress.append(done), **options
     )
     assert workers.model_dump(mode="json") == here.model_dump(mode="json")
-    assert shown == sorted(set(shown))
+    assert progress == sorted(set(progress))
 
 
 @pytest.mark.slow

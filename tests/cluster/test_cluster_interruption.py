@@ -43,7 +43,7 @@ def begun(kind: str, folder: Path, executor: Executor = SERIAL, progress: Any = 
 
 
 def outcomes(kind: str, folder: Path) -> dict[str, Any]:
-    """What the trainings in a folder have made, and the names of its files."""
+    """The results of the trainings in a folder, and the names of its files."""
     runs = [folder] if kind == "run" else Group.open(folder).runs
     names = sorted(path.name for path in folder.iterdir() if path.name != "workers")
     return {"files": names, **{run.name if kind == "group" else "run": outcome(run) for run in runs}}
@@ -51,7 +51,7 @@ def outcomes(kind: str, folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """What a training has made that nothing interrupts."""
+    """The result of a training without interruption."""
 
     @cache
     def of(kind: str) -> dict[str, Any]:
@@ -70,7 +70,8 @@ def test_in_this_process_after_ctrl_c(kind: str, whole: Any, tmp_path: Path) -> 
         assert resume(tmp_path / "parts").inexact == ()
     else:
         rest = resume_group(tmp_path / "parts")
-        assert (len(rest.trained), rest.waiting) == (2, ())
+        assert len(rest.trained) == 2
+        assert rest.waiting == ()
     assert outcomes(kind, tmp_path / "parts") == whole(kind)
 
 
@@ -81,12 +82,13 @@ def test_on_workers_after_one_was_killed(
 ) -> None:
     kill = At(200, lambda: os.kill((workers() or children("ray::_perform"))[0], signal.SIGKILL))
     killed = act_at(monkeypatch, 200, 1, kill.act)
-    found = begun(kind, tmp_path / "parts", either, kill if kind == "run" else True)
+    training = begun(kind, tmp_path / "parts", either, kill if kind == "run" else True)
     assert outcomes(kind, tmp_path / "parts") == whole(kind)
     if kind == "run":
         assert any("was lost; its shards continue" in note for note in kill.notes)
         assert (tmp_path / "parts" / "workers" / "0.log").is_file()
         assert not workers()  # they end with the training
     else:
-        assert (len(killed), found.failed) == (1, {})
+        assert len(killed) == 1
+        assert training.failed == {}
         assert list(either.map(square, range(3))) == [0, 1, 4]  # the workers go on

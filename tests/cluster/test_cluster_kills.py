@@ -51,18 +51,20 @@ def processes() -> list[Process]:
     lines = subprocess.run(
         ["ps", "-ww", "-eo", "pid=,ppid=,lstart=,args="], capture_output=True, text=True, check=True
     ).stdout.splitlines()
-    found = [line.split(maxsplit=7) for line in lines if "<defunct>" not in line]
+    fields = [line.split(maxsplit=7) for line in lines if "<defunct>" not in line]
     return [
-        Process(int(pid), " ".join(started), int(parent), command) for pid, parent, *started, command in found
+        Process(int(pid), " ".join(started), int(parent), command)
+        for pid, parent, *started, command in fields
     ]
 
 
 def below(root: int) -> list[Process]:
     """The processes that another one has started, and those that they have started."""
-    alive, found = processes(), {root}
-    while more := {process.pid for process in alive if process.parent in found} - found:
-        found |= more
-    return [process for process in alive if process.pid in found - {root}]
+    alive = processes()
+    tree = {root}
+    while more := {process.pid for process in alive if process.parent in tree} - tree:
+        tree |= more
+    return [process for process in alive if process.pid in tree - {root}]
 
 
 class Processes:
@@ -72,32 +74,32 @@ class Processes:
         self.seen: set[tuple[int, str]] = set()
 
     def below(self, root: int) -> list[Process]:
-        found = below(root)
+        started = below(root)
         self.seen |= {
-            (process.pid, process.started) for process in found if not process.command.startswith("ps ")
+            (process.pid, process.started) for process in started if not process.command.startswith("ps ")
         }
-        return found
+        return started
 
     def left(self, timeout_s: float = 120.0) -> list[Process]:
         """Those that are left; an agent of Ray whose node was killed looks for it for a minute."""
         deadline = time.monotonic() + timeout_s
         while True:
-            found = [process for process in processes() if process[:2] in self.seen]
-            if not found or time.monotonic() > deadline:
-                return found
+            remaining = [process for process in processes() if process[:2] in self.seen]
+            if not remaining or time.monotonic() > deadline:
+                return remaining
             time.sleep(0.5)
 
 
 @pytest.fixture(scope="module")
-def seen() -> Iterator[Processes]:
+def started_processes() -> Iterator[Processes]:
     """Used before the clusters, so that it ends after them."""
-    found = Processes()
-    yield found
-    assert not found.left()
+    started = Processes()
+    yield started
+    assert not started.left()
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
     """What a training makes that nobody disturbs."""
 
     @cache
@@ -112,10 +114,10 @@ def train(kind: str, folder: Path, place: Any) -> Any:
     if kind != "group":
         return trained(kind, folder, place)
     scenario, changes, steps = GROUP
-    found = train_group(
+    training = train_group(
         api.compile(scenario, overrides=changes), SEEDS, group=folder, total_timesteps=steps, executor=place
     )
-    assert not found.failed
+    assert not training.failed
     return outcomes(folder)
 
 
@@ -136,14 +138,15 @@ def has_episodes(folder: Path) -> bool:
 class Site:
     """Where the trainings run, and what can be killed there."""
 
-    def __init__(self, place: HastyCluster, nodes: Any, seen: Processes) -> None:
-        self.place, self._nodes, self._seen = place, nodes, seen
+    def __init__(self, place: HastyCluster, nodes: Any, started_processes: Processes) -> None:
+        self.place, self._nodes, self._seen = place, nodes, started_processes
         self._durations: dict[str, Durations] = {}
 
     def durations(self, kind: str, folder: Path) -> Durations:
-        """Those of a training that nobody disturbs."""
+        """The durations of a training without kills."""
         if kind not in self._durations:
-            ended, began = threading.Event(), time.monotonic()
+            ended = threading.Event()
+            began = time.monotonic()
             start: list[float] = []
 
             def watch() -> None:
@@ -161,7 +164,7 @@ class Site:
 
     def kill(self, generator: random.Random) -> list[str]:
         """Kill one or two workers, or a node, for which another one joins; what was killed."""
-        found = self._seen.below(os.getpid())
+        started = self._seen.below(os.getpid())
         nodes = sorted(self._nodes.worker_nodes, key=_raylet) if self._nodes else []
         if nodes and generator.random() < 0.6:
             node = generator.choice(nodes)
@@ -185,7 +188,7 @@ class Site:
             ]
         workers = [
             process
-            for process in found
+            for process in started
             if process.command.startswith((*WORKERS, *(["ray::Board"] if generator.random() < 0.2 else [])))
         ]
         if not workers:
@@ -210,10 +213,10 @@ def _kill(pid: int) -> None:
 
 
 @pytest.fixture(scope="module", params=["workers", "nodes"])
-def site(request: pytest.FixtureRequest, seen: Processes) -> Iterator[Site]:
+def site(request: pytest.FixtureRequest, started_processes: Processes) -> Iterator[Site]:
     if request.param == "workers":
         with HastyCluster(workers=2) as place:
-            yield Site(place, None, seen)
+            yield Site(place, None, started_processes)
         return
     pytest.importorskip("ray")
     with cluster_of_nodes() as nodes:
@@ -223,7 +226,7 @@ def site(request: pytest.FixtureRequest, seen: Processes) -> Iterator[Site]:
             False  # only the main thread could install the handlers of a node that joins later
         )
         with HastyCluster(address=nodes.address) as place:
-            yield Site(place, nodes, seen)
+            yield Site(place, nodes, started_processes)
 
 
 class Killer(threading.Thread):
@@ -270,20 +273,21 @@ class Killer(threading.Thread):
     indirect=["site"],
 )
 def test_workers_and_nodes_that_are_killed_change_nothing(
-    site: Site, number: int, here: Callable[[str], Any], tmp_path: Path
+    site: Site, number: int, undisturbed: Callable[[str], Any], tmp_path: Path
 ) -> None:
     kind = KINDS[number % len(KINDS)]
-    expected, durations = here(kind), site.durations(kind, tmp_path / "undisturbed")
+    expected = undisturbed(kind)
+    durations = site.durations(kind, tmp_path / "undisturbed")
     for attempt in range(10):  # until a training has not ended before the moment
         folder = tmp_path / str(attempt)
         killer = Killer(site, folder, durations, random.Random(f"{SEED}/{number}/{attempt}"))
         killer.start()
         try:
-            found = train(kind, folder, site.place)
+            result = train(kind, folder, site.place)
         finally:
             killer.end()
         print(f"KILLS_SEED={SEED} {number}: {kind}, {killer}", file=sys.stderr)
-        assert found == expected
+        assert result == expected
         if killer.killed:
             return
     pytest.fail("every training ended before the kill")
@@ -317,10 +321,14 @@ def begun(arguments: list[str]) -> subprocess.Popen[str]:
 
 @pytest.mark.parametrize("number", range(20, 25))
 def test_a_driver_or_a_head_that_is_killed_loses_nothing(
-    number: int, seen: Processes, here: Callable[[str], Any], tmp_path: Path
+    number: int, started_processes: Processes, undisturbed: Callable[[str], Any], tmp_path: Path
 ) -> None:
-    generator, kind, folder = random.Random(f"{SEED}/{number}"), KINDS[number % len(KINDS)], tmp_path / "run"
-    is_head, waits_for_episode, after = number >= 23, generator.random() < 0.7, generator.uniform(0.0, 4.0)
+    generator = random.Random(f"{SEED}/{number}")
+    kind = KINDS[number % len(KINDS)]
+    folder = tmp_path / "run"
+    is_head = number >= 23
+    waits_for_episode = generator.random() < 0.7
+    after = generator.uniform(0.0, 4.0)
     if is_head:
         pytest.importorskip("ray")
     with cluster_of_nodes() if is_head else nullcontext() as nodes:
@@ -333,7 +341,7 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(
         while not (has_episodes(folder) if waits_for_episode else folder.exists()) and driver.poll() is None:
             time.sleep(0.02)
         time.sleep(after)
-        seen.below(os.getpid())
+        started_processes.below(os.getpid())
         is_ended = driver.poll() is not None
         if nodes is not None:
             nodes.head_node.kill_all_processes(check_alive=False, allow_graceful=False, wait=True)
@@ -356,7 +364,7 @@ def test_a_driver_or_a_head_that_is_killed_loses_nothing(
         assert "Traceback" not in printed
     if not is_ended or kind != "group":
         resumed = begun(["resume", str(folder), "--quiet", "--workers", "2"])
-        seen.below(os.getpid())
+        started_processes.below(os.getpid())
         _, printed = resumed.communicate(timeout=300)
         assert resumed.returncode == 0 or "is complete" in printed, printed
-    assert (outcomes if kind == "group" else outcome)(folder) == here(kind)
+    assert (outcomes if kind == "group" else outcome)(folder) == undisturbed(kind)

@@ -31,8 +31,8 @@ pytest.importorskip("ray")
 
 @pytest.fixture
 def nodes() -> Iterator[Any]:
-    with cluster_of_nodes() as found:
-        yield found
+    with cluster_of_nodes() as started:
+        yield started
 
 
 def add(nodes: Any) -> Any:
@@ -58,9 +58,9 @@ def test_a_node_that_is_lost_and_one_that_joins_change_nothing(nodes: Any, tmp_p
 
     events = At(150, replace_a_node)
     with Cluster(address=nodes.address) as cluster:
-        found = trained(name, tmp_path / "nodes", cluster, progress=events)
+        result = trained(name, tmp_path / "nodes", cluster, progress=events)
     assert events.is_done
-    assert found == trained(name, tmp_path / "here", SERIAL)
+    assert result == trained(name, tmp_path / "here", SERIAL)
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(
 
     replaced = act_at(monkeypatch, 1_000, 1, replace_a_node)
     with Cluster(address=nodes.address) as cluster:
-        found = train_group(
+        training = train_group(
             compiled,
             (0, 1, 2),
             group=tmp_path / "nodes",
@@ -123,7 +123,7 @@ def test_trainings_go_on_when_a_node_is_lost_and_one_joins(
             executor=cluster,
         )
     assert replaced
-    assert not found.failed
+    assert not training.failed
     train_group(compiled, (0, 1, 2), group=tmp_path / "here", total_timesteps=4_000)
     assert outcomes(tmp_path / "nodes") == outcomes(tmp_path / "here")
 

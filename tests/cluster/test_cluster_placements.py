@@ -22,22 +22,22 @@ NODES = {"one node": (2,), "two nodes": (1, 1)}
 
 @pytest.fixture(scope="module", params=["workers", *NODES])
 def executor(request: pytest.FixtureRequest) -> Iterator[Cluster]:
-    """The workers for all cases of a executor."""
+    """The workers for all cases of an executor."""
     if request.param == "workers":
-        with Cluster(workers=2) as found:
-            yield found
+        with Cluster(workers=2) as started:
+            yield started
         return
     pytest.importorskip("ray")
     head, *others = NODES[request.param]
     with cluster_of_nodes(head) as nodes:
         for cpus in others:
             nodes.add_node(num_cpus=cpus, object_store_memory=100 << 20)
-        with Cluster(address=nodes.address) as found:
-            yield found
+        with Cluster(address=nodes.address) as started:
+            yield started
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Any]:
+def in_this_process(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Any]:
     """What a training makes in this process."""
 
     @cache
@@ -47,9 +47,11 @@ def here(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Any]:
     return of
 
 
-def check(executor: Cluster, here: Callable[[str, int], Any], folder: Path, name: str, shards: int) -> None:
-    found = result, episodes, evaluations = trained(name, folder / "run", executor, shards)
-    assert found == here(name, shards)
+def check(
+    executor: Cluster, in_this_process: Callable[[str, int], Any], folder: Path, name: str, shards: int
+) -> None:
+    whole = result, episodes, evaluations = trained(name, folder / "run", executor, shards)
+    assert whole == in_this_process(name, shards)
     assert len(episodes) >= 20
     assert evaluations
     assert bool(result["stages"]) == ("curriculum" in name)
@@ -59,18 +61,18 @@ def check(executor: Cluster, here: Callable[[str, int], Any], folder: Path, name
 @pytest.mark.parametrize("shards", [2, 4])
 @pytest.mark.parametrize("name", list(CASES)[:5])
 def test_a_training_is_the_same_on_workers_and_nodes(
-    executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str, shards: int
+    executor: Cluster, in_this_process: Callable[[str, int], Any], tmp_path: Path, name: str, shards: int
 ) -> None:
-    check(executor, here, tmp_path, name, shards)
+    check(executor, in_this_process, tmp_path, name, shards)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("executor", ["workers"], indirect=True)
 @pytest.mark.parametrize("name", list(CASES)[5:])
 def test_so_is_that_of_other_algorithms(
-    executor: Cluster, here: Callable[[str, int], Any], tmp_path: Path, name: str
+    executor: Cluster, in_this_process: Callable[[str, int], Any], tmp_path: Path, name: str
 ) -> None:
-    check(executor, here, tmp_path, name, 4)
+    check(executor, in_this_process, tmp_path, name, 4)
 
 
 @pytest.mark.parametrize("scenario", ["cartpole", "pit_escape"])

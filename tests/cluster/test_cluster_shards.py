@@ -81,7 +81,7 @@ number of steps."""
 
 
 def outcome(folder: Path) -> tuple[Any, ...]:
-    """What a training has made, to the bit; without times."""
+    """The result of a training, to the bit; without times."""
     run = Run.open(folder)
     assert run.record.result is not None
     with run.monitor.open(newline="") as file:
@@ -111,8 +111,8 @@ def children(name: str) -> list[int]:
         ["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     parents = {int(pid): int(parent) for pid, parent, *_ in map(str.split, processes)}
-    found = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
-    return sorted(pid for pid in found if os.getpid() in (parents[pid], parents.get(parents[pid])))
+    matching = [int(line.split()[0]) for line in processes if name in line and "defunct" not in line]
+    return sorted(pid for pid in matching if os.getpid() in (parents[pid], parents.get(parents[pid])))
 
 
 @pytest.mark.slow
@@ -159,16 +159,16 @@ def test_an_episode_that_always_kills_its_worker_ends_the_training(tmp_path: Pat
 
 def test_a_worker_that_is_killed_between_two_calls_is_lost_in_the_next_one() -> None:
     with LocalProcesses(2) as processes:
-        killed, other = processes.start(Echo), processes.start(Echo)
-        answers = [processes.ask(worker, "work", 1) for worker in (killed, other)]
+        killed, survivor = processes.start(Echo), processes.start(Echo)
+        answers = [processes.ask(worker, "work", 1) for worker in (killed, survivor)]
         processes.wait(answers, count=2)
         killed.process.kill()
         killed.process.wait()
-        processes.wait([processes.ask(other, "work", 2)])  # meanwhile its end is noticed
+        processes.wait([processes.ask(survivor, "work", 2)])  # meanwhile its end is noticed
         processes.wait([], timeout_s=0.0)
         deadline = time.monotonic() + 20.0
         while not killed.process.stdin.closed and time.monotonic() < deadline:  # type: ignore[union-attr]
-            processes.wait([processes.ask(other, "work", 3)])
+            processes.wait([processes.ask(survivor, "work", 3)])
         lost = processes.ask(killed, "work", 4)
         assert processes.wait([lost], timeout_s=20.0) == [lost]
         with pytest.raises(WorkerLost, match="ended by SIGKILL"):

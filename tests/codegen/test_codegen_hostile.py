@@ -76,7 +76,8 @@ Place = tuple[Any, ...]
 @pytest.fixture(scope="module", params=every(4, SOURCES, lambda source: Path(source).stem))
 def opened(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
     """A scenario as data, and the folder that its files lie in."""
-    checked, folder = api.load(request.param), tmp_path_factory.mktemp("copies")
+    checked = api.load(request.param)
+    folder = tmp_path_factory.mktemp("copies")
     checked.inputs.write(folder)
     return yaml.load((folder / RESOLVED_NAME).read_text(), Words), folder
 
@@ -119,7 +120,7 @@ def at(data: Any, path: Place) -> Any:
     return data
 
 
-def odd_number(value: Any, rng: random.Random) -> Any:
+def with_other_number(value: Any, rng: random.Random) -> Any:
     """The value with another number and the same unit."""
     number = rng.choice(NUMBERS)
     return re.sub(r"-?\d+(\.\d+)?", number, value, count=1) if isinstance(value, str) else float(number)
@@ -152,21 +153,21 @@ def test_text_in_any_place_is_quoted_or_refused(opened: tuple[Any, Path]) -> Non
     assert compiled(json.dumps(data), folder) is not None
     rng = random.Random(1)
     for path in some(data, 1):
-        made = compiled(replaced(data, path, rng.choice(TEXTS), key=rng.random() < 0.3), folder)
-        if made is not None:
-            compile(made.code, "printed", "exec")
-            assert MARK not in words(made.code), path
+        hostile = compiled(replaced(data, path, rng.choice(TEXTS), key=rng.random() < 0.3), folder)
+        if hostile is not None:
+            compile(hostile.code, "printed", "exec")
+            assert MARK not in words(hostile.code), path
 
 
-def test_odd_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: tuple[Any, Path]) -> None:
+def test_unusual_values_in_any_place_give_a_world_that_runs_or_are_refused(opened: tuple[Any, Path]) -> None:
     data, folder = opened
     rng = random.Random(2)
     running = 0
     for path in some(data, 2, count=24):
-        value = odd_number(at(data, path), rng) if rng.random() < 0.7 else rng.choice(OTHERS)
-        made = compiled(replaced(data, path, value), folder)
-        if made is not None:
-            with suppress(DeepbotsError), closing(api.build(made.program)) as world:
+        value = with_other_number(at(data, path), rng) if rng.random() < 0.7 else rng.choice(OTHERS)
+        hostile = compiled(replaced(data, path, value), folder)
+        if hostile is not None:
+            with suppress(DeepbotsError), closing(api.build(hostile.program)) as world:
                 world.reset(seed=0)
                 world.step(world.action_space.sample())
                 running += 1

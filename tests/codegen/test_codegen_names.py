@@ -1,4 +1,4 @@
-"""Names of a scenario that mean something in Python, or to the compiler: they stay what the user meant."""
+"""Names of a scenario that mean something in Python or to the compiler keep the meaning of the scenario."""
 
 from __future__ import annotations
 
@@ -100,8 +100,8 @@ def scenario(folder: Path, awkward: str = "plain", name: str = "Odd", summary: s
 
 @pytest.mark.parametrize("awkward", every(3, AWKWARD))
 def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) -> None:
-    expected, found = [], []
-    for name, rows in (("plain", expected), (awkward, found)):
+    expected, actual = [], []
+    for name, rows in (("plain", expected), (awkward, actual)):
         checked = api.load(scenario(tmp_path, name))
         if checked.findings.errors:
             assert name != "plain", list(checked.findings)
@@ -112,7 +112,7 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
             observation, reward, _, _, info = environment.step(np.array([0.5]))
             rows.append((observation.tolist(), reward, list(info["reward_terms"].values())))
         environment.close()
-    assert found == expected
+    assert actual == expected
 
 
 @pytest.mark.parametrize(
@@ -209,8 +209,8 @@ def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
     ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"],
 )
 def test_a_docstring_says_what_the_text_says(text: str) -> None:
-    said = ast.literal_eval("\n".join(docstring(text)))
-    assert said.split() == text.split()
+    docstring_text = ast.literal_eval("\n".join(docstring(text)))
+    assert docstring_text.split() == text.split()
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
@@ -234,5 +234,6 @@ def test_generated_code_is_formatted(tmp_path: Path, source: str, format: str) -
         str(file),
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "")
+    assert done.returncode == 0
+    assert done.stdout == ""
     assert max(map(len, file.read_text().splitlines())) <= WIDTH

@@ -28,7 +28,8 @@ def test_a_case_is_what_the_same_assignments_on_the_command_line_compile_to(work
             ("fall_angle:  15 deg", "fall_angle: 10 deg"), ("format: csv", "format: csv, timing: delayed")
         )
     ).program
-    assert (case.name, case.episodes) == ("steep", 7)
+    assert case.name == "steep"
+    assert case.episodes == 7
     assert to_json(case.program) == to_json(replace(plain, evaluation=case.program.evaluation))
 
 
@@ -50,7 +51,7 @@ def test_a_parameter_that_only_a_case_uses_is_used(workshop, cartpole) -> None:
     assert workshop.codes(cartpole(spare, with_cases("steep: {set: {fall_angle: spare}}"))) == []
 
 
-def test_an_error_of_the_scenario_itself_is_not_told_again_for_each_case(workshop, cartpole) -> None:
+def test_an_error_of_the_scenario_itself_is_not_repeated_for_each_case(workshop, cartpole) -> None:
     assert workshop.codes(
         cartpole(("fall_angle:  15 deg", "fall_angle: 15 kg"), with_cases("a: {set: {track: 1 m}}, b: {}"))
     ) == ["DB503"]
@@ -86,7 +87,7 @@ def test_there_may_be_many_cases_but_not_any_number(workshop, cartpole) -> None:
     assert workshop.codes(cartpole(with_cases(", ".join(f"case_{i}: {{}}" for i in range(65))))) == ["DB005"]
 
 
-def test_a_case_that_is_not_there_is_told_with_those_that_are(workshop, cartpole) -> None:
+def test_a_missing_case_is_refused_with_the_cases_that_exist(workshop, cartpole) -> None:
     program = workshop.compile(cartpole(with_cases("steep: {set: {fall_angle: 10 deg}}"))).program
     assert program.case("steep") is program.cases[0]
     with pytest.raises(UsageError, match="no case 'flat'; there are: steep"):
@@ -124,9 +125,9 @@ def test_a_mistake_within_the_value_of_a_setting_is_shown_in_its_place(workshop,
 def test_hundreds_of_bodies_are_refused_instead_of_built_for_minutes(workshop, rail) -> None:
     things = "".join(f"  o{index}: {{shape: sphere, radius: 1 cm, mass: 1 kg}}\n" for index in range(600))
     (finding,) = [
-        found
-        for found in workshop.lint(rail(("action:", f"objects:\n{things}action:")))
-        if found.severity == "error"
+        finding
+        for finding in workshop.lint(rail(("action:", f"objects:\n{things}action:")))
+        if finding.severity == "error"
     ]
     assert (finding.code, finding.span.text) == ("DB005", "objects")
 
@@ -151,18 +152,18 @@ def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> 
     env.close()
 
 
-def wrong_in_many_places(workshop, text: str) -> list[Finding]:
-    found = workshop.lint(text)
-    assert MAX_FINDINGS <= len(found) <= MAX_FINDINGS + 1
-    return found
+def findings_at_the_limit(workshop, text: str) -> list[Finding]:
+    findings = workshop.lint(text)
+    assert MAX_FINDINGS <= len(findings) <= MAX_FINDINGS + 1
+    return findings
 
 
 def test_findings_are_cut_at_the_limit(
     workshop,
 ) -> None:
-    found = wrong_in_many_places(workshop, "<<: *a\n" * 40_000)
-    assert {finding.code for finding in found} == {"DB001", "DB005", "DB101"}
-    assert [finding.headline for finding in found if finding.code == "DB005"] == ["more than 500 findings"]
+    findings = findings_at_the_limit(workshop, "<<: *a\n" * 40_000)
+    assert {finding.code for finding in findings} == {"DB001", "DB005", "DB101"}
+    assert [finding.headline for finding in findings if finding.code == "DB005"] == ["more than 500 findings"]
 
 
 @pytest.mark.parametrize(
@@ -173,37 +174,37 @@ def test_findings_are_cut_at_the_limit(
     ],
     ids=["unknown keys", "unknown names"],
 )
-def test_of_thousands_of_mistakes_in_a_scenario_the_first_are_told_and_that_there_are_more(
+def test_thousands_of_mistakes_are_cut_at_the_limit_with_a_finding_that_says_so(
     workshop, rail, old: str, new: str
 ) -> None:
-    found = wrong_in_many_places(workshop, rail((old, new)))
-    assert "more than 500 findings" in {finding.headline for finding in found}
+    findings = findings_at_the_limit(workshop, rail((old, new)))
+    assert "more than 500 findings" in {finding.headline for finding in findings}
 
 
-def test_of_thousands_of_warnings_the_first_are_told_with_the_number_of_the_others(workshop, rail) -> None:
+def test_thousands_of_warnings_are_cut_at_the_limit_with_the_number_of_the_others(workshop, rail) -> None:
     unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
-    found = wrong_in_many_places(workshop, rail(("world:", f"signals:\n{unused}world:")))
-    assert {finding.severity for finding in found} == {"warning"}
-    assert [note for finding in found for note in finding.notes if "not shown" in note] == [
+    findings = findings_at_the_limit(workshop, rail(("world:", f"signals:\n{unused}world:")))
+    assert {finding.severity for finding in findings} == {"warning"}
+    assert [note for finding in findings for note in finding.notes if "not shown" in note] == [
         "2,499 more findings are not shown"
     ]
 
 
-def test_errors_are_told_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:
+def test_errors_come_before_warnings_where_there_are_too_many_findings(workshop, rail) -> None:
     unused = "".join(f"  p{index}: {index}\n" for index in range(1000))
-    found = wrong_in_many_places(
+    findings = findings_at_the_limit(
         workshop, rail(("world:", f"signals:\n{unused}world:")) + "# deepbots: ignore\n" * 1000 + "odd: 1\n"
     )
-    assert [finding.headline for finding in found if finding.severity == "error"] == [
+    assert [finding.headline for finding in findings if finding.severity == "error"] == [
         "unknown key `odd` at the top level"
     ]
 
 
-def test_hundreds_of_endings_are_refused_before_what_is_paid_is_held_against_each(workshop, rail) -> None:
+def test_hundreds_of_endings_are_refused_before_rewards_are_compared_with_each(workshop, rail) -> None:
     endings = "".join(f"    f{index}: time > {index + 1} s\n" for index in range(300))
     terms = "".join(f"  r{index}: 1 when f{index}\n" for index in range(300))
     text = rail(("  failure:\n", f"  failure:\n{endings}"), ("reward: {alive: 1}", f"reward:\n{terms}"))
-    assert [(found.code, found.headline) for found in workshop.lint(text)] == [
+    assert [(finding.code, finding.headline) for finding in workshop.lint(text)] == [
         ("DB005", "more than 200 endings")
     ]
 
@@ -212,8 +213,8 @@ def test_many_cases_of_a_large_scenario_are_refused(workshop, rail) -> None:
     unused = "".join(f"  p{index}: {index}\n" for index in range(3000))
     cases = "".join(f"    c{index}: {{set: {{cart_speed: {index} m/s}}}}\n" for index in range(1, 40))
     text = rail(("world:", f"signals:\n{unused}evaluation:\n  cases:\n{cases}world:"))
-    (found,) = [found for found in workshop.lint(text) if found.severity == "error"]
-    assert (found.code, found.span.text) == ("DB005", "cases")
+    (finding,) = [finding for finding in workshop.lint(text) if finding.severity == "error"]
+    assert (finding.code, finding.span.text) == ("DB005", "cases")
 
 
 @pytest.mark.parametrize(
@@ -232,7 +233,7 @@ def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
     signals = f"signals:\n  unused: cart.place\n  s0: {first}\n{chain}"
     ends = f"termination:\n  success: {{done: {condition.format('s59')}}}\n"
     text = rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))
-    found = api.lint(workshop.write(text), preview=True)
+    findings = api.lint(workshop.write(text), preview=True)
     assert "DB205" in {
-        finding.code for finding in found
+        finding.code for finding in findings
     }  # which it comes to, instead of following 2^59 paths

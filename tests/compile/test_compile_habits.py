@@ -40,12 +40,12 @@ UNITS = {
 
 @pytest.mark.parametrize("line", UNITS)
 def test_a_number_without_its_unit_is_shown_with_the_probable_one(workshop, head, line):
-    findings = [found for found in workshop.lint(f"{head}{line}\n") if found.code == "DB502"]
-    assert [found.help for found in findings] == [f"write its unit: {UNITS[line]}"]
+    findings = [finding for finding in workshop.lint(f"{head}{line}\n") if finding.code == "DB502"]
+    assert [finding.help for finding in findings] == [f"write its unit: {UNITS[line]}"]
 
 
 @pytest.mark.parametrize("word", ["random", "uniform", "anny"])
-def test_a_yaw_at_random_is_told_any(workshop, head, word):
+def test_a_word_for_a_random_yaw_is_corrected_to_any(workshop, head, word):
     (finding,) = workshop.lint(f"{head}reset: {{place: {{cart: {{z: 0.04 m, yaw: {word}}}}}}}\n")
     assert finding.help.startswith("write the word `any`, or a value")
 
@@ -53,21 +53,21 @@ def test_a_yaw_at_random_is_told_any(workshop, head, word):
 @pytest.mark.parametrize(
     "word", ["ik", "IK", "inverse_kinematics", "inverse-kinematics", "end_effector", "osc"]
 )
-def test_inverse_kinematics_is_told_to_be_cartesian(workshop, head, word):
+def test_a_word_for_inverse_kinematics_is_corrected_to_cartesian(workshop, head, word):
     text = (
         f"{head}robots: {{cart: {{actuators: {{hand: {{type: {word}, link: pole, joints: pole_hinge}}}}}}}}\n"
     )
-    (finding,) = (found for found in workshop.lint(text) if found.code == "DB104")
+    (finding,) = (finding for finding in workshop.lint(text) if finding.code == "DB104")
     assert finding.help.startswith("did you mean `cartesian`?")
     assert [edit.text for edit in finding.fix.edits] == ["cartesian"]
     assert not finding.fix.safe
 
 
-def test_other_names_stand_for_words_of_the_language_and_are_none():
-    known = {*ACTUATORS, *SENSORS, *OBJECTS, *ENGINES, "any"}
-    assert known.issuperset(synonyms().words)
+def test_synonyms_name_words_of_the_language_and_are_no_words_themselves():
+    words = {*ACTUATORS, *SENSORS, *OBJECTS, *ENGINES, "any"}
+    assert words.issuperset(synonyms().words)
     for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
-        assert not [word for word in kinds if word_for(word, kinds)]
+        assert not [kind for kind in kinds if word_for(kind, kinds)]
 
 
 @pytest.mark.parametrize(
@@ -83,12 +83,13 @@ def test_other_names_stand_for_words_of_the_language_and_are_none():
 )
 def test_a_british_colour_is_corrected(workshop, head, line):
     (finding,) = (
-        found
-        for found in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour"))
-        if found.code == "DB101"
+        finding
+        for finding in workshop.lint(f"{head}{line}\n".replace("COLOR", "colour"))
+        if finding.code == "DB101"
     )
     assert finding.help == "write `color: red`"
-    assert ([edit.text for edit in finding.fix.edits], finding.fix.safe) == (["color"], True)
+    assert [edit.text for edit in finding.fix.edits] == ["color"]
+    assert finding.fix.safe is True
     assert "DB101" not in workshop.codes(f"{head}{line}\n".replace("COLOR", "color"))
 
 
@@ -101,12 +102,12 @@ def test_a_british_colour_is_corrected(workshop, head, line):
         ("pybullet_data/r2d2.urdf", "r2d2.urdf"),
     ],
 )
-def test_a_robot_of_pybullet_data_is_told_its_reference(workshop, head, written, meant):
+def test_a_robot_of_pybullet_data_has_a_finding_with_its_reference(workshop, head, written, meant):
     pytest.importorskip("pybullet_data")
     finding = next(
-        found
-        for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
-        if found.code == "DB204"
+        finding
+        for finding in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if finding.code == "DB204"
     )
     assert finding.help == f"did you mean `package://pybullet_data/{meant}`?"
 
@@ -114,11 +115,11 @@ def test_a_robot_of_pybullet_data_is_told_its_reference(workshop, head, written,
 @pytest.mark.parametrize(
     "written", ["../pybullet/r2d2.urdf", "pybullet_data/../../r2d2.urdf", "no/such.urdf", "x" * 5000]
 )
-def test_what_pybullet_data_does_not_hold_is_not_suggested(workshop, head, written):
+def test_a_file_that_pybullet_data_does_not_have_is_not_suggested(workshop, head, written):
     finding = next(
-        found
-        for found in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
-        if found.code == "DB204"
+        finding
+        for finding in workshop.lint(f"{head}robots: {{cart: {{urdf: {written}}}}}\n")
+        if finding.code == "DB204"
     )
     assert "package://" not in (finding.help or "")
 
@@ -160,11 +161,11 @@ PLACES = {
 @pytest.mark.parametrize("place", every(3, PLACES))
 def test_a_share_may_be_written_in_percent(workshop, head, place):
     text = f"{head}{PLACES[place]}\n"
-    plain, percent, other = (
+    plain, percent, half_of_it = (
         to_json(workshop.compile(text.replace("SHARE", share)).program) for share in ("0.8", "80 %", "0.7")
     )
     assert percent == plain
-    assert percent != other
+    assert percent != half_of_it
 
 
 @pytest.mark.parametrize(
@@ -175,9 +176,10 @@ def test_a_share_may_be_written_in_percent(workshop, head, place):
         ("solved: success_rate >= 80 over 100 episodes", "80 %"),
     ],
 )
-def test_a_share_in_hundredths_without_its_sign_is_told_the_sign(workshop, head, line, help):
-    finding = next(found for found in workshop.lint(f"{head}{SUCCESS}{line}\n"))
-    assert (finding.code, f"`{help}`" in finding.help) == ("DB105", True)
+def test_a_share_in_hundredths_has_a_finding_with_the_percent_sign(workshop, head, line, help):
+    finding = next(iter(workshop.lint(f"{head}{SUCCESS}{line}\n")))
+    assert finding.code == "DB105"
+    assert f"`{help}`" in finding.help
 
 
 @pytest.mark.parametrize(

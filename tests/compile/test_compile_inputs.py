@@ -115,13 +115,13 @@ def test_files_of_other_homes_get_folders_of_their_own():
 # The compiled scenario as canonical JSON, and its digest, which means what it says
 
 
-def test_minus_zero_and_infinity_are_told_apart() -> None:
+def test_minus_zero_and_infinity_have_other_digests() -> None:
     cartpole = api.compile("cartpole").program
-    one, *others = (
+    first, *others = (
         digest(cartpole.with_agents(reward=(constant(value),)))
         for value in (0.0, -0.0, float("inf"), float("-inf"))
     )
-    assert len({one, *others}) == 4
+    assert len({first, *others}) == 4
 
 
 def test_the_text_is_json_with_sorted_keys() -> None:
@@ -190,5 +190,5 @@ def test_the_digest_depends_on_what_a_file_means_only(workshop, cartpole) -> Non
         ("abs(x) > track", "abs(x) >= track"),
     ],
 )
-def test_the_digest_tells_scenarios_apart(workshop, cartpole, old: str, new: str) -> None:
+def test_the_digest_distinguishes_scenarios(workshop, cartpole, old: str, new: str) -> None:
     assert digest_of(workshop, cartpole()) != digest_of(workshop, cartpole((old, new)))

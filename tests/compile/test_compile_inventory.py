@@ -21,9 +21,9 @@ def searching():
 
 def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_elsewhere(rocking):
     inside = names_at(rocking, "joint", ("robots", "roller", "actuators", "pitch_motor", "joint"))
-    assert [found.name for found in inside] == ["pitch", "yaw"]
-    assert {found.description for found in inside} == {"a continuous joint"}
-    assert [found.name for found in names_at(rocking, "joints", ("reset", "joints"))] == [
+    assert [entry.name for entry in inside] == ["pitch", "yaw"]
+    assert {entry.description for entry in inside} == {"a continuous joint"}
+    assert [entry.name for entry in names_at(rocking, "joints", ("reset", "joints"))] == [
         "roller.pitch",
         "roller.yaw",
     ]
@@ -44,16 +44,16 @@ def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_el
     ],
 )
 def test_what_a_reference_may_name(rocking, kind, path, expected):
-    assert [found.name for found in names_at(rocking, kind, path)] == expected
+    assert [entry.name for entry in names_at(rocking, kind, path)] == expected
 
 
 def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
     assert "epuck.base_link" in [
-        found.name for found in names_at(searching, "body or link", ("disturbances", "gust", "body"))
+        entry.name for entry in names_at(searching, "body or link", ("disturbances", "gust", "body"))
     ]
     against = [
-        found.name
-        for found in names_at(
+        entry.name
+        for entry in names_at(
             searching, "bodies or links", ("robots", "epuck", "sensors", "bumper", "against")
         )
     ]
@@ -71,10 +71,10 @@ def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_gr
     ],
 )
 def test_a_name_leads_to_its_definition(rocking, name, text, place):
-    found = definition(rocking, name)
-    assert text.startswith(found.span.text)
-    assert found.span.source.text.startswith(text, found.span.start)
-    assert found.span.source.name.endswith(place)
+    target = definition(rocking, name)
+    assert text.startswith(target.span.text)
+    assert target.span.source.text.startswith(text, target.span.start)
+    assert target.span.source.name.endswith(place)
 
 
 def test_on_board_the_names_of_the_robot_come_first(searching):

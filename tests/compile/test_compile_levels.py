@@ -74,7 +74,7 @@ def test_one_value_by_set_replaces_the_levels() -> None:
 
 
 def test_levels_count_for_the_training_alone() -> None:
-    one = api.compile(SCENARIO).program
-    other = api.compile(SCENARIO, overrides=["curriculum.up=truncation", "curriculum.down=failure"]).program
-    assert identity.digest(one) != identity.digest(other)
-    assert identity.task_digest(one) == identity.task_digest(other)
+    plain = api.compile(SCENARIO).program
+    changed = api.compile(SCENARIO, overrides=["curriculum.up=truncation", "curriculum.down=failure"]).program
+    assert identity.digest(plain) != identity.digest(changed)
+    assert identity.task_digest(plain) == identity.task_digest(changed)

@@ -1,4 +1,4 @@
-"""What a scenario means, as far as the compiler settles it: order, when values are known, draws, endings,
+"""The meaning of a scenario that the compiler fixes: order, when values are known, draws, endings,
 messages."""
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ def draws(compiled) -> list[str]:
     return [node.stream for value in values for node in walk(value) if isinstance(node, Draw)]
 
 
-def start(workshop, text: str, seed: int = 5):
+def first_observation(workshop, text: str, seed: int = 5):
     env = api.make(workshop.write(text), engine="exact")
-    seen, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed)
     env.close()
-    return seen
+    return observation
 
 
 # Parameters
@@ -74,9 +74,9 @@ def test_each_draw_as_written_has_a_stream_of_its_own(workshop, rail) -> None:
             "cart.hinge: gust * 1 deg, cart.slider: uniform(-0.1 .. 0.1 m)",
         ),
     )
-    found = draws(workshop.compile(text))
-    assert len(found) == 3
-    assert len(set(found)) == 3
+    streams = draws(workshop.compile(text))
+    assert len(streams) == 3
+    assert len(set(streams)) == 3
 
 
 def test_a_draw_for_a_group_is_drawn_for_each_of_its_joints(workshop, cartpole) -> None:
@@ -101,8 +101,8 @@ def test_a_draw_is_shared_through_a_parameter(workshop, cartpole) -> None:
 
 
 def test_a_further_item_changes_no_other_draw(workshop, rail) -> None:
-    plain = start(workshop, rail())
-    more = start(
+    plain = first_observation(workshop, rail())
+    more = first_observation(
         workshop,
         rail(
             ("{cart_speed", "{gust: uniform(0 .. 1), cart_speed"),
@@ -223,7 +223,7 @@ EMIT = "    emit: [place, rate, lean, turn]\n"
 SPIN = ("    actuators:", "      spin: {type: joint_velocity, joint: hinge}\n    actuators:")
 
 
-def sent(compiled: api.Compiled) -> list[str]:
+def sent_names(compiled: api.Compiled) -> list[str]:
     return [field.name for field in compiled.program.robots[0].emit]
 
 
@@ -235,12 +235,12 @@ def test_without_emit_a_robot_sends_the_sensors_that_the_supervisor_uses_in_the_
     plain = workshop.compile(rail((EMIT, "")))
     assert plain.code == listed.code
     assert plain.program.robots[0].from_robot == listed.program.robots[0].from_robot
-    assert sent(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
+    assert sent_names(workshop.compile(rail((EMIT, ""), first))) == ["place", "rate", "lean", "turn"]
     for use in (
         "signals: {spun: delta(cart.spin)}",
         "scripts: {mine: {drive: {forward: cart.spin > 0 rad/s, backward: true}}}",
     ):
-        assert sent(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == [
+        assert sent_names(workshop.compile(rail((EMIT, ""), first, ("reset:", f"{use}\nreset:")))) == [
             "spin",
             "place",
             "rate",
@@ -258,10 +258,10 @@ def test_a_case_sends_what_the_scenario_sends_even_if_it_does_not_use_it(worksho
     assert [field.name for field in case.program.robots[0].emit] == ["place", "rate", "lean", "turn", "spin"]
 
 
-def test_a_case_or_a_test_that_needs_a_further_sensor_is_given_the_whole_line(workshop, rail) -> None:
+def test_a_finding_about_a_missing_sensor_has_the_whole_line_to_write(workshop, rail) -> None:
     case = "evaluation: {cases: {wild: {set: {termination.failure: {off: cart.spin > 9 rad/s}}}}}\nreset:"
     test = "tests: {calm: {driver: zero, expect: {always: cart.spin < 9 rad/s}}}\nreset:"
     for use, code in ((case, "DB613"), (test, "DB407")):
-        (found,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
-        assert found.code == code
-        assert (found.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")
+        (finding,) = workshop.lint(rail((EMIT, ""), SPIN, ("reset:", use)))
+        assert finding.code == code
+        assert (finding.help or "").endswith("`emit: [place, rate, lean, turn, spin]`")

@@ -1,4 +1,5 @@
-"""Names: what they mean, what is said about those that mean nothing, and what is not said about lost ones."""
+"""Names: their meaning, the findings about unknown names, and the findings that are left out because they
+only follow from others."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
     assert [signal.name for signal in workshop.compile(text).program.signals].index("half") == 1
 
 
-def test_a_circle_is_told_once_and_in_full(workshop, cartpole) -> None:
+def test_a_circle_is_reported_once_and_in_full(workshop, cartpole) -> None:
     text = cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x"))
     (finding,) = workshop.lint(text)
     assert finding.code == "DB207"
@@ -110,12 +111,12 @@ def test_findings_far_apart_do_not_hide_each_other(workshop, cartpole) -> None:
 
 
 def test_a_list_under_augment_grants_what_it_names(workshop, rail) -> None:
-    given = (
+    edits = (
         ("reward:", "signals: {lean: joint_position(cart.hinge)}\nreward:"),
         ("  cart.turn:", "  lean: -1 .. 1 rad\n  cart.turn:"),
     )
-    assert workshop.codes(rail(*given)) == ["DB609"]
-    assert workshop.codes(rail(*given, ("reward:", "augment: [lean]\nreward:"))) == []
+    assert workshop.codes(rail(*edits)) == ["DB609"]
+    assert workshop.codes(rail(*edits, ("reward:", "augment: [lean]\nreward:"))) == []
 
 
 def test_groups_of_links_are_no_joints(workshop, cartpole) -> None:

@@ -1,4 +1,4 @@
-"""What a scenario may change of a robot, an object or the world, and within which bounds."""
+"""The changes that a scenario may make to a robot, an object or the world, and their bounds."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_later_figure_of_the_same_link_replaces_a_draw(workshop, cartpole) -> 
 
 def test_a_color_of_a_link_is_seen_on_all_of_it(workshop, cartpole) -> None:
     cart = model(workshop.compile(cartpole(with_cart("links: {wheel_rear_left: {color: red}}"))))
-    assert {seen.color for seen in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
+    assert {visual.color for visual in cart.link("wheel_rear_left").visuals} == {(0.85, 0.2, 0.2, 1.0)}
 
 
 WRONG = {

@@ -86,9 +86,9 @@ def case(request: pytest.FixtureRequest) -> Case:
 @pytest.fixture(scope="session")
 def environment(case: Case) -> Iterator[Supervisor]:
     """One that earlier tests have used: nothing may be left of that after a reset."""
-    made = case.make()
-    yield made
-    made.close()
+    used = case.make()
+    yield used
+    used.close()
 
 
 @pytest.fixture

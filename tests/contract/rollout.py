@@ -25,8 +25,8 @@ def actions(environment: Supervisor, seed: int) -> Iterator[Any]:
         yield environment.action_space.sample()
 
 
-def asked(environment: Supervisor, script: str) -> Iterator[Any]:
-    """An endless row of what a script of the scenario says."""
+def script_actions(environment: Supervisor, script: str) -> Iterator[Any]:
+    """An endless row of the actions of a script of the scenario."""
     while True:
         yield environment.script(script)
 
@@ -39,7 +39,7 @@ def episode(
     observation, info = environment.reset(seed=seed)
     del info["drawn"]  # of a reset alone
     yield observation, 0.0, False, False, info
-    chosen = actions(environment, seed) if script is None else asked(environment, script)
+    chosen = actions(environment, seed) if script is None else script_actions(environment, script)
     for _, action in zip(range(steps), chosen, strict=False):
         transition = environment.step(action)
         yield transition
@@ -50,7 +50,7 @@ def episode(
 def as_bytes(transition: Transition) -> bytes:
     observation, reward, terminated, truncated, info = transition
     terms = struct.pack(f"<{len(info['reward_terms'])}d", *info["reward_terms"].values())
-    said = json.dumps(
+    outcome = json.dumps(
         [
             terminated,
             truncated,
@@ -65,7 +65,7 @@ def as_bytes(transition: Transition) -> bytes:
         b"".join(np.asarray(part).tobytes() for part in parts)
         + struct.pack("<d", reward)
         + terms
-        + said.encode()
+        + outcome.encode()
     )
 
 
@@ -86,12 +86,12 @@ def digest(environment: Supervisor, seed: int) -> str:
 
 def main() -> None:
     """Cases on stdin: [[source, sets], ...]; digests on stdout, in that order."""
-    found = []
+    digests = []
     for source, overrides in json.load(sys.stdin):
         environment = api.make(source, overrides=overrides)
-        found.append([digest(environment, 0)])
+        digests.append([digest(environment, 0)])
         environment.close()
-    json.dump(found, sys.stdout)
+    json.dump(digests, sys.stdout)
 
 
 if __name__ == "__main__":

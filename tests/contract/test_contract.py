@@ -41,7 +41,7 @@ def rollouts(environment: Supervisor) -> list[list[Any]]:
 
 
 def parts(observation: Any) -> list[Any]:
-    """The arrays of an observation, of which one that is told by a goal or shows pictures has several."""
+    """The arrays of an observation. An observation with a goal or pictures has several."""
     return list(observation.values()) if isinstance(observation, dict) else [observation]
 
 
@@ -75,9 +75,9 @@ def test_a_batch_is_printed_or_refused_with_reasons(case: Case) -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_in_two_environments(environment: Supervisor, make: Make) -> None:
-    other = make()
+    fresh = make()
     for seed in (0, 1, 2**31):
-        assert record(environment, seed) == record(other, seed)
+        assert record(environment, seed) == record(fresh, seed)
 
 
 @pytest.mark.parametrize(
@@ -109,9 +109,9 @@ def test_zero_is_a_seed_and_differs_from_others(environment: Supervisor) -> None
 
 def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
     """One process for all cases, since a start costs half a second."""
-    asked = json.dumps([[case.source, case.overrides] for case in cases])
+    request = json.dumps([[case.source, case.overrides] for case in cases])
     program = [sys.executable, str(Path(__file__).with_name("rollout.py"))]
-    answer = subprocess.run(program, input=asked, capture_output=True, text=True, check=True, timeout=600)
+    answer = subprocess.run(program, input=request, capture_output=True, text=True, check=True, timeout=600)
     for case, elsewhere in zip(cases, json.loads(answer.stdout), strict=True):
         here = case.make()
         assert [digest(here, 0)] == elsewhere, str(case)
@@ -121,24 +121,24 @@ def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
 @pytest.mark.parametrize("timing", ["immediate", "delayed"])
 @pytest.mark.parametrize("name", ["cartpole", "rail", "drawn", "pair"])
 def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> None:
-    """`none` knows no delay, so it takes part in immediate timing only."""
+    """`none` has no delay, so it takes part in immediate timing only."""
     data = SCENARIOS / f"{name}.yaml"
     engine, source = ("exact", str(data)) if data.exists() else ("pybullet", name)
-    found = {}
+    digests = {}
     for format in EXACT_FORMATS if timing == "immediate" else EXACT_FORMATS[:-1]:
         environment = api.make(
             source, overrides=[f"messages.format={format}", f"messages.timing={timing}"], engine=engine
         )
-        found[format] = digest(environment, 3)
+        digests[format] = digest(environment, 3)
         environment.close()
-    assert len(set(found.values())) == 1, found
+    assert len(set(digests.values())) == 1, digests
 
 
 # Observations
 
 
 def test_observations_stay_in_their_space(environment: Supervisor, rollouts: list[list[Any]]) -> None:
-    for observation, *_ in (transition for one in rollouts for transition in one):
+    for observation, *_ in (transition for transitions in rollouts for transition in transitions):
         assert all(part.dtype in (np.float32, np.uint8) for part in parts(observation))
         assert environment.observation_space.contains(observation)
 
@@ -156,9 +156,9 @@ def test_observations_share_no_memory(environment: Supervisor) -> None:
 def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
     """The numbers of the observation that never change; a bumper may well touch nothing in so short a
     time."""
-    seen = np.array([numbers(observation) for one in rollouts for observation, *_ in one])
+    rows = np.array([numbers(observation) for transitions in rollouts for observation, *_ in transitions])
     entries = scenario.agent.inputs
-    spreads = np.ptp(seen, axis=0).reshape(-1, len(entries)).max(axis=0)
+    spreads = np.ptp(rows, axis=0).reshape(-1, len(entries)).max(axis=0)
     return {
         entry.name
         for entry, spread in zip(entries, spreads, strict=True)
@@ -169,7 +169,8 @@ def constant(scenario: Program, rollouts: list[list[Any]]) -> set[str]:
 def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list[Any]]) -> None:
     """Under random actions, or under a script of the scenario: one whose world shows itself to skill alone
     has to name such a script."""
-    scenario, still = environment.scenario, constant(environment.scenario, rollouts)
+    scenario = environment.scenario
+    still = constant(environment.scenario, rollouts)
     for script in scenario.agent.scripts if still else ():
         still &= constant(scenario, [list(episode(environment, seed, 250, script.name)) for seed in range(2)])
     assert still == set()
@@ -178,17 +179,18 @@ def test_no_observation_is_constant(environment: Supervisor, rollouts: list[list
 def test_scripts_give_actions_of_the_space_and_the_same_bytes_again(
     environment: Supervisor, make: Make
 ) -> None:
-    other = make()
+    fresh = make()
     for script in environment.scenario.agent.scripts:
         transitions = [
-            [as_bytes(step) for step in episode(world, 5, 60, script.name)] for world in (environment, other)
+            [as_bytes(step) for step in episode(world, 5, 60, script.name)] for world in (environment, fresh)
         ]
         assert transitions[0] == transitions[1]
         assert environment.action_space.contains(environment.script(script.name))
 
 
 def test_episodes_begin_differently(environment: Supervisor) -> None:
-    """Which the first steps show: an inertial sensor, for one, tells nothing of the place."""
+    """The first steps show it. The reset alone does not: an inertial sensor, for example, does not depend on
+    the place."""
 
     def next_episode() -> bytes:
         environment.reset()
@@ -215,8 +217,10 @@ def test_a_reset_says_what_the_episode_draws(environment: Supervisor) -> None:
 
 
 def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[list[Any]]) -> None:
-    known = {ending.name for ending in environment.scenario.endings} | {"max_steps", "max_time"}
-    for _, reward, terminated, truncated, info in (transition for one in rollouts for transition in one):
+    reasons = {ending.name for ending in environment.scenario.endings} | {"max_steps", "max_time"}
+    for _, reward, terminated, truncated, info in (
+        transition for transitions in rollouts for transition in transitions
+    ):
         assert type(reward) is float
         assert type(terminated) is bool
         assert type(truncated) is bool
@@ -227,7 +231,7 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[
             "endings",
             "reward_terms",
         }
-        assert (info["ended_by"] in known) if terminated or truncated else (info["ended_by"] is None)
+        assert (info["ended_by"] in reasons) if terminated or truncated else (info["ended_by"] is None)
         assert (
             not info["is_success"]
             or terminated
@@ -237,13 +241,13 @@ def test_an_episode_ends_for_one_reason(environment: Supervisor, rollouts: list[
 
 
 def test_the_reward_is_the_sum_of_its_terms(rollouts: list[list[Any]]) -> None:
-    for _, reward, _, _, info in (transition for one in rollouts for transition in one):
+    for _, reward, _, _, info in (transition for transitions in rollouts for transition in transitions):
         assert reward == pytest.approx(sum(info["reward_terms"].values()), abs=1e-12)
 
 
 def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> None:
     expected = record(make(), 6, steps=20)
-    found = []
+    transitions = []
     for transition in episode(environment, 6, 20):
         for _ in range(2):
             for agent, robot in product(agents(environment), environment.scenario.robots):
@@ -255,8 +259,8 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
                 environment.get_info(),
             )
             assert str(again) == str(transition)
-        found.append(transition)
-    assert len(found) == len(expected)
+        transitions.append(transition)
+    assert len(transitions) == len(expected)
     assert record(environment, 6, steps=20) == expected
 
 
@@ -331,22 +335,22 @@ def test_a_bad_action_is_refused_in_words_and_changes_nothing(environment: Super
     for bad in (*BAD_ACTIONS, *extra):
         with pytest.raises(UsageError, match=r"^action .* does not fit "):
             environment.step(bad)
-    found = [
+    transitions = [
         as_bytes(environment.step(action))
         for _, action in zip(expected[1:], actions(environment, 8), strict=False)
     ]
-    assert found == expected[1:]
+    assert transitions == expected[1:]
 
 
 def test_an_action_may_come_in_every_usual_form(environment: Supervisor) -> None:
     """As a number of numpy or Python, as an array, as a list: Stable-Baselines3 predicts a choice as an array
     without axes."""
     action = next(actions(environment, 3))
-    found = set()
+    observations = set()
     for form in (action, np.asarray(action), np.asarray(action).tolist()):
         environment.reset(seed=3)
-        found.add(flat_bytes(environment.step(form)[0]))
-    assert len(found) == 1
+        observations.add(flat_bytes(environment.step(form)[0]))
+    assert len(observations) == 1
 
 
 # Gymnasium and Stable-Baselines3

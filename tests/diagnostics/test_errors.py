@@ -1,4 +1,4 @@
-"""The exceptions: one tree, told in the docstring of its module."""
+"""The exceptions: one tree, drawn in the docstring of its module."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
     tmp_path: Path,
 ) -> None:
     clone, packages = tmp_path / "my clone", tmp_path / "packages"
-    known = packages / "deepbots_cli-0.1.0.dist-info"
-    known.mkdir(parents=True)
-    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
-    (known / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
+    metadata = packages / "deepbots_cli-0.1.0.dist-info"
+    metadata.mkdir(parents=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n")
+    (metadata / "direct_url.json").write_text(json.dumps({"url": clone.as_uri(), "dir_info": {}}))
     command = [
         sys.executable,
         "-c",
@@ -48,10 +48,10 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
         if there:
             clone.mkdir()
             (clone / "pyproject.toml").touch()
-        said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-        assert said == f"install it with: pip install '{origin}[sim]'\n"
+        hint = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        assert hint == f"install it with: pip install '{origin}[sim]'\n"
     needed = "Provides-Extra: export\nRequires-Dist: deepbots-robot==0.1.0; extra == 'export'\n"
-    (known / "METADATA").write_text(f"Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n{needed}")
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n{needed}")
     command[-1] = command[-1].replace("sim", "export")
-    said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    assert said == f"install it with: pip install '{clone}/deepbots_robot' '{clone}[export]'\n"
+    hint = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert hint == f"install it with: pip install '{clone}/deepbots_robot' '{clone}[export]'\n"

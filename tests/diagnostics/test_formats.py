@@ -57,42 +57,43 @@ def test_a_workflow_shows_the_finding_at_its_line_with_its_code_and_help() -> No
 
 
 def test_a_workflow_is_given_errors_first_since_it_shows_only_ten() -> None:
-    said = github([warning("a.yaml"), finding(name="b.yaml"), warning("c.yaml"), finding(name="d.yaml")])
-    assert [line.partition(" ")[0] for line in said.splitlines()] == [
+    output = github([warning("a.yaml"), finding(name="b.yaml"), warning("c.yaml"), finding(name="d.yaml")])
+    assert [line.partition(" ")[0] for line in output.splitlines()] == [
         "::error",
         "::error",
         "::warning",
         "::warning",
     ]
-    assert [name for name in ("b.yaml", "d.yaml", "a.yaml", "c.yaml") if name in said] == [
+    assert [name for name in ("b.yaml", "d.yaml", "a.yaml", "c.yaml") if name in output] == [
         "b.yaml",
         "d.yaml",
         "a.yaml",
         "c.yaml",
     ]
-    assert said.index("b.yaml") < said.index("d.yaml") < said.index("a.yaml") < said.index("c.yaml")
+    assert output.index("b.yaml") < output.index("d.yaml") < output.index("a.yaml") < output.index("c.yaml")
 
 
 def test_a_workflow_is_given_no_columns_for_a_place_over_several_lines() -> None:
-    said = github([Finding("DB101", Span(Source("a.yaml", "a:\n  b\n"), 0, 6), "x")])
-    assert said.startswith("::error title=DB101 unknown-key,file=a.yaml,line=1,endLine=2::")
+    output = github([Finding("DB101", Span(Source("a.yaml", "a:\n  b\n"), 0, 6), "x")])
+    assert output.startswith("::error title=DB101 unknown-key,file=a.yaml,line=1,endLine=2::")
 
 
 def test_nothing_from_a_file_becomes_a_workflow_command_of_its_own() -> None:
     evil = "x\n::set-output name=a::b\r::stop-commands::y"
-    found = Finding(
+    hostile = Finding(
         "DB101", Span(Source("a,line=9::b%\n.yaml", "a"), 0, 1), f"100 % {evil}", help=evil, notes=(evil,)
     )
-    said = github([found])
-    assert said.count("\n") == 1
-    assert "\r" not in said
-    assert "file=a%2Cline=9%3A%3Ab%25\\u{a}.yaml,line=1," in said
-    assert "::100 %25 x" in said
+    output = github([hostile])
+    assert output.count("\n") == 1
+    assert "\r" not in output
+    assert "file=a%2Cline=9%3A%3Ab%25\\u{a}.yaml,line=1," in output
+    assert "::100 %25 x" in output
 
 
-def test_sarif_has_a_result_for_each_finding_and_tells_of_the_rules() -> None:
+def test_sarif_has_a_result_for_each_finding_and_describes_the_rules() -> None:
     run = sarif_of([warning(), finding(help="did you mean `timestep`?"), finding(name="b.yaml")])
-    results, rules = run["results"], run["tool"]["driver"]["rules"]  # type: ignore[index]
+    results = run["results"]
+    rules = run["tool"]["driver"]["rules"]  # type: ignore[index]
     assert [(result["ruleId"], result["level"]) for result in results] == [
         ("DB003", "warning"),
         ("DB101", "error"),
@@ -113,7 +114,7 @@ def test_sarif_without_findings_is_a_run_with_no_results() -> None:
     assert sarif_of([])["results"] == []
 
 
-def test_sarif_holds_the_fix_of_a_finding_as_replacements() -> None:
+def test_sarif_has_the_fix_of_a_finding_as_replacements() -> None:
     plain = finding()
     fixed = finding(
         fix=Fix.replacing(plain.span, "tmiestep", "timestep", safe=True), help="did you mean `timestep`?"
@@ -144,25 +145,25 @@ def test_sarif_holds_the_fix_of_a_finding_as_replacements() -> None:
 def test_sarif_names_further_places_and_the_files_that_included_this_one() -> None:
     main = Source("main.yaml", "include: b.yaml")
     part = Source("b.yaml", "a: 1\na: 2\n", Span(main, 9, 15))
-    found = Finding(
+    duplicate = Finding(
         "DB002", Span(part, 5, 6), "given twice", labels=(Label(Span(part, 0, 1), "first defined here"),)
     )
-    (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]
-    told = [
+    (result,) = sarif_of([duplicate])["results"]  # type: ignore[attr-defined]
+    related = [
         (place["message"]["text"], place["physicalLocation"]["artifactLocation"]["uri"])
         for place in result["relatedLocations"]
     ]
-    assert told == [("first defined here", "b.yaml"), ("included from here", "main.yaml")]
+    assert related == [("first defined here", "b.yaml"), ("included from here", "main.yaml")]
 
 
 def test_a_file_below_the_working_directory_is_named_from_there_in_every_format(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found = [finding(name=str(tmp_path / "my worlds" / "a.yaml"))]
-    assert "file=my worlds/a.yaml," in github(found)
-    assert "my%20worlds/a.yaml" in sarif(found, page)
-    assert 'file="my worlds/a.yaml"' in junit(found, [], ("error",))
+    findings = [finding(name=str(tmp_path / "my worlds" / "a.yaml"))]
+    assert "file=my worlds/a.yaml," in github(findings)
+    assert "my%20worlds/a.yaml" in sarif(findings, page)
+    assert 'file="my worlds/a.yaml"' in junit(findings, [], ("error",))
     elsewhere = finding(name="/elsewhere/a.yaml")
     assert '"file:///elsewhere/a.yaml"' in sarif([elsewhere], page)
 
@@ -210,7 +211,7 @@ def test_any_text_whatever_makes_reports_that_programs_can_read(
 ) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source(name, text)
-    found = Finding(
+    reported = Finding(
         "DB101",
         Span(source, start, end),
         f"x{headline}",
@@ -218,8 +219,8 @@ def test_any_text_whatever_makes_reports_that_programs_can_read(
         (Label(Span(source, 0, start), headline),),
         (headline,),
     )
-    assert github([found]).count("\n") == 1
-    ElementTree.fromstring(junit([found], [name], ("error",)))
-    (result,) = sarif_of([found])["results"]  # type: ignore[attr-defined]
+    assert github([reported]).count("\n") == 1
+    ElementTree.fromstring(junit([reported], [name], ("error",)))
+    (result,) = sarif_of([reported])["results"]  # type: ignore[attr-defined]
     uri = result["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert Path(unquote(uri.removeprefix("file://"))) == Path(name) or "\\" in name or "\0" in name

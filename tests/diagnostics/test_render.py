@@ -23,14 +23,14 @@ def finding(text: str, marked: str, name: str = "a.yaml", **more: object) -> Fin
 
 
 def test_the_full_form_shows_the_line_and_underlines_the_place() -> None:
-    shown = render(
+    text = render(
         [
             finding(
                 "world:\n  tmiestep: 32 ms\n", "tmiestep", help="did you mean `timestep`?", notes=("a note",)
             )
         ]
     )
-    assert shown == (
+    assert text == (
         "error DB101[unknown-key]: the key is not known\n"
         " --> a.yaml:2:3\n"
         "  |\n"
@@ -63,18 +63,18 @@ def test_further_places_are_shown_in_the_order_of_the_file() -> None:
 
 
 def test_a_place_in_another_file_is_shown_apart() -> None:
-    other = Source("b.yaml", "x: 1")
-    shown = render([finding("y: 1", "y", labels=(Label(Span(other, 0, 1), "defined here"),))])
-    assert " --> a.yaml:1:1\n" in shown
-    assert " --> b.yaml:1:1\n" in shown
-    assert "| - defined here" in shown
+    other_file = Source("b.yaml", "x: 1")
+    text = render([finding("y: 1", "y", labels=(Label(Span(other_file, 0, 1), "defined here"),))])
+    assert " --> a.yaml:1:1\n" in text
+    assert " --> b.yaml:1:1\n" in text
+    assert "| - defined here" in text
 
 
 def test_a_finding_in_an_included_file_shows_the_chain() -> None:
     main = Source("main.yaml", "include: b.yaml")
     middle = Source("b.yaml", "\ninclude: c.yaml", place(main, "b.yaml"))
-    shown = render([Finding("DB101", Span(Source("c.yaml", "x", place(middle, "c.yaml")), 0, 1), "x")])
-    assert [line.strip() for line in shown.splitlines()[1:4]] == [
+    text = render([Finding("DB101", Span(Source("c.yaml", "x", place(middle, "c.yaml")), 0, 1), "x")])
+    assert [line.strip() for line in text.splitlines()[1:4]] == [
         "--> c.yaml:1:1",
         "included from b.yaml:2:10",
         "included from main.yaml:1:10",
@@ -121,37 +121,37 @@ def test_a_long_line_is_cropped_around_the_place(before: int) -> None:
 def test_color_changes_nothing_but_the_escapes() -> None:
     import re
 
-    found = [finding("a: 1", "a", help="b", notes=("c",))]
-    colored = render(found, color=True)
+    findings = [finding("a: 1", "a", help="b", notes=("c",))]
+    colored = render(findings, color=True)
     assert "\x1b[1;31m" in colored
-    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == render(found)
+    assert re.sub(r"\x1b\[[0-9;]*m", "", colored) == render(findings)
 
 
 @pytest.mark.parametrize("format", ["full", "concise"])
 def test_nothing_from_a_file_is_obeyed_by_the_terminal(format: str) -> None:
     evil = "a: \x1b[2J\x07\u202e\x9b31m"
-    found = Finding(
+    hostile = Finding(
         "DB101", place(Source("\x1b]0;x\x07.yaml", evil), "a"), f"bad {evil}", f"help {evil}\n", notes=(evil,)
     )
-    shown = render([found], format)  # type: ignore[arg-type]
-    assert not set("\x1b\x07\u202e\x9b").intersection(shown)
-    assert "\\u{1b}" in shown
+    text = render([hostile], format)  # type: ignore[arg-type]
+    assert not set("\x1b\x07\u202e\x9b").intersection(text)
+    assert "\\u{1b}" in text
 
 
 def test_the_concise_form_is_one_line_that_editors_can_link() -> None:
-    found = finding("a:\n  b: 1", "b", help="write\nc")
+    unknown_key = finding("a:\n  b: 1", "b", help="write\nc")
     assert (
-        render([found], "concise")
+        render([unknown_key], "concise")
         == "a.yaml:2:3: error DB101[unknown-key] the key is not known (write\\u{a}c)\n"
     )
 
 
 def test_the_json_form_is_versioned_and_complete() -> None:
     source = Source("a.yaml", "é: 1\nb: 2\n")
-    found = Finding(
+    reported = Finding(
         "DB003", Span(source, 5, 6), "text", "help", (Label(Span(source, 0, 1), "here"),), ("note",)
     )
-    assert json.loads(render([found], "json")) == {
+    assert json.loads(render([reported], "json")) == {
         "version": 1,
         "findings": [
             {
@@ -202,7 +202,7 @@ def test_the_summary_counts_by_severity() -> None:
 def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headline: str, width: int) -> None:
     start, end = sorted((min(one, len(text)), min(two, len(text))))
     source = Source("a.yaml", text)
-    found = Finding(
+    reported = Finding(
         "DB101",
         Span(source, start, end),
         headline,
@@ -210,6 +210,6 @@ def test_any_place_in_any_text_can_be_drawn(text: str, one: int, two: int, headl
         (Label(Span(source, 0, start), headline),),
         (headline,),
     )
-    assert "^" in render([found], width=width)
-    assert render([found], "concise").count("\n") == 1
-    assert json.loads(render([found], "json"))["findings"][0]["message"] == headline
+    assert "^" in render([reported], width=width)
+    assert render([reported], "concise").count("\n") == 1
+    assert json.loads(render([reported], "json"))["findings"][0]["message"] == headline

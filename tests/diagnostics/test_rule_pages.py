@@ -1,5 +1,5 @@
-"""What the pages of lint rules show is so: the example has the finding, and what stands there instead has
-none of that code."""
+"""The pages of lint rules are true: the example has the finding, and its replacement has none of that
+code."""
 
 from __future__ import annotations
 
@@ -41,11 +41,12 @@ truncation: {max_steps: 100}
 """
 
 
-def codes(text: str, page: RulePage, folder: Path) -> set[str]:
-    """What is found in a fragment upon CartPole, by a simulation too where the page is about one, or in a
-    robot file."""
+def codes_of(text: str, page: RulePage, folder: Path) -> set[str]:
+    """The codes of the findings in a fragment upon CartPole or in a robot file. Where the page is about a
+    simulated rule, a simulation runs too."""
     if page.language == "xml":
-        file, findings = folder / "robot.urdf", Findings()
+        file = folder / "robot.urdf"
+        findings = Findings()
         file.write_text(text, encoding="utf-8")
         robot = read(file, file.name, findings)
         scenario = folder / "robot.yaml"
@@ -56,16 +57,16 @@ def codes(text: str, page: RulePage, folder: Path) -> set[str]:
         measured = api.lint(scenario) if robot is not None and robot.model.moving_joints else []
         return {finding.code for finding in (*findings, *measured)}
     checked = check(loads(f"deepbots: 1\nextends: cartpole.yaml\n{text}\n", base=SCENARIOS))
-    found = [*checked.findings, *static_findings(checked, preview=True)]
+    reported = [*checked.findings, *static_findings(checked, preview=True)]
     if page.deep:
-        assert page.code not in {finding.code for finding in found}, "the text alone tells it"
+        assert page.code not in {finding.code for finding in reported}, "the text alone tells it"
         searched = RULES[page.code].deep == "exploits"
-        found += (
-            [each.finding for each in find_exploits(checked).exploits]
+        reported += (
+            [exploit.finding for exploit in find_exploits(checked).exploits]
             if searched
             else simulate(checked, preview=True).findings
         )
-    kept, unused = suppress(found, checked.document.sources, preview=True, deep=page.deep)
+    kept, unused = suppress(reported, checked.document.sources, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
 
 
@@ -83,10 +84,10 @@ of them."""
 def test_the_example_of_a_page_has_its_finding_and_what_to_write_instead_has_not(
     page: RulePage, tmp_path: Path
 ) -> None:
-    assert page.code in codes(page.example, page, tmp_path)
-    found = codes(page.instead, page, tmp_path)
-    assert page.code not in found
-    assert not {code for code in found if RULES[code].severity == "error"}
+    assert page.code in codes_of(page.example, page, tmp_path)
+    codes = codes_of(page.instead, page, tmp_path)
+    assert page.code not in codes
+    assert not {code for code in codes if RULES[code].severity == "error"}
 
 
 def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
@@ -106,7 +107,7 @@ def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
         assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
 
 
-def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
+def test_every_simulated_rule_has_a_page_of_its_own() -> None:
     deep = {code for code, entry in RULES.items() if entry.deep != "no"}
     assert (
         deep
@@ -115,7 +116,7 @@ def test_what_a_simulation_finds_has_a_page_of_its_own() -> None:
     )
 
 
-def test_what_the_text_tells_has_a_page_of_its_own() -> None:
+def test_every_static_rule_has_a_page_of_its_own() -> None:
     assert {rule.code for rule in STATIC_RULES} <= {page.code for page in every_page() if not page.deep}
 
 

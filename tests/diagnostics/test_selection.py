@@ -9,23 +9,23 @@ from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, suppress
 from deepbots_cli.errors import UsageError
 
 
-def words(*given: str, option: str = "--select") -> RuleSelectors:
-    return RuleSelectors(given, Source(option, ",".join(given)))
+def selectors(*words: str, option: str = "--select") -> RuleSelectors:
+    return RuleSelectors(words, Source(option, ",".join(words)))
 
 
-def shown(selection: Selection, *codes: str) -> list[str]:
-    found = [Finding(code, Span(Source("a.yaml", "a"), 0, 1), "x") for code in codes]
-    return [finding.code for finding in found if selection.selects(finding)]
+def selected_codes(selection: Selection, *codes: str) -> list[str]:
+    findings = [Finding(code, Span(Source("a.yaml", "a"), 0, 1), "x") for code in codes]
+    return [finding.code for finding in findings if selection.selects(finding)]
 
 
 def test_without_a_word_everything_is_shown() -> None:
-    assert shown(Selection(), "DB003", "DB504", "DB603") == ["DB003", "DB504", "DB603"]
+    assert selected_codes(Selection(), "DB003", "DB504", "DB603") == ["DB003", "DB504", "DB603"]
     assert Selection().selects_all
 
 
 def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
-    selection = Selection(words("DB5", "DB603", "never-true"))
-    assert shown(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == [
+    selection = Selection(selectors("DB5", "DB603", "never-true"))
+    assert selected_codes(selection, "DB003", "DB504", "DB505", "DB603", "DB611", "DB801", "DB804") == [
         "DB504",
         "DB505",
         "DB603",
@@ -34,8 +34,8 @@ def test_the_beginning_of_codes_a_code_and_a_name_select() -> None:
     assert not selection.selects_all
 
 
-def test_what_is_ignored_is_not_shown() -> None:
-    assert shown(Selection(None, words("DB5")), "DB003", "DB504") == ["DB003"]
+def test_ignored_findings_are_not_shown() -> None:
+    assert selected_codes(Selection(None, selectors("DB5")), "DB003", "DB504") == ["DB003"]
 
 
 @pytest.mark.parametrize(
@@ -50,20 +50,24 @@ def test_what_is_ignored_is_not_shown() -> None:
 def test_the_longer_of_two_words_counts_and_ignoring_among_equals(
     select: str, ignore: str, left: list[str]
 ) -> None:
-    assert shown(Selection(words(select), words(ignore)), "DB504", "DB505") == left
+    assert selected_codes(Selection(selectors(select), selectors(ignore)), "DB504", "DB505") == left
 
 
 def test_an_error_in_text_or_shape_is_shown_whatever_is_asked_for() -> None:
-    selection = Selection(words("DB7"), words("DB0", "DB101"))
-    assert shown(selection, "DB001", "DB003", "DB101", "DB402", "DB702") == ["DB001", "DB101", "DB702"]
+    selection = Selection(selectors("DB7"), selectors("DB0", "DB101"))
+    assert selected_codes(selection, "DB001", "DB003", "DB101", "DB402", "DB702") == [
+        "DB001",
+        "DB101",
+        "DB702",
+    ]
 
 
 def test_case_and_blanks_do_not_matter() -> None:
-    assert shown(Selection(words(" db5 ")), "DB003", "DB504") == ["DB504"]
+    assert selected_codes(Selection(selectors(" db5 ")), "DB003", "DB504") == ["DB504"]
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("DB77", "--select: there is no finding 'DB77'; did you mean DB"),
         ("term-dominate", "did you mean term-dominates?"),
@@ -71,38 +75,36 @@ def test_case_and_blanks_do_not_matter() -> None:
         ("zzzzz", "deepbots explain lists them"),
     ],
 )
-def test_a_word_that_fits_nothing_is_refused(word: str, said: str) -> None:
+def test_a_word_that_fits_nothing_is_refused(word: str, message: str) -> None:
     with pytest.raises(UsageError) as refused:
-        Selection(words(word))
-    assert said in str(refused.value)
+        Selection(selectors(word))
+    assert message in str(refused.value)
 
 
 def test_a_selection_of_nothing_is_refused() -> None:
     with pytest.raises(UsageError, match="nothing is selected"):
-        Selection(words())
+        Selection(selectors())
 
 
-def test_a_rule_in_preview_that_is_selected_by_itself_is_told_of() -> None:
-    (doubt,) = Selection(words("DB5", "hidden-state-reward")).inactive_rules()
-    assert (doubt.code, doubt.span.location, doubt.span.text) == (
-        "DB902",
-        "--select:1:5",
-        "hidden-state-reward",
-    )
+def test_a_rule_in_preview_that_is_selected_by_itself_is_noted() -> None:
+    (doubt,) = Selection(selectors("DB5", "hidden-state-reward")).inactive_rules()
+    assert doubt.code == "DB902"
+    assert doubt.span.location == "--select:1:5"
+    assert doubt.span.text == "hidden-state-reward"
     assert "--preview" in (doubt.help or "")
 
 
 @pytest.mark.parametrize(
     "selection",
     [
-        Selection(words("DB706"), preview=True),
-        Selection(words("DB7")),
-        Selection(words("DB706"), words("DB902", option="--ignore")),
-        Selection(words("DB706"), words("DB706", option="--ignore")),
-        Selection(None, words("DB706", option="--ignore")),
+        Selection(selectors("DB706"), preview=True),
+        Selection(selectors("DB7")),
+        Selection(selectors("DB706"), selectors("DB902", option="--ignore")),
+        Selection(selectors("DB706"), selectors("DB706", option="--ignore")),
+        Selection(None, selectors("DB706", option="--ignore")),
     ],
 )
-def test_nothing_is_told_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
+def test_nothing_is_noted_where_previews_run_or_one_is_not_really_selected(selection: Selection) -> None:
     assert selection.inactive_rules() == []
 
 
@@ -165,17 +167,17 @@ def test_a_comment_on_the_line_or_above_it_suppresses_a_warning(text: str) -> No
 )
 def test_a_comment_that_suppresses_nothing_is_reported(text: str, marked: str, headline: str) -> None:
     source = Source("a.yaml", text)
-    found = [warning(source, "on")]
-    kept, unused = suppress(found, [source])
-    assert kept == found
+    findings = [warning(source, "on")]
+    kept, unused = suppress(findings, [source])
+    assert kept == findings
     assert [(f.code, f.span.text, f.headline) for f in unused] == [("DB901", marked, headline)]
 
 
 def test_an_error_is_never_suppressed() -> None:
     source = Source("a.yaml", "a: on # deepbots: ignore[DB101]\n")
-    found = [warning(source, "on", "DB101")]
-    kept, unused = suppress(found, [source])
-    assert kept == found
+    findings = [warning(source, "on", "DB101")]
+    kept, unused = suppress(findings, [source])
+    assert kept == findings
     assert len(unused) == 1
 
 

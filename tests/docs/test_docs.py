@@ -72,9 +72,9 @@ def blocks(language: str) -> list[Block]:
 
 def _blocks(page: Path) -> Iterator[Block]:
     text = page.read_text(encoding="utf-8")
-    for found in re.finditer(r"^```(\w+)[ ]?([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+    for match in re.finditer(r"^```(\w+)[ ]?([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
         yield Block(
-            str(page.relative_to(ROOT)), text[: found.start()].count("\n") + 1, found[1], found[2], found[3]
+            str(page.relative_to(ROOT)), text[: match.start()].count("\n") + 1, match[1], match[2], match[3]
         )
 
 
@@ -111,9 +111,9 @@ def test_a_scenario_in_the_docs_is_what_the_text_says(block: Block, tmp_path: Pa
         for file in _blocks(ROOT / block.page):
             if file.language == "xml" and file.mark:  # a robot file of the same page
                 (tmp_path / file.mark).write_text(file.text, encoding="utf-8")
-        found = findings_of(UPON_CARTPOLE + block.text, tmp_path)
+        findings = findings_of(UPON_CARTPOLE + block.text, tmp_path)
         assert [
-            f"{finding.code} {finding.headline}" for finding in found if finding.severity == "error"
+            f"{finding.code} {finding.headline}" for finding in findings if finding.severity == "error"
         ] == []
     else:
         assert [f"{finding.code} {finding.headline}" for finding in findings_of(block.text)] == []
@@ -129,15 +129,15 @@ def test_python_in_the_docs_runs(block: Block, monkeypatch: pytest.MonkeyPatch):
 
 
 def command_lines() -> list[tuple[str, str]]:
-    found = []
+    lines = []
     for block in blocks("console"):
-        found += [
+        lines += [
             (str(block), line.removeprefix("$ ")) for line in block.text.splitlines() if line.startswith("$ ")
         ]
     for page in PAGES:
         quoted = re.findall(r"`(deepbots [a-z][^`]*)`", page.read_text(encoding="utf-8"))
-        found += [(page.name, line) for line in quoted if not re.search("COMMAND|VERB|NAME", line)]
-    return sorted(set(found))
+        lines += [(page.name, line) for line in quoted if not re.search("COMMAND|VERB|NAME", line)]
+    return sorted(set(lines))
 
 
 @pytest.mark.parametrize(("place", "line"), command_lines(), ids=str)
@@ -181,7 +181,8 @@ def linked(page: Path) -> set[Path]:
 
 
 def test_every_page_is_reached_from_the_readme():
-    reached, waiting = set(), {ROOT / "README.md"}
+    reached = set()
+    waiting = {ROOT / "README.md"}
     while waiting:
         page = waiting.pop()
         reached.add(page)
@@ -217,12 +218,12 @@ def test_a_page_speaks_of_nothing_that_a_reader_cannot_see(page: Path):
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
 def test_the_map_of_a_package_names_its_modules_and_no_others(package: Path):
-    shown = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
+    docstring = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8"))) or ""
     modules = {path.name for path in package.glob("*.py")} - {"__init__.py", "__main__.py"}
     named = (
         {f"{place.partition('.')[0]}.py" for place, _ in COMMANDS.values()}
         if package.name == "commands"
-        else set(re.findall(r"\b[a-z_]+\.py\b", shown))
+        else set(re.findall(r"\b[a-z_]+\.py\b", docstring))
     )
     assert named == modules
 
@@ -235,11 +236,11 @@ def test_the_readme_shows_a_finding_as_lint_prints_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     (scenario,) = (block.text for block in blocks("yaml") if block.page == "README.md")
-    (shown,) = (block.text for block in blocks("text") if block.page == "README.md")
+    (example,) = (block.text for block in blocks("text") if block.page == "README.md")
     monkeypatch.chdir(tmp_path)
     Path("pole.yaml").write_text(scenario.replace("> 15 deg", "> 15"), encoding="utf-8")
     assert main(["lint", "pole.yaml"]) == 1
-    assert capsys.readouterr().out.startswith(shown)
+    assert capsys.readouterr().out.startswith(example)
 
 
 def test_the_page_about_the_pipeline_quotes_the_code():

@@ -26,32 +26,33 @@ def _schema(verb: str) -> dict[str, Any]:
 
 
 def steps() -> list[tuple[list[str], Any]]:
-    """Each block of commands, and what the last of them prints."""
-    found = re.findall(
+    """Each block of commands, and the output of its last command."""
+    blocks = re.findall(
         r"```console\n(.*?)```\n\n```json\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
     )
     return [
         ([line.removeprefix("$ ") for line in commands.splitlines()], json.loads(shown))
-        for commands, shown in found
+        for commands, shown in blocks
     ]
 
 
-def lacking(shown: Any, printed: Any, place: str = "") -> list[str]:
-    """What is shown and was not printed: keys in any order, and the first items of a list."""
-    if isinstance(shown, dict) and isinstance(printed, dict):
+def missing_values(expected: Any, printed: Any, place: str = "") -> list[str]:
+    """The values that the page shows and the command did not print. Keys may come in any order, and of a list
+    the page may show the first items only."""
+    if isinstance(expected, dict) and isinstance(printed, dict):
         return [
             text
-            for key, value in shown.items()
-            for text in lacking(value, printed.get(key), f"{place}.{key}")
+            for key, value in expected.items()
+            for text in missing_values(value, printed.get(key), f"{place}.{key}")
         ]
-    if isinstance(shown, list) and isinstance(printed, list):
-        pairs = zip(shown, [*printed, *[None] * len(shown)], strict=False)
+    if isinstance(expected, list) and isinstance(printed, list):
+        pairs = zip(expected, [*printed, *[None] * len(expected)], strict=False)
         return [
             text
-            for number, (one, other) in enumerate(pairs)
-            for text in lacking(one, other, f"{place}[{number}]")
+            for number, (expected_item, printed_item) in enumerate(pairs)
+            for text in missing_values(expected_item, printed_item, f"{place}[{number}]")
         ]
-    return [] if shown == printed else [f"{place}: {shown!r} is shown, {printed!r} was printed"]
+    return [] if expected == printed else [f"{place}: {expected!r} is shown, {printed!r} was printed"]
 
 
 @pytest.mark.slow
@@ -69,7 +70,7 @@ def test_the_loop_for_agents_prints_what_the_page_shows(
                 f"{command}: {error.message}"
                 for error in jsonschema.Draft202012Validator(_schema(verb)).iter_errors(printed)
             ]
-        wrong += lacking(shown, printed, commands[-1])
+        wrong += missing_values(shown, printed, commands[-1])
         if commands[0].startswith("deepbots new"):
             scenario = Path("mine.yaml")
             scenario.write_text(
@@ -97,7 +98,7 @@ FAULTS = {
 }
 
 
-def test_a_script_that_knows_no_word_of_the_language_repairs_twelve_faults_by_the_edits_of_lint(
+def test_a_script_repairs_twelve_faults_by_the_edits_of_lint_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

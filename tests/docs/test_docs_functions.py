@@ -1,4 +1,4 @@
-"""Every function of the language has an example in the reference, which runs as it stands there."""
+"""Every function of the language has an example in the reference that runs as it is printed."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ def test_the_examples_give_finite_values_in_every_step(checked: CheckedScenario)
     compiled = api.compile(checked)
     fields = [entry.name for entry in compiled.program.agent.numbers]
     env = api.build(compiled.program)
-    seen = [env.reset(seed=1)[0]]
+    observations = [env.reset(seed=1)[0]]
     env.action_space.seed(1)
-    seen += [env.step(env.action_space.sample())[0] for _ in range(20)]
+    observations += [env.step(env.action_space.sample())[0] for _ in range(20)]
     env.close()
-    values = np.array(seen)
+    values = np.array(observations)
     assert values.shape == (21, len(fields))
     assert [
         name for name, column in zip(fields, values.T, strict=True) if not np.isfinite(column).all()

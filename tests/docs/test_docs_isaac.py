@@ -64,7 +64,8 @@ def rows(text: str = TEXT) -> Iterator[Row]:
             head, under, line, *observed = cells(text) if text else ("end", "", "")
             if head and names:
                 yield Row(names, tuple(lines), reason)
-                lines, reason = [], ""
+                lines = []
+                reason = ""
             if head:
                 names = tuple(code(head)) or (head,)
             if line.startswith("`"):
@@ -80,9 +81,9 @@ WITH_LINES = [row for row in ROWS if row.lines]
 
 
 def base() -> str:
-    found = re.search(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
-    assert found is not None
-    return found[1]
+    block = re.search(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
+    assert block is not None
+    return block[1]
 
 
 def written(tree: dict[str, Any], indent: int = 0) -> Iterator[str]:
@@ -107,9 +108,9 @@ def scenario(folder: Path, lines: tuple[Line, ...], more: str = "") -> Path:
         mapping[line.text] = line.text
         if observes and line.place == ("robots", "dog", "sensors"):
             tree["robots"]["dog"].setdefault("emit", {})[line.name] = f"{line.name}: {line.name}"
-    shown = [line.name for line in lines if observes and line.place == ("signals",)]
-    if shown:
-        tree["augment"] = f"augment: [{', '.join([*AUGMENTED, *shown])}]"
+    observed = [line.name for line in lines if observes and line.place == ("signals",)]
+    if observed:
+        tree["augment"] = f"augment: [{', '.join([*AUGMENTED, *observed])}]"
     (folder / "base.yaml").write_text(base(), encoding="utf-8")
     path = folder / "row.yaml"
     text = "\n".join(["deepbots: 1", "extends: base.yaml", "name: Row", *written(tree), more, ""])
@@ -125,12 +126,12 @@ def errors(folder: Path, lines: tuple[Line, ...]) -> list[str]:
     ]
 
 
-def exclude_each_other(one: Row, other: Row) -> bool:
+def exclude_each_other(row: Row, other_row: Row) -> bool:
     """Whether two rows define the same name differently; the mirror image does not know pictures."""
-    return any(line.name == "symmetry" for line in (*one.lines, *other.lines)) or any(
+    return any(line.name == "symmetry" for line in (*row.lines, *other_row.lines)) or any(
         a.name == b.name and a != b and (a.place == ("observation",)) == (b.place == ("observation",))
-        for a in one.lines
-        for b in other.lines
+        for a in row.lines
+        for b in other_row.lines
     )
 
 
@@ -156,7 +157,10 @@ def test_all_lines_compile_in_scenarios_that_extend_the_quadruped(tmp_path: Path
     assert len(parts) < 20
     wrong = [part for part in parts if errors(tmp_path, lines_of(part))]
     assert [
-        (row.names[0], found) for part in wrong for row in part if (found := errors(tmp_path, row.lines))
+        (row.names[0], messages)
+        for part in wrong
+        for row in part
+        if (messages := errors(tmp_path, row.lines))
     ] == []
 
 
@@ -248,7 +252,8 @@ FORMULAS: dict[str, Formula] = {
 
 def seen_from(turned: tuple[float, float, float, float], vector: Any) -> np.ndarray:
     """A vector of the world in a frame that a quaternion (x, y, z, w) turns."""
-    axis, w = np.array(turned[:3]), turned[3]
+    axis = np.array(turned[:3])
+    w = turned[3]
     across = np.cross(axis, vector)
     return np.array(vector) - 2.0 * w * across + 2.0 * np.cross(axis, across)
 

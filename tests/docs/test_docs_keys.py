@@ -54,7 +54,7 @@ class Key(NamedTuple):
 
 
 class Place(NamedTuple):
-    """A part in a scenario that stands there with these keys."""
+    """A part of a scenario with the keys that it has."""
 
     document: Document
     path: NodePath
@@ -85,21 +85,21 @@ KEYS = [key for key in KEYS if not issubclass(key.owner, Training) or key.owner 
 
 @cache
 def places() -> tuple[Place, ...]:
-    found = []
+    hosts = []
     for host in HOSTS:
         document = load(host)
         assert document.root is not None
         data = to_data(document.root)
         for path, node in walk(document.root):
             if isinstance(node, MappingNode) and isinstance(part := shape_at(Scenario, data, path), type):
-                found.append(Place(document, path, part, frozenset(node.entries)))
-    return tuple(found)
+                hosts.append(Place(document, path, part, frozenset(node.entries)))
+    return tuple(hosts)
 
 
 def fitting(key: Key) -> list[Place]:
-    """Where an example may be tried, cheap hosts first: where the key stands already, where nothing excludes
-    it, then anywhere."""
-    found = [
+    """The places where an example may be tried, cheap hosts first: those that have the key already, those
+    where nothing excludes it, then all others."""
+    candidates = [
         place
         for place in places()
         if issubclass(place.part, key.owner) and key.name in section_fields(place.part)
@@ -109,7 +109,7 @@ def fitting(key: Key) -> list[Place]:
         costly = place.document.path.stem in COSTLY
         return costly, key.name not in place.keys, bool(excluded(place, key)), place.part is not key.owner
 
-    return sorted(found, key=order)
+    return sorted(candidates, key=order)
 
 
 def excluded(place: Place, key: Key) -> set[str]:
@@ -139,32 +139,31 @@ def with_example(place: Place, key: Key) -> CheckedScenario:
 
 
 def findings_of(checked: CheckedScenario) -> list[str]:
-    """What lint says; that nothing uses a definition is said of examples that define something, and is no
-    fault of theirs."""
-    found = [
+    """The findings of lint without DB205, which is reported for every example that only defines something."""
+    findings = [
         f"{finding.code} {finding.headline}"
         for finding in [*checked.findings, *lint.static_findings(checked)]
     ]
-    return [finding for finding in found if not finding.startswith("DB205")]
+    return [finding for finding in findings if not finding.startswith("DB205")]
 
 
 @cache
 def known_findings(host: FilePath) -> frozenset[str]:
-    """What lint says of the scenario itself: warnings about robot files of packages."""
+    """The findings of the scenario itself: warnings about robot files of packages."""
     return frozenset(findings_of(check(load(host))))
 
 
 @cache
 def tried(key: Key) -> tuple[CheckedScenario | None, str]:
-    """The first scenario in which the example lints clean; None, with what is said of it elsewhere."""
-    said = []
+    """The first scenario in which the example lints clean; None, with its findings in all scenarios."""
+    problems = []
     for place in fitting(key)[:50]:
         checked = with_example(place, key)
-        found = set(findings_of(checked)) - known_findings(place.document.path)
-        if not found:
+        findings = set(findings_of(checked)) - known_findings(place.document.path)
+        if not findings:
             return checked, ""
-        said.append(f"{place.document.path.name} {'.'.join(map(str, place.path))}: {sorted(found)}")
-    return None, "\n".join(said) or "no scenario has a place for it"
+        problems.append(f"{place.document.path.name} {'.'.join(map(str, place.path))}: {sorted(findings)}")
+    return None, "\n".join(problems) or "no scenario has a place for it"
 
 
 @pytest.mark.parametrize("part", dict.fromkeys(part for part, _ in PARTS), ids=lambda part: part.__name__)
@@ -176,20 +175,20 @@ def test_every_key_has_an_example(part: type[Section]):
 
 
 def test_every_example_is_of_a_key():
-    known = {
+    fields = {
         base.__name__: set(base.model_fields)
         for part, _ in PARTS
         for base in part.__mro__
         if issubclass(base, Section)
     }
-    known["Training"] |= {
+    fields["Training"] |= {
         name for part, _ in PARTS if issubclass(part, Training) for name in section_fields(part)
     }
     assert [
         f"{part}.{key}"
         for part, keys in examples().items()
         for key in keys
-        if key not in known.get(part, set())
+        if key not in fields.get(part, set())
     ] == []
 
 
@@ -198,22 +197,22 @@ def test_every_example_is_of_a_key():
     dict.fromkeys(part for part, _ in PARTS if part.__module__.endswith(("sensors", "actuators", "world"))),
     ids=lambda part: part.__name__,
 )
-def test_every_part_stands_in_a_scenario_that_runs(part: type[Section]):
+def test_every_part_is_used_in_a_scenario_that_runs(part: type[Section]):
     assert any(place.part is part for place in places())
 
 
 @pytest.mark.parametrize("key", every(5, [key for key in KEYS if key.name not in FOREIGN]))
 def test_an_example_lints_clean_in_its_place(key: Key):
-    checked, said = tried(key)
-    assert checked is not None, said
+    checked, problems = tried(key)
+    assert checked is not None, problems
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_the_examples_of_an_algorithm_lint_clean_together(algorithm: str):
     own = {
-        key: found.data
+        key: example.data
         for key in ALGORITHMS[algorithm].hyperparameter_names()
-        if (found := example_of(ALGORITHMS[algorithm], key))
+        if (example := example_of(ALGORITHMS[algorithm], key))
     }
     text = json.dumps({"deepbots": 1, "train": {"algorithm": algorithm, "total_timesteps": 100_000} | own})
     host = LEARNER_HOSTS.get(algorithm, "ranges.yaml")

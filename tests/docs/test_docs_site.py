@@ -54,8 +54,8 @@ def without_code(text: str) -> str:
 
 def targets(place: str, text: str) -> list[tuple[str, str]]:
     """Where the links and pictures of a page lead: a place in the site, and an anchor."""
-    found = re.findall(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"", text)
-    links = [(link or image).partition("#") for link, image in found if "://" not in link]
+    matches = re.findall(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"", text)
+    links = [(link or image).partition("#") for link, image in matches if "://" not in link]
     return [
         (posixpath.normpath(posixpath.join(posixpath.dirname(place), path)) if path else place, anchor)
         for path, _, anchor in links
@@ -171,8 +171,8 @@ def test_a_key_in_an_example_shows_its_description_and_a_name_shows_none(site: M
     ]
     block = f"{spans[0]}: {{{spans[1]}: 4}}\n{spans[2]}:\n  {spans[3]}: {{}}\n"
     page = '<div class="highlight-{}"><div class="highlight"><pre><span></span>{}</pre></div></div>'
-    shown = import_module("hover").with_hover_texts(page.format("yaml notranslate", block))
-    titles = re.findall(r'<span class="nt"(?: title="([^"]*)")?>(\w+)</span>', shown)
+    page_text = import_module("hover").with_hover_texts(page.format("yaml notranslate", block))
+    titles = re.findall(r'<span class="nt"(?: title="([^"]*)")?>(\w+)</span>', page_text)
     assert [(bool(title), name) for title, name in titles] == [
         (True, "world"),
         (True, "substeps"),
@@ -180,7 +180,7 @@ def test_a_key_in_an_example_shows_its_description_and_a_name_shows_none(site: M
         (False, "cart"),
     ]
     assert titles[1][0].startswith("Number of physics steps")
-    assert re.sub(r' title="[^"]*"', "", shown) == page.format("yaml notranslate", block)
+    assert re.sub(r' title="[^"]*"', "", page_text) == page.format("yaml notranslate", block)
     assert "title" not in import_module("hover").with_hover_texts(page.format("python notranslate", block))
 
 
@@ -275,25 +275,31 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
     with browser() as new_tab:
         tab = new_tab()
         tab.call("Page.navigate", url=(built_site / "worlds.html").as_uri())
-        shown = (
+        visible_cards = (
             "[...document.querySelectorAll('.card')].filter(card => card.offsetParent).map(card =>"
             " card.querySelector('strong').innerText)"
         )
-        assert len(tab.wait(f"document.querySelector('.filters') && {shown}")) == len(
+        assert len(tab.wait(f"document.querySelector('.filters') && {visible_cards}")) == len(
             import_module("build_gallery").families()
         )
         choose = "(() => {{ const s = document.querySelectorAll('.filters select')[{}]; s.value = '{}';"
         choose += " s.dispatchEvent(new Event('change', {{bubbles: true}})); return true; }})()"
         tab.run(choose.format(1, "gyro"))
-        assert tab.run(shown) == ["Balancer", "PitEscape", "Hover", "A1Velocity"]
+        assert tab.run(visible_cards) == ["Balancer", "PitEscape", "Hover", "A1Velocity"]
         tab.run(choose.format(0, "quadrotor"))
-        assert tab.run(shown) == ["Hover"]
+        assert tab.run(visible_cards) == ["Hover"]
         tab.run(choose.format(2, "SAC"))
-        assert tab.run(shown) == []
+        assert tab.run(visible_cards) == []
         for index in range(3):
             tab.run(choose.format(index, ""))
         tab.run(choose.format(3, "CPU over 5 min"))
-        assert tab.run(shown) == ["FindAndAvoid", "FindBallRandom", "PandaPush", "A1Velocity", "TagScripted"]
+        assert tab.run(visible_cards) == [
+            "FindAndAvoid",
+            "FindBallRandom",
+            "PandaPush",
+            "A1Velocity",
+            "TagScripted",
+        ]
         tab.call(
             "Emulation.setDeviceMetricsOverride", width=380, height=800, deviceScaleFactor=1, mobile=False
         )
@@ -310,7 +316,7 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
             tab.call("Page.navigate", url=(built_site / f"{name}.html").as_uri())
             tab.wait(f"location.pathname.endsWith('/{name}.html') && document.readyState == 'complete'")
             assert tab.run("document.documentElement.scrollWidth") <= 380, name
-        found = (
+        titles = (
             "[...document.querySelectorAll('#search-results ul.search > li > a')].map(link => link.innerText)"
         )
         for query, page in SEARCHES.items():
@@ -321,7 +327,7 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
                 "location.search && document.querySelector('#search-results"
                 " p.search-summary')?.innerText.includes('found')"
             )
-            assert any(title.startswith(page) for title in tab.run(found)[:3]), (query, tab.run(found)[:5])
+            assert any(title.startswith(page) for title in tab.run(titles)[:3]), (query, tab.run(titles)[:5])
 
 
 @pytest.mark.slow

@@ -52,9 +52,11 @@ def follow(
     *,
     whole: bool,
 ) -> None:
-    """Do what the page says; without `whole`, leave out simulations and what is shown of them."""
+    """Follow the page; without `whole`, leave out simulations and their output."""
     monkeypatch.chdir(folder)
-    printed, exact, complete = "", True, False
+    printed = ""
+    exact = True
+    complete = False
     for language, mark, text in BLOCK.findall((DOCS / f"{page}.md").read_text(encoding="utf-8")):
         kind, _, file = mark.rpartition(" ")
         if language == "console":
@@ -64,7 +66,8 @@ def follow(
                 if line.startswith("$ deepbots ")
             ]
             wanted = [line for line in lines if whole or is_quick(line)]
-            complete, exact = len(wanted) == len(lines), all(is_quick(line) for line in lines)
+            complete = len(wanted) == len(lines)
+            exact = all(is_quick(line) for line in lines)
             for _, *words in wanted:
                 if words[0] in SERVED:
                     continue
@@ -98,12 +101,14 @@ def edit(file: Path, text: str) -> None:
 
 
 def is_shown(line: str, printed: str, *, exact: bool) -> bool:
-    """Whether a line was printed; `...` stands for the rest of a line, or for lines."""
+    """Whether a line was printed; `...` matches the rest of a line, or any lines."""
     start, rest, _ = line.partition("...")
-    lines = [plain(one, exact=exact) for one in printed.splitlines()]
+    lines = [plain(printed_line, exact=exact) for printed_line in printed.splitlines()]
     return any(
-        one.startswith(plain(start, exact=exact)) if rest else one == plain(line, exact=exact)
-        for one in ["", *lines]
+        printed_line.startswith(plain(start, exact=exact))
+        if rest
+        else printed_line == plain(line, exact=exact)
+        for printed_line in ["", *lines]
     )
 
 
@@ -202,9 +207,9 @@ def printed(folder: Path, lines: list[str]) -> dict[str, str]:
 )
 def test_the_commands_below_a_diff_print_what_the_page_shows(sections: list[str], written: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    shown = [lines for section in sections for lines in commands(section)]
-    outputs = printed(written, [command for command, *_ in shown])
-    for command, *lines in shown:
+    examples = [lines for section in sections for lines in commands(section)]
+    outputs = printed(written, [command for command, *_ in examples])
+    for command, *lines in examples:
         for line in lines:
             assert line in outputs[command].splitlines(), (command, outputs[command])
 
@@ -250,16 +255,20 @@ def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors
         ("SAC", "deepbots_sbx.algorithms:JaxSAC"),
     ]
     pytest.importorskip("sbx")
-    algorithms, space = import_module("deepbots_sbx.algorithms"), gym.spaces.Box(-1, 1, (4,), np.float32)
-    one, other = (
+    algorithms = import_module("deepbots_sbx.algorithms")
+    space = gym.spaces.Box(-1, 1, (4,), np.float32)
+    trained, restored = (
         algorithms.JaxPPO("MlpPolicy", _Still(space), n_steps=8, batch_size=8, seed=seed) for seed in (0, 1)
     )
-    one.learn(16)
-    for part in one._get_torch_save_params()[0]:
-        getattr(other, part).load_state_dict(getattr(one, part).state_dict())
-    seen = np.linspace(-1, 1, 40, dtype=np.float32).reshape(10, 4)
+    trained.learn(16)
+    for part in trained._get_torch_save_params()[0]:
+        getattr(restored, part).load_state_dict(getattr(trained, part).state_dict())
+    observations = np.linspace(-1, 1, 40, dtype=np.float32).reshape(10, 4)
     assert all(
-        np.array_equal(one.predict(seen, deterministic=d)[0], other.predict(seen, deterministic=d)[0])
+        np.array_equal(
+            trained.predict(observations, deterministic=d)[0],
+            restored.predict(observations, deterministic=d)[0],
+        )
         for d in (True, False)
     )
 
@@ -268,7 +277,8 @@ class _Still(gym.Env[Any, Any]):
     """Gives the same observation."""
 
     def __init__(self, space: gym.spaces.Box) -> None:
-        self.observation_space, self.action_space = space, gym.spaces.Discrete(2)
+        self.observation_space = space
+        self.action_space = gym.spaces.Discrete(2)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

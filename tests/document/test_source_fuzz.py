@@ -72,19 +72,19 @@ DATA = st.recursive(
 )
 
 
-def spans(document: Document) -> list[Span]:
-    found = [
+def spans_of(document: Document) -> list[Span]:
+    spans = [
         span
         for finding in document.findings
         for span in (finding.span, *(label.span for label in finding.labels))
     ]
     for _, node in walk(document.root) if document.root else ():
-        found.append(node.span)
+        spans.append(node.span)
         if isinstance(node, MappingNode):
-            found.extend(entry.key.span for entry in node.entries.values())
+            spans.extend(entry.key.span for entry in node.entries.values())
         if isinstance(node, ScalarNode):
-            found.extend(node.part(i, i + 1) for i in range(len(node.text)))
-    return found
+            spans.extend(node.part(i, i + 1) for i in range(len(node.text)))
+    return spans
 
 
 def texts(node: Node) -> object:
@@ -99,7 +99,7 @@ def texts(node: Node) -> object:
 
 
 def check(document: Document) -> None:
-    for span in spans(document):
+    for span in spans_of(document):
         assert 0 <= span.start <= span.end <= len(span.source.text)
     for format in ("full", "concise", "json"):
         assert render(document.findings, format) or not len(document.findings)
@@ -125,7 +125,7 @@ def test_any_assignment_gives_a_document(text: str) -> None:
 
 
 @given(TEXTS.map("a: ".__add__))
-def test_text_without_findings_holds_what_pyyaml_finds_in_it(text: str) -> None:
+def test_text_without_findings_has_the_data_that_pyyaml_reads(text: str) -> None:
     document = loads(text)
     assume(document.root is not None and not len(document.findings))
     assert texts(document.root) == yaml.load(text, yaml.CBaseLoader)

@@ -1,5 +1,4 @@
-"""The canonical layout: it changes white space only, keeps comments and columns, and is the layout of what is
-shipped."""
+"""The canonical layout changes white space only and keeps comments and columns. Shipped files have it."""
 
 from __future__ import annotations
 

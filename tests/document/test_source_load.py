@@ -156,7 +156,7 @@ def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
     assert document.directory_of(robot.entries["extra"].value.span) == Path.cwd()
 
 
-def test_a_finding_in_an_included_file_knows_what_included_it(tmp_path: Path) -> None:
+def test_a_finding_in_an_included_file_has_the_chain_of_inclusions(tmp_path: Path) -> None:
     path = write(tmp_path, main="r:\n  include: part.yaml\n", part="a: 1\na: 2\n")
     (finding,) = load(path).findings
     included_from = finding.span.source.included_from
@@ -178,11 +178,9 @@ def test_a_missing_file_is_reported_once_and_the_nearest_name_is_suggested(tmp_p
     path = write(tmp_path, main="r: {include: epuk.yaml}\ns: 1\n", epuck="a: 1\n")
     document = load(path)
     (finding,) = document.findings
-    assert (finding.code, finding.span.text, finding.help) == (
-        "DB204",
-        "epuk.yaml",
-        "did you mean epuck.yaml?",
-    )
+    assert finding.code == "DB204"
+    assert finding.span.text == "epuk.yaml"
+    assert finding.help == "did you mean epuck.yaml?"
     assert document.root is not None
     assert to_data(document.root) == {"r": {}, "s": 1}
 
@@ -247,7 +245,7 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])
-def test_there_is_no_shipped_file_of_an_odd_name(name: str) -> None:
+def test_an_unknown_name_is_no_shipped_file(name: str) -> None:
     assert shipped.scenario_path(name) is None
     assert shipped.robot_path(name) is None
 
@@ -276,11 +274,9 @@ def test_what_a_file_writes_and_removes_itself_is_reported(tmp_path: Path) -> No
     file = write(tmp_path, one="extends: base.yaml\na: {b: 2, c: 3}\nremove: [a.b]\n", base="a: {b: 1}\n")
     document = load(file)
     (finding,) = document.findings
-    assert (finding.code, finding.span.location, finding.labels[0].span.text) == (
-        "DB205",
-        f"{file}:2:5",
-        "a.b",
-    )
+    assert finding.code == "DB205"
+    assert finding.span.location == f"{file}:2:5"
+    assert finding.labels[0].span.text == "a.b"
     assert document.root is not None
     assert to_data(document.root) == {"a": {"c": 3}}
 
@@ -324,10 +320,10 @@ BASE = (
 def test_an_assignment_replaces_the_value_at_its_path(
     assignment: str, path: tuple[str | int, ...], expected: object
 ) -> None:
-    found: object = data(loads(BASE, overrides=[assignment]))
+    value: object = data(loads(BASE, overrides=[assignment]))
     for step in path:
-        found = found[step]  # type: ignore[index]
-    assert found == expected
+        value = value[step]  # type: ignore[index]
+    assert value == expected
 
 
 def test_an_assigned_value_has_its_place_in_the_assignment() -> None:
@@ -394,7 +390,8 @@ def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_co
     tmp_path: Path,
 ) -> None:
     path = write(tmp_path, main="deepbots: 1\nextends: cartpole\nname: Mine\n")
-    shipped_root, document = data(load(Path(shipped.scenario_path("cartpole") or ""))), load(path)
+    shipped_root = data(load(Path(shipped.scenario_path("cartpole") or "")))
+    document = load(path)
     assert data(document) == {key: value for key, value in shipped_root.items() if key != "tests"} | {
         "name": "Mine"
     }
@@ -405,10 +402,8 @@ def test_extends_takes_the_name_of_a_shipped_scenario_and_a_file_of_that_name_co
 
 def test_an_unknown_name_under_extends_is_reported_with_the_nearest_shipped_scenario() -> None:
     (finding,) = loads("deepbots: 1\nextends: cartpoel\n").findings
-    assert (finding.code, finding.help) == (
-        "DB204",
-        "did you mean `cartpole`, which is shipped with deepbots?",
-    )
+    assert finding.code == "DB204"
+    assert finding.help == "did you mean `cartpole`, which is shipped with deepbots?"
     assert finding.notes[0].startswith("shipped scenarios are balancer, biped, carry, cartpole, ")
 
 

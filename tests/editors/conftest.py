@@ -30,10 +30,10 @@ class Typed:
     problems: list[Message]
 
     def _asked(self, method: str) -> Message:
-        found: Message = self.client.request(
+        answer: Message = self.client.request(
             f"textDocument/{method}", {"textDocument": {"uri": self.uri}, "position": self.place}
         )
-        return found
+        return answer
 
     @property
     def hover(self) -> str:
@@ -44,8 +44,8 @@ class Typed:
         return {item["label"]: item for item in self._asked("completion")["items"]}
 
     @property
-    def said(self) -> list[tuple[str, str]]:
-        """What is wrong: the text that is underlined, and the message."""
+    def messages(self) -> list[tuple[str, str]]:
+        """The underlined text and the message of each problem."""
         lines = self.client.texts[self.uri].splitlines()
         return [(_underlined(lines, problem["range"]), problem["message"]) for problem in self.problems]
 

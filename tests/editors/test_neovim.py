@@ -1,5 +1,5 @@
-"""Neovim with the settings of docs/editors.md: what it shows of a scenario. It is looked for on the `PATH`,
-or by `NEOVIM`."""
+"""Neovim with the settings of docs/editors.md shows findings, hover and completion of a scenario. It is
+searched on the `PATH`, or named by `NEOVIM`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ NEOVIM = os.environ.get("NEOVIM", "nvim")
 def version() -> tuple[int, ...]:
     if shutil.which(NEOVIM) is None:
         return (0,)
-    said = subprocess.run([NEOVIM, "--version"], capture_output=True, text=True, check=True).stdout
-    return tuple(map(int, re.findall(r"\d+", said)[:2]))
+    output = subprocess.run([NEOVIM, "--version"], capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, re.findall(r"\d+", output)[:2]))
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory: pytest.TempPathFactory) -> Message:
+def answers(tmp_path_factory: pytest.TempPathFactory) -> Message:
     if version() < (0, 11):
         pytest.skip("Neovim 0.11 or newer is not there")
     folder = tmp_path_factory.mktemp("neovim")
@@ -57,34 +57,34 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Message:
         arguments, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
     )
     assert (folder / "seen.json").exists(), ran.stderr
-    told: Message = json.loads((folder / "seen.json").read_text(encoding="utf-8"))
-    assert told.get("fault") is None
-    return told
+    answer: Message = json.loads((folder / "seen.json").read_text(encoding="utf-8"))
+    assert answer.get("fault") is None
+    return answer
 
 
-def test_findings_underline_the_right_letters_behind_an_emoji(seen: Message) -> None:
-    assert ["DB104", "gyros"] in seen["findings"]
+def test_findings_underline_the_right_letters_behind_an_emoji(answers: Message) -> None:
+    assert ["DB104", "gyros"] in answers["findings"]
 
 
-def test_a_quick_fix_and_all_fixes_at_once_change_the_text(seen: Message) -> None:
-    assert '"😀ü": {type: gyro, link: ball}' in seen["fixed"]  # that all fixes were made was waited for
+def test_a_quick_fix_and_all_fixes_at_once_change_the_text(answers: Message) -> None:
+    assert '"😀ü": {type: gyro, link: ball}' in answers["fixed"]  # that all fixes were made was waited for
 
 
-def test_hover_tells_type_and_value(seen: Message) -> None:
-    assert "a length (m), 2.7 m, fixed" in seen["hover"]
+def test_hover_shows_type_and_value(answers: Message) -> None:
+    assert "a length (m), 2.7 m, fixed" in answers["hover"]
 
 
-def test_completion_offers_the_names_that_begin_so(seen: Message) -> None:
-    assert seen["offered"][0] == "metric"
+def test_completion_offers_the_names_that_begin_so(answers: Message) -> None:
+    assert answers["offered"][0] == "metric"
 
 
-def test_the_definition_of_a_joint_is_in_its_robot_file(seen: Message) -> None:
-    assert '<joint name="pitch"' in seen["definition"]
+def test_the_definition_of_a_joint_is_in_its_robot_file(answers: Message) -> None:
+    assert '<joint name="pitch"' in answers["definition"]
 
 
-def test_the_outline_has_sections_and_the_names_in_them(seen: Message) -> None:
-    assert {"[Namespace] signals", "[Variable] reach"} <= set(seen["outline"])
+def test_the_outline_has_sections_and_the_names_in_them(answers: Message) -> None:
+    assert {"[Namespace] signals", "[Variable] reach"} <= set(answers["outline"])
 
 
-def test_formatting_makes_what_fmt_makes(seen: Message) -> None:
-    assert seen["formatted"] == "world: {timestep: 32 ms"
+def test_formatting_makes_what_fmt_makes(answers: Message) -> None:
+    assert answers["formatted"] == "world: {timestep: 32 ms"

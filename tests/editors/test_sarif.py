@@ -29,7 +29,7 @@ def sarif(findings: list[Finding]) -> object:
     return json.loads(report(findings, Format.sarif, (), ("error",)))
 
 
-def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(
+def test_every_mistake_of_the_golden_cases_becomes_valid_sarif(
     schema: jsonschema.Draft7Validator, tmp_path: Path
 ) -> None:
     (tmp_path / "deepbots.toml").touch()
@@ -42,5 +42,5 @@ def test_every_mistake_of_the_golden_cases_is_told_in_valid_sarif(
     assert [error.message for error in schema.iter_errors(sarif(findings))] == []
 
 
-def test_no_findings_are_told_in_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
+def test_no_findings_become_valid_sarif(schema: jsonschema.Draft7Validator) -> None:
     assert [error.message for error in schema.iter_errors(sarif([]))] == []

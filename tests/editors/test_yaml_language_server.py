@@ -1,4 +1,4 @@
-"""What the YAML language server makes of our JSON Schema: what it offers, explains and marks."""
+"""The YAML language server with the JSON Schema of deepbots: its completion, hover and problems."""
 
 from __future__ import annotations
 
@@ -96,10 +96,10 @@ def test_in_an_empty_file_the_sections_are_offered(client: Client, folder: Path)
     uri = client.open(folder / "empty.yaml", f"# yaml-language-server: $schema={FILE_NAME}\n")
     client.published(uri)
     place = {"line": 1, "character": 0}
-    found = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": place})[
+    items = client.request("textDocument/completion", {"textDocument": {"uri": uri}, "position": place})[
         "items"
     ]
-    texts = {item["label"]: item["insertText"] for item in found}
+    texts = {item["label"]: item["insertText"] for item in items}
     assert {"deepbots", "world", "robots", "reward", "extends"} <= set(texts)
     assert texts["deepbots"] == "deepbots: ${1:1}"
     assert [text for text in texts.values() if ":" not in text] == []
@@ -197,7 +197,7 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "expected"),
     [
         ("  substeps: 4", "  substep: 4", ("substep", "Property substep is not allowed.")),
         ("  timestep: 32 ms\n", "", ("world", 'Missing property "timestep".')),
@@ -222,13 +222,13 @@ def test_the_joints_of_the_robot_are_explained(typed_for: Type) -> None:
     ],
 )
 def test_a_mistake_is_marked_in_its_place_once(
-    typed: Type, old: str, new: str, said: tuple[str, str]
+    typed: Type, old: str, new: str, expected: tuple[str, str]
 ) -> None:
-    assert typed(old, new).said == [said]
+    assert typed(old, new).messages == [expected]
 
 
 def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> None:
-    ((place, message),) = typed("velocity_motor", "velocty_motor").said
+    ((place, message),) = typed("velocity_motor", "velocty_motor").messages
     assert place == "velocty_motor"
     assert '"velocity_motor", "position_motor", "torque_motor"' in message
 
@@ -241,14 +241,14 @@ def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> Non
 def test_a_joint_that_the_robot_has_not_is_marked_with_those_that_it_has(
     typed_for: Type, old: str, new: str, place: str
 ) -> None:
-    ((marked, message),) = typed_for(old, new).said
+    ((marked, message),) = typed_for(old, new).messages
     assert marked == place
     assert "wheel_front_left" in message
     assert "pole_hinge" in message
 
 
 def test_without_the_names_of_the_scenario_any_joint_will_do(typed: Type) -> None:
-    assert typed("joint: pole_hinge", "joint: pole_hing").said == []
+    assert typed("joint: pole_hinge", "joint: pole_hing").messages == []
 
 
 @pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)

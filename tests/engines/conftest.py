@@ -27,7 +27,7 @@ from deepbots_cli.robots.model import (
 
 
 def rod(name: str, mass: float = 0.1, length: float = 1.0) -> Link:
-    """A thin rod that stands on its frame."""
+    """A thin rod upright on its frame."""
     across = mass * length * length / 12
     return Link(name, Inertial(mass, Pose((0, 0, length / 2)), ixx=across, iyy=across, izz=1e-5))
 
@@ -151,7 +151,7 @@ class Worlds:
 
 @pytest.fixture(params=sorted(ENGINES))
 def engine_name(request: pytest.FixtureRequest) -> str:
-    """Every engine of the table: what the port promises is tested on each."""
+    """Every engine of the table; each has to keep the promises of the port."""
     return request.param
 
 

@@ -1,4 +1,4 @@
-"""What a camera on a link sees: distances, bodies and colors, against closed forms."""
+"""Images of a camera on a link: distances, bodies and colors, against closed forms."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def rays() -> tuple[np.ndarray, np.ndarray]:
     return left[None, :], up[:, None]
 
 
-def test_a_camera_tells_distances_bodies_and_colors_pixel_by_pixel(engine_name, build):
+def test_a_camera_measures_distances_bodies_and_colors_pixel_by_pixel(engine_name, build):
     engine = build(engine_name, world(wall(2.0)))
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
     image = look()
@@ -134,21 +134,24 @@ def test_a_flat_disc_is_not_shaded_as_a_cone(engine_name, build):
     image = engine.camera(
         ("scout", "head"), ((0.0, 0.0, -0.5), quaternion(0.0, pi / 2, 0.0)), HIGH, HIGH, 1.2
     )()
-    seen = image.colors[image.bodies == image.body_names.index("disc")]
-    assert len(seen) > 500
-    assert (seen.max(axis=0) - seen.min(axis=0)).max() < 3
+    colors = image.colors[image.bodies == image.body_names.index("disc")]
+    assert len(colors) > 500
+    assert (colors.max(axis=0) - colors.min(axis=0)).max() < 3
 
 
 def test_looking_changes_nothing(engine_name, build):
-    seen, unseen = build(engine_name, world(wall(2.0))), build(engine_name, world(wall(2.0)))
-    look = seen.camera(("scout", "head"), frames.IDENTITY_FRAME, 16, 16, FOV)
-    for engine in (seen, unseen):
+    observed, unobserved = build(engine_name, world(wall(2.0))), build(engine_name, world(wall(2.0)))
+    look = observed.camera(("scout", "head"), frames.IDENTITY_FRAME, 16, 16, FOV)
+    for engine in (observed, unobserved):
         engine.set_joint("scout", "neck", 0.1, 2.0)
         for _ in range(20):
             engine.step(1)
-            if engine is seen:
+            if engine is observed:
                 look()
-    assert seen.joint_states("scout", ["neck"])()[0][:2] == unseen.joint_states("scout", ["neck"])()[0][:2]
+    assert (
+        observed.joint_states("scout", ["neck"])()[0][:2]
+        == unobserved.joint_states("scout", ["neck"])()[0][:2]
+    )
     assert (look().colors == look().colors).all()
 
 
@@ -178,14 +181,15 @@ def test_the_floor_gets_another_color_until_the_next_reset(engine_name, build):
     engine = build(engine_name, replace(world(), light=0.8))
     view = View((1.0, 1.0, 1.5), (0.0, 0.0, 0.5), 60, 40)
     look = engine.camera(("scout", None), frames.IDENTITY_FRAME, WIDE, HIGH, FOV)
-    usual, seen = engine.render(view), look().colors
+    usual = engine.render(view)
+    colors = look().colors
     engine.set_parameter("color", ("ground", ""), *RED)
     assert engine.render(view)[-1, 0].argmax() == look().colors[-1, 0].argmax() == 0
     engine.set_parameter("light", (), 0.4)
-    assert look().colors[0, 0, 2] < 0.6 * seen[0, 0, 2]
+    assert look().colors[0, 0, 2] < 0.6 * colors[0, 0, 2]
     engine.reset()
     assert (engine.render(view) == usual).all()
-    assert (look().colors == seen).all()
+    assert (look().colors == colors).all()
 
 
 def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name, build):

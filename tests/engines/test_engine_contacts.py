@@ -49,7 +49,8 @@ def test_a_contact_in_a_single_engine_step_counts_for_the_whole_tick(engine_name
     engine = build(engine_name, world)
     engine.set_parameter("restitution", ("wall", ""), 1.0)
     engine.set_parameter("restitution", ("ball", ""), 1.0)
-    touched, force = engine.contact(("wall", None), [("ball", None)]), engine.contact_force(("wall", None))
+    touched = engine.contact(("wall", None), [("ball", None)])
+    force = engine.contact_force(("wall", None))
     engine.place("ball", (0, 0, 0.5), (0, 0, 0, 1), (5.0, 0, 0))
     engine.step(50)
     assert touched()
@@ -66,16 +67,16 @@ def test_what_is_touched_late_in_a_tick_counts_beside_what_was_touched_all_along
     engine = build(engine_name, world)
     on_ground = engine.contact(("crate", None), [("ground", None)])
     hit = engine.contact(("crate", None), ground=False)
-    told = []
+    readings = []
     for _ in range(6):
         engine.step(50)
-        told.append((on_ground(), hit()))
+        readings.append((on_ground(), hit()))
     falls = sqrt(2 * 0.25 / 9.81)  # s
-    assert [hits for _, hits in told].index(True) == int(falls / 0.05)
-    assert all(stands for stands, _ in told[1:])
+    assert [hits for _, hits in readings].index(True) == int(falls / 0.05)
+    assert all(stands for stands, _ in readings[1:])
 
 
-def test_links_of_a_robot_tell_their_contacts_apart(engine_name, worlds, build):
+def test_links_of_a_robot_have_contacts_of_their_own(engine_name, worlds, build):
     engine = build(engine_name, worlds.arena())
     wheels = [engine.contact(("robot", f"wheel_{i}"), [("ground", None)]) for i in range(4)]
     body, pole = engine.contact(("robot", "body")), engine.contact(("robot", "pole"))
@@ -122,7 +123,8 @@ def test_the_force_on_a_body_is_the_sum_of_those_from_above_and_below(engine_nam
 def test_friction_is_part_of_the_force_on_a_crate_on_a_slope(engine_name, worlds, angle, friction, build):
     """It holds the crate at rest, or else is the normal force times its coefficient."""
     engine = build(engine_name, worlds.slope(angle, friction))
-    read, normal = engine.contact_force_vector(("crate", None)), engine.contact_force(("crate", None))
+    read = engine.contact_force_vector(("crate", None))
+    normal = engine.contact_force(("crate", None))
     forces = []
     for _ in range(30):
         engine.step(4)
@@ -135,16 +137,16 @@ def test_friction_is_part_of_the_force_on_a_crate_on_a_slope(engine_name, worlds
 
 
 def test_watching_contacts_changes_nothing(engine_name, worlds, build):
-    seen, unseen = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
+    watched, unwatched = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     for name in ("robot", "ball"):
-        seen.contact((name, None))
-        seen.clearance((name, None), ("crate", None))
-    for engine in (seen, unseen):
+        watched.contact((name, None))
+        watched.clearance((name, None), ("crate", None))
+    for engine in (watched, unwatched):
         engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([20.0] * 4)
         for _ in range(60):
             engine.step(4)
-    assert seen.pose("robot")() == unseen.pose("robot")()
-    assert seen.pose("ball")() == unseen.pose("ball")()
+    assert watched.pose("robot")() == unwatched.pose("robot")()
+    assert watched.pose("ball")() == unwatched.pose("ball")()
 
 
 SOLIDS = {
@@ -184,7 +186,8 @@ def test_gaps_to_the_ground_to_corners_and_to_what_overlaps(engine_name, build):
 def test_the_gap_of_a_moving_link_follows_it(engine_name, worlds, build):
     world = worlds.arena()
     engine = build(engine_name, world)
-    gap, pose = engine.clearance(("robot", "wheel_0"), ("front wall", None)), engine.pose("robot", "wheel_0")
+    gap = engine.clearance(("robot", "wheel_0"), ("front wall", None))
+    pose = engine.pose("robot", "wheel_0")
     engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)([5.0] * 4)
     engine.place("ball", (0, 0.4, 0.05), (0, 0, 0, 1))
     for _ in range(30):
@@ -202,31 +205,31 @@ def test_a_gap_to_nothing_is_infinite(engine_name, build):
 # What lies within something else
 
 
-def test_bodies_within_each_other_are_told_with_their_depth_deepest_first(engine_name, build):
+def test_bodies_within_each_other_are_listed_with_their_depth_deepest_first(engine_name, build):
     post = ObjectBody("post", Sphere(0.05), Pose((0, 0, 0.05)), **STAYS)
     engine = build(
         engine_name,
         things(ball("near", (0.08, 0, 0.055)), ball("sunk", (1, 0, 0.03)), ball("clear", (2, 0, 0.06)), post),
     )
     first, second = engine.overlaps()
-    depths = {frozenset((found.one[0], found.other[0])): found.depth for found in (first, second)}
+    depths = {frozenset((overlap.one[0], overlap.other[0])): overlap.depth for overlap in (first, second)}
     assert depths[frozenset(("near", "post"))] == pytest.approx(0.1 - sqrt(0.08**2 + 0.005**2), abs=1e-3)
     assert depths[frozenset(("sunk", "ground"))] == pytest.approx(0.02, abs=1e-3)
     assert first.depth >= second.depth
 
 
-def test_what_never_moves_overlaps_with_nothing_that_does_not_either(engine_name, build):
-    one, other = (ObjectBody(name, Sphere(0.05), Pose((0, 0, 0.02)), **STAYS) for name in ("one", "other"))
-    assert list(build(engine_name, things(one, other)).overlaps()) == []
+def test_two_bodies_that_never_move_do_not_overlap(engine_name, build):
+    first, second = (ObjectBody(name, Sphere(0.05), Pose((0, 0, 0.02)), **STAYS) for name in ("one", "other"))
+    assert list(build(engine_name, things(first, second)).overlaps()) == []
 
 
 def test_links_of_a_robot_that_overlap_are_named(engine_name, build, worlds):
     engine = build(engine_name, worlds.arena())
     engine.place("robot", (0, 0, 0.02), (0, 0, 0, 1))
-    (found,) = engine.overlaps()
-    assert found.depth == pytest.approx(0.02, abs=1.5e-3)
-    assert {part[0] for part in (found.one, found.other)} == {"robot", "ground"}
-    assert any((part[1] or "").startswith("wheel_") for part in (found.one, found.other))
+    (overlap,) = engine.overlaps()
+    assert overlap.depth == pytest.approx(0.02, abs=1.5e-3)
+    assert {part[0] for part in (overlap.one, overlap.other)} == {"robot", "ground"}
+    assert any((part[1] or "").startswith("wheel_") for part in (overlap.one, overlap.other))
 
 
 def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(engine_name, build):

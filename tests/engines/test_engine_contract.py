@@ -52,15 +52,16 @@ def test_a_restored_snapshot_goes_on_to_the_bit_whatever_came_between(engine_nam
         pytest.skip("it has no snapshots")
     push = engine.torque_motor("robot", ["slide"], [8.0])
     aim = engine.position_motor("robot", ["hinge"], [2.0], [3.0], [0.1])
-    read, pose = engine.joint_states("robot", ["slide", "hinge"]), engine.pose("robot", "tip")
+    read = engine.joint_states("robot", ["slide", "hinge"])
+    pose = engine.pose("robot", "tip")
 
     def follow(ticks: int) -> list[object]:
         """What follows with the commands that motors have, from the present state on."""
-        seen: list[object] = [read(), pose(), engine.gravity]
+        states: list[object] = [read(), pose(), engine.gravity]
         for _ in range(ticks):
             engine.step(4)
-            seen += [read(), pose()]
-        return seen
+            states += [read(), pose()]
+        return states
 
     engine.set_parameter("mass", ("robot", "pole"), 0.3)
     engine.set_parameter("gravity", (), 0.0, 0.5, -3.0)
@@ -203,9 +204,11 @@ def test_poses_and_velocities_agree_while_moving(engine_name, worlds, build):
     engine.set_joint("robot", "slide", 0.0, 0.4)
     engine.set_joint("robot", "hinge", 0.3, 1.5)
     for link in ("cart", "pole", "tip"):
-        pose, velocity = engine.pose("robot", link), engine.velocity("robot", link)
+        pose = engine.pose("robot", link)
+        velocity = engine.velocity("robot", link)
         engine.step(2)
-        before, speed_before = pose()[0], velocity()[0]
+        before = pose()[0]
+        speed_before = velocity()[0]
         engine.step(2)
         mean = [(a + b) / 2 for a, b in zip(speed_before, velocity()[0], strict=True)]
         assert [(b - a) / 0.002 for a, b in zip(before, pose()[0], strict=True)] == pytest.approx(
@@ -294,7 +297,9 @@ def test_a_free_hinge_is_free(engine_name, worlds, build):
     """A hanging pole on a cart that is free to roll swings with the period that its inertia gives."""
     engine = build(engine_name, worlds.rail(timestep=0.005, substeps=5))
     engine.set_joint("robot", "hinge", pi + 0.05, 0.0)
-    cart_and_pole, moment, inertia = 1.1, 0.1 * 0.5, 0.1 / 3
+    cart_and_pole = 1.1
+    moment = 0.1 * 0.5
+    inertia = 0.1 / 3
     rate = sqrt(9.81 * moment * cart_and_pole / (cart_and_pole * inertia - moment**2))
     angles = []
     for _ in range(round(2 * pi / rate / 0.005)):
@@ -345,8 +350,8 @@ HELD = Joint("mount", "fixed", "frame", "hull", Pose((0.1, 0.0, 0.3)))
 def robot(bare: bool) -> RobotModel:
     """A box on a fixed joint; the mass is at the box, or, which means the same, in the root's own
     inertial."""
-    known = Inertial(2.0, **TENSOR)
-    hull = Link("hull", known if bare else None, SHAPE, SHAPE)
+    inertial = Inertial(2.0, **TENSOR)
+    hull = Link("hull", inertial if bare else None, SHAPE, SHAPE)
     frame = Link("frame", None if bare else Inertial(2.0, Pose((0.1, 0.0, 0.3)), **TENSOR))
     return RobotModel("robot", (frame, hull), (HELD,), "frame")
 
@@ -354,12 +359,13 @@ def robot(bare: bool) -> RobotModel:
 def tumble(engine_name: str, model: RobotModel) -> list[float]:
     world = WorldModel(0.01, 40, robots=(RobotBody("robot", model),))
     with closing(engines.create(engine_name, world)) as engine:
-        read, found = engine.pose("robot"), []
+        read = engine.pose("robot")
+        numbers = []
         engine.place("robot", (0.0, 0.0, 0.5), IDENTITY_ROTATION, (1.0, 0.0, 2.0), (1.0, 2.0, 3.0))
         for _ in range(40):
             engine.step(40)
-            found += [number for part in read() for number in part]
-        return found
+            numbers += [number for part in read() for number in part]
+        return numbers
 
 
 def test_a_root_without_mass_moves_with_what_is_fixed_to_it(engine_name: str) -> None:
@@ -425,7 +431,8 @@ def test_a_reading_is_that_of_a_world_that_nobody_has_read_before(engine_name, c
 
 def test_what_looks_before_every_engine_step_sees_a_new_pose_each_time(engine_name, worlds, build):
     engine = build(engine_name, worlds.crooked())
-    pose, heights = engine.pose("robot"), []
+    pose = engine.pose("robot")
+    heights = []
     engine.before_substep(lambda: heights.append(pose()[0][2]))
     engine.step(10)
     assert len(set(heights)) == 10

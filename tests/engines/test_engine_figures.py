@@ -1,4 +1,4 @@
-"""Figures that an episode varies, forces on links, and what is called around engine steps."""
+"""Parameters that vary by episode, forces on links, and calls around engine steps."""
 
 from __future__ import annotations
 
@@ -49,12 +49,13 @@ def test_a_body_that_is_placed_with_a_velocity_moves_so_at_its_origin(engine_nam
 
 def test_what_is_called_before_engine_steps_is_called_in_each_and_in_order(engine_name, worlds, build):
     engine = build(engine_name, worlds.ball())
-    read, seen = engine.pose("ball"), []
-    engine.before_substep(lambda: seen.append(("first", read()[0][2])))
-    engine.before_substep(lambda: seen.append(("second", read()[0][2])))
+    read = engine.pose("ball")
+    calls = []
+    engine.before_substep(lambda: calls.append(("first", read()[0][2])))
+    engine.before_substep(lambda: calls.append(("second", read()[0][2])))
     engine.step(2)
-    assert [what for what, _ in seen] == ["first", "second"] * 2
-    heights = [height for _, height in seen]
+    assert [name for name, _ in calls] == ["first", "second"] * 2
+    heights = [height for _, height in calls]
     assert heights[0] == heights[1] > heights[2] == heights[3] > read()[0][2]
 
 
@@ -111,7 +112,8 @@ def test_the_torque_of_a_motor_falls_with_its_speed(
     engine_name, worlds, build, kind, velocity, wanted, expected
 ):
     engine = build(engine_name, worlds.rotor(timestep=0.0001, substeps=1))
-    gains, curve = ([10.0], [0.5]), {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
+    gains = ([10.0], [0.5])
+    curve = {"stall_torque": [STALL], "no_load_speed": [NO_LOAD]}
     drive = getattr(engine, kind)(
         "robot", ["hinge"], [LIMIT], *(gains if kind == "position_motor" else ()), **curve
     )
@@ -157,7 +159,8 @@ def test_a_motor_without_a_curve_takes_over_from_one_with_a_curve(worlds, build)
 def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, build):
     world = with_varying_center(worlds.rotor(timestep=0.01, substeps=5), "arm")
     engine = build("mujoco", world)
-    drive, read = engine.velocity_motor("robot", ["hinge"], [2.0]), engine.joint_states("robot", ["hinge"])
+    drive = engine.velocity_motor("robot", ["hinge"], [2.0])
+    read = engine.joint_states("robot", ["hinge"])
     curved = engine.torque_motor("robot", ["hinge"], [9.0], stall_torque=[3.0], no_load_speed=[9.0])
 
     def begin(armature: float, offset: float, factor: float) -> None:
@@ -178,7 +181,8 @@ def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, b
         begin(0.5, 0.1, 2.0)
         write([30.0])
         engine.step(5)
-        kept, expected = engine.snapshot(), follow()
+        kept = engine.snapshot()
+        expected = follow()
         begin(0.1, -0.2, 0.5)
         follow()
         engine.restore(kept)
@@ -187,7 +191,8 @@ def test_a_snapshot_has_the_armature_center_and_inertia_of_its_episode(worlds, b
 
 def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail(timestep=0.01, substeps=1))
-    push, read = engine.torque_motor("robot", ["slide"], [10.0]), engine.joint_states("robot", ["slide"])
+    push = engine.torque_motor("robot", ["slide"], [10.0])
+    read = engine.joint_states("robot", ["slide"])
     for mass in (None, 3.0, None):
         engine.reset()
         if mass:
@@ -198,7 +203,9 @@ def test_a_new_mass_moves_the_cart_as_newton_says_until_the_next_reset(engine_na
         assert read()[0][1] == pytest.approx(2.0 / ((mass or 1.0) + 0.1) * 0.01, rel=0.01)
 
 
-ARM_MASS, ARM_INERTIA, ARM_CENTER = 2.0, 0.02, (0.3, 0.1, 0.0)
+ARM_MASS = 2.0
+ARM_INERTIA = 0.02
+ARM_CENTER = (0.3, 0.1, 0.0)
 """Of the link of `Worlds.rotor`: mass (kg), moment of inertia about its center (kg m^2), center (m)."""
 
 
@@ -258,8 +265,10 @@ def course_of_a_ball(engine: Engine, offset: tuple[float, float, float] | None) 
     engine.reset()
     if offset is not None:
         engine.set_parameter("center_of_mass", ("robot", "ball"), *offset)
-    read, push = engine.motion("robot"), engine.pusher(("robot", None))
-    force, ray = engine.contact_force(("robot", None)), engine.rays(("robot", None), [IDENTITY_FRAME], 1.0)
+    read = engine.motion("robot")
+    push = engine.pusher(("robot", None))
+    force = engine.contact_force(("robot", None))
+    ray = engine.rays(("robot", None), [IDENTITY_FRAME], 1.0)
     course = []
     for _ in range(60):
         push((0.0, 3.0, 0.0), ZERO_VECTOR)
@@ -273,7 +282,8 @@ def test_a_center_of_mass_that_an_episode_moves_is_that_of_a_model_with_it(build
     """Shapes and pushes at the origin of the link stay where they are."""
     ball = (Geometry(Sphere(0.1)),)
     link = Link("ball", Inertial(1.0, ixx=0.004, iyy=0.004, izz=0.004), ball, ball)
-    model, offset = RobotModel("ball", (link,), (), root="ball"), (0.03, 0.02, -0.01)
+    model = RobotModel("ball", (link,), (), root="ball")
+    offset = (0.03, 0.02, -0.01)
 
     def world(model: RobotModel) -> WorldModel:
         return WorldModel(0.01, 5, robots=(RobotBody("robot", model, pose=Pose((0, 0, 0.3))),))

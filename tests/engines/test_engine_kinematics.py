@@ -82,8 +82,10 @@ def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(engin
     engine = build(
         engine_name, WorldModel(0.01, 1, ground=None, robots=(RobotBody("arm", arm(), True, place),))
     )
-    pose, solve = engine.pose("arm", "tool"), engine.inverse_kinematics(("arm", "tool"), names)
-    rng, reached = random.Random(4), 0
+    pose = engine.pose("arm", "tool")
+    solve = engine.inverse_kinematics(("arm", "tool"), names)
+    rng = random.Random(4)
+    reached = 0
     for _ in range(40):
         start = [rng.uniform(-1.5, 1.5) for _ in names]
         for name, angle in zip(names, start, strict=True):
@@ -92,9 +94,9 @@ def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(engin
         for name, angle in zip(names, start, strict=True):
             engine.set_joint("arm", name, angle, 0.0)
         wanted = attitude if with_attitude else None
-        found = solve(target, wanted)
-        assert found == solve(target, wanted)
-        for name, angle in zip(names, found, strict=True):
+        solution = solve(target, wanted)
+        assert solution == solve(target, wanted)
+        for name, angle in zip(names, solution, strict=True):
             engine.set_joint("arm", name, angle, 0.0)
         position, turned = pose()
         turn = abs(sum(a * b for a, b in zip(turned, attitude, strict=True)))
@@ -104,7 +106,8 @@ def test_an_arm_of_seven_joints_goes_where_it_is_sent_from_where_it_stands(engin
 
 def test_the_same_call_gives_the_same_bits_whatever_was_asked_before():
     chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
-    at, root = [0.1, 0.4, -0.2, 1.1, 0.3, 0.7, 0.0], ((0.1, 0.0, 0.2), quaternion(0.1, 0.0, 0.4))
+    at = [0.1, 0.4, -0.2, 1.1, 0.3, 0.7, 0.0]
+    root = ((0.1, 0.0, 0.2), quaternion(0.1, 0.0, 0.4))
     first = chain.solve(root, at, (0.4, 0.2, 0.9), frames.IDENTITY_ROTATION)
     chain.solve(root, [0.0] * 7, (0.2, -0.4, 1.0), None)
     assert chain.solve(root, at, (0.4, 0.2, 0.9), frames.IDENTITY_ROTATION) == first
@@ -113,13 +116,13 @@ def test_the_same_call_gives_the_same_bits_whatever_was_asked_before():
 def test_an_attitude_nearly_half_a_turn_away_is_reached():
     chain = Chain(arm(), "tool", [f"j{i}" for i in range(7)])
     start = [0.1, 0.8, 0.2, 1.4, 0.1, 0.6, -1.4]
-    target, attitude = where([*start[:6], start[6] + pi - 0.3])
-    position, turned = where(chain.solve(IDENTITY_FRAME, start, target, attitude))
+    target, attitude = tool_frame([*start[:6], start[6] + pi - 0.3])
+    position, turned = tool_frame(chain.solve(IDENTITY_FRAME, start, target, attitude))
     assert position == pytest.approx(target, abs=1e-6)
     assert abs(sum(a * b for a, b in zip(turned, attitude, strict=True))) == pytest.approx(1.0, abs=1e-9)
 
 
-def where(angles: list[float]) -> frames.Frame:
+def tool_frame(angles: list[float]) -> frames.Frame:
     """The tool of the arm at these angles."""
     at = IDENTITY_FRAME
     for joint, angle in zip(arm().joints, [*angles, 0.0], strict=True):

@@ -169,15 +169,16 @@ def test_a_restored_world_with_followers_goes_on_to_the_bit(engine_name, build):
     read = engine.joint_states("robot", ["lead", "first", "second"])
 
     def follow() -> list[object]:
-        seen: list[object] = []
+        states: list[object] = []
         for _ in range(10):
             aim([0.3])
             engine.step(4)
-            seen.append(read())
-        return seen
+            states.append(read())
+        return states
 
     follow()
-    snapshot, expected = engine.snapshot(), follow()
+    snapshot = engine.snapshot()
+    expected = follow()
     engine.reset()
     engine.restore(snapshot)
     assert follow() == expected
@@ -207,5 +208,5 @@ def test_inverse_kinematics_moves_a_follower_with_its_leader():
         ),
         root="base",
     )
-    (found,) = Chain(model, "upper", ["stage"]).solve(IDENTITY_FRAME, [0.0, 0.1], (0.0, 0.0, 0.7), None)
-    assert found == pytest.approx(0.2, abs=1e-6)
+    (position,) = Chain(model, "upper", ["stage"]).solve(IDENTITY_FRAME, [0.0, 0.1], (0.0, 0.0, 0.7), None)
+    assert position == pytest.approx(0.2, abs=1e-6)

@@ -31,7 +31,8 @@ def test_a_turning_body_has_its_inertia_times_its_angular_velocity_wherever_it_f
     engine_name, speed, build
 ):
     engine = build(engine_name, dumbbell())
-    read, turned = engine.angular_momentum("robot"), frames.quaternion(0.4, -0.3, 1.1)
+    read = engine.angular_momentum("robot")
+    turned = frames.quaternion(0.4, -0.3, 1.1)
     spin = (0.5, 0.8, -1.2)  # in the frame of the hull
     engine.place("robot", (5, -7, 3), turned, speed, frames.rotate(turned, spin))
     reduced = HULL * WEIGHT / (HULL + WEIGHT) * APART**2
@@ -69,7 +70,8 @@ def test_nothing_outside_changes_it_and_a_drawn_mass_does(engine_name, build):
 def test_momenta_of_a_batch_are_those_of_single_worlds():
     pytest.importorskip("mujoco")
     world = replace(dumbbell(), gravity=(0, 0, -9.81))
-    batch, single = create_batch("mujoco", world, 3), create("mujoco", world)
+    batch = create_batch("mujoco", world, 3)
+    single = create("mujoco", world)
     readers = [engine.angular_momentum("robot") for engine in (batch, single)]
     of_member = batch.members[2].angular_momentum("robot")
     for engine in (single, *batch.members):

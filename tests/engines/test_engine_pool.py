@@ -40,7 +40,8 @@ def test_an_absent_body_is_touched_and_seen_by_nothing_until_it_is_placed(engine
     world = WorldModel(0.02, 4, objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(2)))
     engine = build(engine_name, world)
     view = View((2.0, 0.0, 1.0), (0.0, 0.0, 0.0), 60, 40)
-    gap, touches = engine.clearance(("ball", None), ("thing#1", None)), engine.contact(("thing#1", None))
+    gap = engine.clearance(("ball", None), ("thing#1", None))
+    touches = engine.contact(("thing#1", None))
     usual = engine.render(view)
     for _ in range(20):
         engine.step(4)
@@ -79,7 +80,8 @@ def test_readers_follow_the_form_that_was_chosen(engine_name, build):
         objects=(ObjectBody("ball", Sphere(0.1), Pose((0, 0, 0.1)), 1.0), *pooled(1, ROUND, SQUARE, PILLAR)),
     )
     engine = build(engine_name, world)
-    pose, gap = engine.pose("thing#1"), engine.clearance(("ball", None), ("thing#1", None))
+    pose = engine.pose("thing#1")
+    gap = engine.clearance(("ball", None), ("thing#1", None))
     apart = (1 + 0.8**2) ** 0.5 - 0.15
     inside = {
         "pillar": (0.95**2 + 0.6**2) ** 0.5 - 0.1,
@@ -136,11 +138,9 @@ def brawl(engine, seed: int, ticks: int) -> bytes:
     readers = [engine.pose(name) for name in ("robot", "ball", "crate", *present)] + [
         engine.velocity("robot")
     ]
-    drive, touched, gap = (
-        engine.velocity_motor("robot", WHEELS, [10.0] * 4),
-        engine.contact(("robot", None), ground=False),
-        engine.clearance(("robot", None), ("thing#1", None)),
-    )
+    drive = engine.velocity_motor("robot", WHEELS, [10.0] * 4)
+    touched = engine.contact(("robot", None), ground=False)
+    gap = engine.clearance(("robot", None), ("thing#1", None))
     figures: list[float] = []
     for tick in range(ticks):
         if tick % 8 == 0:
@@ -247,7 +247,7 @@ except ScenarioError as error:
     assert not done.stderr
 
 
-def test_on_windows_nobody_is_told_to_install_pybullet(monkeypatch: pytest.MonkeyPatch):
+def test_on_windows_no_error_suggests_pybullet(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "platform", "win32")
     kind = ENGINES["pybullet"]
     assert (kind.missing, kind.remedy) == ("PyBullet has no build for Windows", "use the engine `mujoco`")

@@ -135,13 +135,15 @@ def test_a_ray_into_a_turned_box_is_met_at_its_face(engine_name, build):
     sides = []
     for axis, sign in product(range(3), (-1, 1)):
         size, at = [9.0] * 3, [0.0] * 3
-        size[axis], at[axis] = 0.5, sign * 4.25
+        size[axis] = 0.5
+        at[axis] = sign * 4.25
         sides.append(ObjectBody(f"side_{axis}_{sign}", Box(tuple(size)), Pose(tuple(at)), fixed=True))
     engine = build(
         engine_name,
         WorldModel(0.02, 1, (0, 0, 0), None, robots=(RobotBody("scout", scout()),), objects=tuple(sides)),
     )
-    read, rng = engine.rays(("scout", None), [towards(0.0)], 20.0), random.Random(1)
+    read = engine.rays(("scout", None), [towards(0.0)], 20.0)
+    rng = random.Random(1)
     for _ in range(300):
         at = tuple(rng.uniform(-0.5, 0.5) for _ in range(3))
         turned = quaternion(rng.uniform(-3, 3), rng.uniform(-1.5, 1.5), rng.uniform(-3, 3))

@@ -33,8 +33,10 @@ PASTS = [
 
 
 def in_fresh_process(engine: str, world: WorldModel, seed: int, ticks: int) -> bytes:
-    given = pickle.dumps((engine, world, seed, ticks))
-    return subprocess.run([sys.executable, str(EPISODE)], input=given, capture_output=True, check=True).stdout
+    arguments = pickle.dumps((engine, world, seed, ticks))
+    return subprocess.run(
+        [sys.executable, str(EPISODE)], input=arguments, capture_output=True, check=True
+    ).stdout
 
 
 @pytest.mark.parametrize("pasts", PASTS)
@@ -82,7 +84,9 @@ def walk(engine: Engine, seed: int, ticks: int) -> bytes:
         engine.set_joint("dog", joint, angle + rng.uniform(-0.1, 0.1), 0.0)
     stiff = [rng.uniform(60.0, 120.0)] * 12
     aim = engine.position_motor("dog", LEGS, [rng.uniform(20.0, 33.5)] * 12, stiff, [2.0] * 12)
-    pose, velocity, joints = engine.pose("dog"), engine.velocity("dog"), engine.joint_states("dog", LEGS)
+    pose = engine.pose("dog")
+    velocity = engine.velocity("dog")
+    joints = engine.joint_states("dog", LEGS)
     feet = [engine.contact(("dog", f"{leg}_toe")) for leg in ("FR", "FL", "RR", "RL")]
     torques = engine.joint_torques("dog", LEGS)
     crate = engine.pose("crate")
@@ -120,7 +124,7 @@ def test_a_dog_on_springs_walks_anew_after_every_reset_whatever_came_before(engi
 
 
 def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engine_name, dog, build):
-    """Masses, frictions, springs, contacts and what they told are all part of a snapshot."""
+    """Masses, frictions, springs, contacts and their readings are all part of a snapshot."""
     engine = build(engine_name, yard(dog))
     if "snapshot" not in engine.capabilities:
         pytest.skip("it has no snapshots")
@@ -138,21 +142,21 @@ def test_a_restored_walk_goes_on_to_the_bit_with_contacts_and_drawn_values(engin
     ]
 
     def follow() -> list[object]:
-        seen = [read() for read in readers]
+        readings = [read() for read in readers]
         for _ in range(20):
             engine.step(10)
-            seen += [read() for read in readers]
-        return seen
+            readings += [read() for read in readers]
+        return readings
 
     engine.step(10)  # from here on the readers above have looked
-    kept = engine.snapshot()
+    snapshot = engine.snapshot()
     expected = follow()
     for seed in (7, 8):
-        engine.restore(kept)
+        engine.restore(snapshot)
         assert follow() == expected
         engine.reset()
         walk(engine, seed, ticks=9)
-    engine.restore(kept)
+    engine.restore(snapshot)
     assert follow() == expected
 
 

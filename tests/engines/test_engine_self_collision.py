@@ -51,7 +51,7 @@ def test_links_of_a_robot_pass_through_each_other_by_default(engine_name, build)
     assert right > radians(60)
 
 
-def test_links_stop_each_other_and_tell_it(engine_name, build):
+def test_links_stop_each_other_and_report_the_contact(engine_name, build):
     engine = build(engine_name, pincers())
     tips = ("robot", "left_tip"), ("robot", "right_tip")
     contact, other_way = engine.contact(tips[0], [tips[1]]), engine.contact(tips[1], [tips[0]])
@@ -92,7 +92,8 @@ def test_links_that_a_joint_joins_never_touch():
 
 def test_a_batch_collides_as_single_worlds_do():
     pytest.importorskip("mujoco")
-    batch, single = create_batch("mujoco", pincers(), 2), create("mujoco", pincers())
+    batch = create_batch("mujoco", pincers(), 2)
+    single = create("mujoco", pincers())
     left, right, whole = ("robot", "left_tip"), ("robot", "right_tip"), ("robot", None)
     readers = [
         (

@@ -43,7 +43,8 @@ def test_a_joint_that_holds_a_weight_exerts_its_force_and_torque(engine_name, bu
 @pytest.mark.parametrize(("kind", "axis"), [("revolute", (0, 1, 0)), ("prismatic", (0, 0, 1))])
 def test_the_wrench_includes_what_the_motor_exerts(engine_name, kind, axis, motor, build):
     engine = build(engine_name, arm(kind, axis))
-    read, state = engine.joint_wrench(ARM), engine.joint_states("robot", ["joint"])
+    read = engine.joint_wrench(ARM)
+    state = engine.joint_states("robot", ["joint"])
     weight = MASS * 9.81
     load = weight if kind == "prismatic" else -AHEAD * weight
     more = ([2000.0], [200.0]) if motor == "position_motor" else ()
@@ -60,7 +61,8 @@ def test_the_wrench_includes_what_the_motor_exerts(engine_name, kind, axis, moto
 
 def test_a_joint_holds_a_weight_on_a_circle(engine_name, build):
     engine = build(engine_name, replace(arm("continuous", (0, 0, 1)), gravity=(0, 0, 0)))
-    read, speed = engine.joint_wrench(ARM), 5.0
+    read = engine.joint_wrench(ARM)
+    speed = 5.0
     engine.set_joint("robot", "joint", 0.7, speed)
     engine.step(4)
     force, torque = read()
@@ -70,7 +72,7 @@ def test_a_joint_holds_a_weight_on_a_circle(engine_name, build):
 
 
 def stand(drop: float = 0.0) -> WorldModel:
-    """A trunk of 5 kg on a leg of 1 kg, which stands on the ground."""
+    """A trunk of 5 kg on a leg of 1 kg, on the ground."""
     foot = (Geometry(Box((0.2, 0.2, 0.1))),)
     leg = Link("leg", Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01), foot, foot)
     trunk = Link("trunk", Inertial(5.0, ixx=0.1, iyy=0.1, izz=0.1))
@@ -106,7 +108,8 @@ def test_measuring_a_wrench_changes_nothing(engine_name, build):
 @pytest.mark.parametrize("watched", [False, True])
 def test_wrenches_of_a_batch_are_those_of_single_worlds(watched):
     pytest.importorskip("mujoco")
-    batch, single = create_batch("mujoco", stand(0.1), 3), create("mujoco", stand(0.1))
+    batch = create_batch("mujoco", stand(0.1), 3)
+    single = create("mujoco", stand(0.1))
     readers = [engine.joint_wrench(("robot", "leg")) for engine in (batch, single)]
     of_member = batch.members[2].joint_wrench(("robot", "leg"))
     if watched:

@@ -148,7 +148,8 @@ def test_a_strong_motor_on_a_light_wheel_is_stable_and_its_range_is_in_radians(b
     engine = build(
         "mujoco", WorldModel(0.016, 1, ground=None, robots=(RobotBody("robot", spinner(), fixed_base=True),))
     )
-    drive, read = engine.velocity_motor("robot", ["axle"], [10.0]), engine.joint_states("robot", ["axle"])
+    drive = engine.velocity_motor("robot", ["axle"], [10.0])
+    read = engine.joint_states("robot", ["axle"])
     for target, speed in ((5.0, 5.0), (-5.0, -5.0), (5.0, 5.0)):
         for _ in range(10):
             drive([target])
@@ -178,7 +179,8 @@ def test_a_wheel_is_a_cylinder_to_everything_but_flat_ground(build):
     touches = engine.contact(("robot", "wheel"), [("ground", None)])
     force = engine.contact_force(("robot", "wheel"))
     see = engine.rays(("eye", None), [((0.0, 0.0, 0.0), quaternion(0.0, 0.0, -pi / 2))], 2.0)
-    drive, speed = engine.velocity_motor("robot", ["axle"], [0.01]), engine.joint_states("robot", ["axle"])
+    drive = engine.velocity_motor("robot", ["axle"], [0.01])
+    speed = engine.joint_states("robot", ["axle"])
     for _ in range(10):
         drive([50.0])
         engine.step(1)
@@ -244,19 +246,19 @@ except EngineError as error:
 
 
 def test_drawing_changes_nothing_that_follows(worlds, build):
-    seen, unseen = build("mujoco", worlds.arena()), build("mujoco", worlds.arena())
-    if "rendering" not in seen.capabilities:
+    rendered, plain = build("mujoco", worlds.arena()), build("mujoco", worlds.arena())
+    if "rendering" not in rendered.capabilities:
         pytest.skip("there is no OpenGL")
-    for engine in (seen, unseen):
+    for engine in (rendered, plain):
         for _ in range(10):
             engine.step(4)
-            if engine is seen:
+            if engine is rendered:
                 engine.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert seen.pose("ball")() == unseen.pose("ball")()
-    assert seen.pose("robot")() == unseen.pose("robot")()
+    assert rendered.pose("ball")() == plain.pose("ball")()
+    assert rendered.pose("robot")() == plain.pose("robot")()
 
 
-def seen_shares(image) -> list[float]:
+def color_shares(image) -> list[float]:
     """The shares of pixels that are mostly red, green and blue."""
     strongest = image.astype(int).argmax(axis=-1)[np.ptp(image.astype(int), axis=-1) > 60]
     return [float((strongest == color).sum()) / image[..., 0].size for color in range(3)]
@@ -271,7 +273,7 @@ def test_a_table_that_is_level_with_the_floor_does_not_flicker(build, distance):
     engine = build("mujoco", WorldModel(0.02, 1, ground=Ground(color=(0.0, 1.0, 0.0, 1.0)), objects=(table,)))
     for turn in (0.0, 0.4, 1.1):
         eye = (0.6 * distance * cos(turn), 0.6 * distance * sin(turn), 0.8 * distance)
-        assert seen_shares(engine.render(View(eye, (0, 0, 0), 80, 60, 0.7 / distance, samples=1))) == [
+        assert color_shares(engine.render(View(eye, (0, 0, 0), 80, 60, 0.7 / distance, samples=1))) == [
             1.0,
             0.0,
             0.0,
@@ -288,7 +290,7 @@ def test_of_faces_in_one_plane_the_later_one_is_seen(build):
     base = piece(0, 0.0, 4.0)
     above = View((0.3, 0.2, 1.0), (0.0, 0.0, 0.1), 80, 60, 0.5, samples=1)
     for others in ((piece(1, 0.0, 3.0),), (piece(1, 0.0, 3.0), piece(2, 0.0, 2.0))):
-        shares = seen_shares(
+        shares = color_shares(
             build("mujoco", WorldModel(0.02, 1, ground=None, objects=(base, *others))).render(above)
         )
         assert shares[len(others)] == 1.0
@@ -303,7 +305,7 @@ def test_of_faces_in_one_plane_the_later_one_is_seen(build):
         "mujoco",
         WorldModel(0.02, 1, ground=None, robots=(RobotBody("sign", sign, False, Pose((0, 0, 0.05))),)),
     )
-    assert seen_shares(engine.render(above)) == [0.0, 0.0, 1.0]
+    assert color_shares(engine.render(above)) == [0.0, 0.0, 1.0]
 
 
 # The engine of many worlds in MuJoCo: what its members read is what engines of one world read
@@ -320,7 +322,8 @@ def marbles(count: int) -> WorldModel:
 
 
 def test_forces_are_those_of_single_worlds():
-    batch, single = create_batch("mujoco", marbles(5), 2), create("mujoco", marbles(5))
+    batch = create_batch("mujoco", marbles(5), 2)
+    single = create("mujoco", marbles(5))
     of_batch, of_single = (
         [engine.contact_force((name, None)) for name in ("tray", "marble2", "ground")]
         for engine in (batch, single)
@@ -339,9 +342,12 @@ def test_forces_are_those_of_single_worlds():
 
 def test_force_vectors_are_those_of_single_worlds():
     world = replace(marbles(5), gravity=(3.0, 1.0, -9.0))
-    batch, single = create_batch("mujoco", world, 2), create("mujoco", world)
+    batch = create_batch("mujoco", world, 2)
+    single = create("mujoco", world)
     parts = [("tray", None), ("marble2", None), ("ground", None)]
-    of_batch, of_single = ([engine.contact_force_vector(one) for one in parts] for engine in (batch, single))
+    of_batch, of_single = (
+        [engine.contact_force_vector(part) for part in parts] for engine in (batch, single)
+    )
     of_member = batch.members[1].contact_force_vector(parts[0])
     for engine in (single, *batch.members):
         engine.reset()

@@ -71,7 +71,8 @@ def test_wheels_roll_without_slip_on_their_exact_radius(worlds, build):
     engine.position_motor("robot", ["hinge"], [1e3], None, None)([0.0])
     drive = engine.velocity_motor("robot", [f"wheel_{i}" for i in range(4)], [10.0] * 4)
     drive([2.5] * 4)
-    velocity, pose = engine.velocity("robot"), engine.pose("robot")
+    velocity = engine.velocity("robot")
+    pose = engine.pose("robot")
     for _ in range(30):
         engine.step(4)
     for _ in range(30):
@@ -316,9 +317,9 @@ def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
 
 
 def test_drawing_changes_nothing_that_follows(worlds, build):
-    seen, unseen = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
-    seen.render(View((1, 1, 1), (0, 0, 0), 32, 32))
-    assert trajectory(seen, worlds.arena(), 3, 20) == trajectory(unseen, worlds.arena(), 3, 20)
+    rendered, plain = build("pybullet", worlds.arena()), build("pybullet", worlds.arena())
+    rendered.render(View((1, 1, 1), (0, 0, 0), 32, 32))
+    assert trajectory(rendered, worlds.arena(), 3, 20) == trajectory(plain, worlds.arena(), 3, 20)
 
 
 def test_the_pendulum_of_a_rotor_keeps_its_speed_without_gravity(worlds, build):

@@ -95,7 +95,7 @@ class Words:
         return self.things
 
 
-class Said(NamedTuple):
+class BenchFinding(NamedTuple):
     """One finding, with the piece of the text that it points to."""
 
     code: str
@@ -108,7 +108,7 @@ class Bench:
     """Takes texts through the language and remembers what was found."""
 
     def __init__(self) -> None:
-        self.said: list[Said] = []
+        self.findings: list[BenchFinding] = []
         self.text = ""
         self.scope = Words()
 
@@ -116,10 +116,11 @@ class Bench:
         assert 0 <= start <= end <= len(self.text)
         assert headline[0] == headline[0].lower() or headline[0] == "`"
         assert not headline.endswith(".")
-        self.said.append(Said(code, self.text[start:end], headline, help))
+        self.findings.append(BenchFinding(code, self.text[start:end], headline, help))
 
     def read(self, text: str):
-        self.text, self.said = text, []
+        self.text = text
+        self.findings = []
         return parse(text, self.report)
 
     def typed(self, text: str, context: Context = Context.SIGNAL) -> Typed | None:
@@ -129,26 +130,26 @@ class Bench:
     def clean(self, text: str, context: Context = Context.SIGNAL) -> Typed:
         """The typed tree of a text without fault."""
         value = self.typed(text, context)
-        assert self.said == [], text
+        assert self.findings == [], text
         assert value is not None
         return value
 
     def codes(self, text: str, context: Context = Context.SIGNAL) -> list[str]:
         self.typed(text, context)
-        return [said.code for said in self.said]
+        return [finding.code for finding in self.findings]
 
-    def only(self, text: str, context: Context = Context.SIGNAL) -> Said:
+    def only(self, text: str, context: Context = Context.SIGNAL) -> BenchFinding:
         """The one finding of a text."""
         self.typed(text, context)
-        assert len(self.said) == 1, self.said
-        return self.said[0]
+        assert len(self.findings) == 1, self.findings
+        return self.findings[0]
 
     def code_of(self, text: str, context: Context = Context.SIGNAL) -> list[str]:
         """The Python of every component."""
         return [to_python(scalar, leaf) for scalar in lower(self.clean(text, context), "item")]
 
     def values(self, text: str, **read: float) -> list[float]:
-        """What the printed Python computes, given the values that it reads."""
+        """The values of the printed Python for the values that it reads."""
         return evaluate(self.clean(text), read)
 
     def values_of(self, value: Typed, read: dict[str, object]) -> list[float]:

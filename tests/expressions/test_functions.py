@@ -40,8 +40,8 @@ def test_floats_and_arrays_agree_to_the_last_place(function, data):
     }
     rows = [{name: data.draw(kind, label=name) for name, kind in kinds.items()} for _ in range(3)]
     tree = Op(function.name, tuple(map(Name, names)))
-    found = arrays.evaluate(tree, {Name(name): np.array([row[name] for row in rows]) for name in names})
-    for row, value in zip(rows, found, strict=True):
+    values = arrays.evaluate(tree, {Name(name): np.array([row[name] for row in rows]) for name in names})
+    for row, value in zip(rows, values, strict=True):
         try:
             expected = scalar_function(function.name)(*row.values())
         except (ArithmeticError, ValueError):
@@ -162,7 +162,7 @@ BROKEN = [
 
 @pytest.fixture(scope="module")
 def linted(tmp_path_factory):
-    """What lint says of a scenario with `double` where every package that could have it is broken."""
+    """The output of lint for a scenario with `double` where every package that could define it is broken."""
     folder = tmp_path_factory.mktemp("broken")
     for target, module, _ in BROKEN:
         install(folder, module, target)
@@ -177,8 +177,8 @@ def test_a_function_of_a_broken_package_is_unknown(linted):
 
 @pytest.mark.parametrize(("target", "reason"), [(target, reason) for target, _, reason in BROKEN])
 def test_a_broken_function_of_another_package_is_one_warning(linted, target, reason):
-    (told,) = [line for line in linted.stderr.splitlines() if f"({target})" in line]
-    assert reason in told
+    (warning,) = [line for line in linted.stderr.splitlines() if f"({target})" in line]
+    assert reason in warning
 
 
 def test_a_broken_function_of_another_package_is_no_matter_where_it_is_not_used(tmp_path):

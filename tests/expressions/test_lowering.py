@@ -1,4 +1,4 @@
-"""Typed trees to scalars and to Python: what is computed, folded, named, and how it is printed."""
+"""Typed trees to scalars and to Python: computing, folding, naming and printing."""
 
 import math
 

@@ -1,5 +1,4 @@
-"""Random expressions: the printed Python computes what a direct evaluation gives, inside the known
-interval."""
+"""Random expressions: the printed Python has the values of a direct evaluation, inside the known interval."""
 
 import math
 import re
@@ -52,7 +51,7 @@ def pair(form, function, a, b):
     )
 
 
-def one(form, function, a):
+def unary(form, function, a):
     return st.builds(lambda p: Drawn(form.format(p.text), lambda read: function(p.value(read))), a)
 
 
@@ -78,13 +77,13 @@ def grow(n):
         pair("({} + {})", lambda p, q: p + q, a, a),
         pair("{} - {}", lambda p, q: p - q, numbers, numbers).map(lambda d: Drawn(f"({d.text})", d.value)),
         pair("{} * ({})", lambda p, q: p * q, a, a),
-        one("({}) / (2 m)", lambda p: p / 2, v),
-        one("sin(({}) * rad)", math.sin, a),
-        one("exp(-abs({}))", lambda p: math.exp(-abs(p)), a),
-        one("({})^2", lambda p: p * p, a),
-        one("-({})", lambda p: -p, a),
+        unary("({}) / (2 m)", lambda p: p / 2, v),
+        unary("sin(({}) * rad)", math.sin, a),
+        unary("exp(-abs({}))", lambda p: math.exp(-abs(p)), a),
+        unary("({})^2", lambda p: p * p, a),
+        unary("-({})", lambda p: -p, a),
         pair("max({}, {})", max, a, a),
-        one("clamp({}, -1 .. 2)", lambda p: min(max(p, -1.0), 2.0), a),
+        unary("clamp({}, -1 .. 2)", lambda p: min(max(p, -1.0), 2.0), a),
         choose(t, a, a),
     )
     length = st.one_of(
@@ -94,8 +93,8 @@ def grow(n):
         pair("({}) * ({})", lambda p, q: p * q, a, v),
         pair("norm(vector({}, {}))", math.hypot, v, v),
         pair("sum(vector({}, {}))", lambda p, q: p + q, v, v),
-        one("sqrt(({})^2)", lambda p: math.sqrt(p * p), v),
-        one("mean(vector({0}, {0}))", lambda p: p, v),
+        unary("sqrt(({})^2)", lambda p: math.sqrt(p * p), v),
+        unary("mean(vector({0}, {0}))", lambda p: p, v),
         choose(t, v, v),
     )
     truth = st.one_of(
@@ -113,14 +112,14 @@ def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
     drawn = data.draw(st.one_of(*grow(3)), label="expression")
     bench = bench_of()
     typed = bench.typed(drawn.text)
-    assert {said.code for said in bench.said} <= {"DB406"}, (drawn.text, bench.said)
+    assert {finding.code for finding in bench.findings} <= {"DB406"}, (drawn.text, bench.findings)
     read = {name: data.draw(values, label=name) for name, values in READ.items()}
     expected = drawn.value(read)
-    (found,) = bench.values_of(typed, read)
+    (result,) = bench.values_of(typed, read)
     if typed.type.boolean:
-        assert found == expected
+        assert result == expected
         return
-    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert result == pytest.approx(expected, rel=1e-9, abs=1e-9)
     if re.search(r"\bx\b", drawn.text) is None:  # `x` has no limits
         interval = typed.type.interval
         slack = 1e-9 * max(1.0, abs(expected))

@@ -1,4 +1,4 @@
-"""Texts to trees: what is read, and what is refused with what advice."""
+"""Texts to trees: texts that are read, and texts that are refused with advice."""
 
 import ast
 import re
@@ -75,7 +75,7 @@ radio + uniform(0 .. 20 ms) each step
 @pytest.mark.parametrize("text", SCENARIO_TEXTS)
 def test_what_scenarios_write_is_read(bench, text):
     assert bench.read(text) is not None
-    assert bench.said == []
+    assert bench.findings == []
 
 
 def test_minus_binds_weaker_than_a_power_and_powers_group_to_the_right(bench):
@@ -97,7 +97,7 @@ def test_numbers_side_by_side_are_a_vector_but_a_detached_minus_subtracts(bench)
     assert isinstance(bench.read("gas -1"), syntax.Binary)
 
 
-def test_every_node_knows_its_place(bench):
+def test_every_node_has_its_place(bench):
     text = "  abs( x ) + cart.pole_angle "
     tree = bench.read(text)
     assert text[tree.start : tree.end] == "abs( x ) + cart.pole_angle"
@@ -132,7 +132,7 @@ def test_a_text_may_be_nested_only_so_deep(bench):
 )
 def test_hostile_length_and_depth_give_one_finding_at_once(bench, text):
     bench.typed(text)
-    assert len(bench.said) <= 1 or {said.code for said in bench.said} == {"DB402"}
+    assert len(bench.findings) <= 1 or {finding.code for finding in bench.findings} == {"DB402"}
 
 
 def test_a_draw_may_be_repeated_and_nothing_else(bench):
@@ -156,8 +156,8 @@ def test_a_draw_may_be_repeated_and_nothing_else(bench):
     ],
 )
 def test_where_is_refused_and_the_whole_expression_is_written_with_if(bench, text, new):
-    said = bench.only(text)
-    assert (said.code, said.piece, said.help) == ("DB402", "where", f"write `{new}`")
+    finding = bench.only(text)
+    assert (finding.code, finding.piece, finding.help) == ("DB402", "where", f"write `{new}`")
     assert bench.codes(new) == []
 
 

@@ -28,7 +28,8 @@ dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents).ma
 @given(dimensions, dimensions)
 def test_multiplying_and_dividing_by_a_dimension_cancel(a, b):
     """Apart from radians of a rotation, which work and power do not have."""
-    quotient, is_of_rotation = a * b / b, (a * b).kg != 0 and (a * b).m == 2 * (a * b).kg
+    quotient = a * b / b
+    is_of_rotation = (a * b).kg != 0 and (a * b).m == 2 * (a * b).kg
     expected = a._replace(rad=quotient.rad) if is_of_rotation else a
     assert quotient == expected
     assert hash(quotient) == hash(expected)
@@ -109,13 +110,11 @@ def test_every_unit_is_understood_behind_a_number(bench, name):
 def test_a_misspelled_unit_is_recognized(bench, typed, meant):
     suggested = suggest_unit(typed)
     assert suggested is not None
-    assert (suggested.text, suggested.safe) == (
-        meant,
-        typed != "kgg",
-    )  # a unit written out is certain, a slip of the finger a guess
-    said = bench.only(f"5 {typed}")
-    assert (said.code, said.piece) == ("DB501", typed)
-    assert f"`{meant}`" in said.help
+    assert suggested.text == meant
+    assert suggested.safe == (typed != "kgg")  # a unit written out is certain, a slip of the finger a guess
+    finding = bench.only(f"5 {typed}")
+    assert (finding.code, finding.piece) == ("DB501", typed)
+    assert f"`{meant}`" in finding.help
 
 
 def test_a_force_is_a_mass_times_an_acceleration(bench):
@@ -125,9 +124,9 @@ def test_a_force_is_a_mass_times_an_acceleration(bench):
 @pytest.mark.parametrize(("typed", "unit"), [("mrad", "rad"), ("um", "m"), ("uN", "N")])
 def test_a_multiple_of_a_unit_is_never_taken_for_the_unit(typed, unit):
     assert suggest_unit(typed) is None
-    found = prefixed_unit(typed)
-    assert found is not None
-    assert found[1] == unit
+    prefixed = prefixed_unit(typed)
+    assert prefixed is not None
+    assert prefixed[1] == unit
 
 
 def test_a_unit_in_capitals_is_the_unit():

@@ -128,8 +128,8 @@ def refuse(*finding, **more):
 @settings(deadline=None)
 @given(texts)
 def test_a_printed_tree_is_read_as_the_same_tree(written):
-    found = parse(printed(written), refuse)
-    assert placeless(found) == placeless(written)
+    read_again = parse(printed(written), refuse)
+    assert placeless(read_again) == placeless(written)
 
 
 # Any text whatever gives findings or a value: no exception, no long wait
@@ -146,10 +146,11 @@ soup = st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join) | st.lists(
 
 def take(bench, text):
     """Everything the language does with a text, to the end."""
-    bench.text, bench.said = text, []
+    bench.text = text
+    bench.findings = []
     tree = parse(text, bench.report)
     if tree is None:
-        assert len(bench.said) == 1
+        assert len(bench.findings) == 1
         return
     scope = bench.scope.__class__(Context.PARAMETER)
     check_range(tree, scope, bench.report)

@@ -116,8 +116,8 @@ def test_a_group_of_feet_is_the_same_as_foot_by_foot():
         for _ in range(60):
             action = group.action_space.sample()
             observation, reward, terminated, _, info = group.step(action)
-            other, other_reward, _, _, other_info = by_link.step(action)
-            np.testing.assert_array_equal(observation, other)
+            foot_by_foot, other_reward, _, _, other_info = by_link.step(action)
+            np.testing.assert_array_equal(observation, foot_by_foot)
             assert reward == other_reward
             assert info["reward_terms"] == other_info["reward_terms"]
             terms |= {name for name, value in info["reward_terms"].items() if value != 0.0}

@@ -24,13 +24,13 @@ def run(bench, text, rows):
         for index, state in enumerate(states)
     ]
     result = to_python(scalar, leaf)
-    seen = []
+    results = []
     for row in rows:
-        kept = dict(row)
-        for name, made, args in calls:
-            kept[name] = made.update(*(eval(arg, kept) for arg in args))
-        seen.append(eval(result, kept))
-    return seen
+        names = dict(row)
+        for name, memory, args in calls:
+            names[name] = memory.update(*(eval(arg, names) for arg in args))
+        results.append(eval(result, names))
+    return results
 
 
 def xs(*values):
@@ -71,8 +71,8 @@ def test_an_inner_state_advances_before_the_outer_one(bench):
 def test_a_complementary_filter_follows_a_constant_rate_exactly(bench):
     """From rest, and with both readings true, low_pass(measured + tau * rate, tau) has no lag."""
     rows = [{"x": 0.1 * k * DT, "speed": 0.1 if k else 0.0} for k in range(20)]
-    seen = run(bench, "low_pass(x + 2 s * speed, 2 s)", rows)
-    assert seen == pytest.approx([row["x"] for row in rows], abs=1e-12)
+    results = run(bench, "low_pass(x + 2 s * speed, 2 s)", rows)
+    assert results == pytest.approx([row["x"] for row in rows], abs=1e-12)
 
 
 def test_every_stateful_function_of_the_table_has_a_rule():
@@ -100,7 +100,8 @@ ROWS = {
     ],
 )
 def test_a_memory_of_a_vector_keeps_each_component_apart(kind, arguments):
-    whole, parts = formulas.memory_of_vector(kind, 2, DT), [kind(DT), kind(DT)]
+    whole = formulas.memory_of_vector(kind, 2, DT)
+    parts = [kind(DT), kind(DT)]
     for _ in range(2):
         for row in zip(*(ROWS[argument] for argument in arguments), strict=True):
             expected = [part.update(*components) for part, *components in zip(parts, *row, strict=True)]

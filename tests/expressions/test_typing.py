@@ -1,4 +1,4 @@
-"""Dimensions, shapes and names, and when values are known, of whole expressions, and what is found wrong with
+"""Dimensions, shapes, names and the time when values are known, of whole expressions, and the findings about
 them."""
 
 import pytest
@@ -58,22 +58,22 @@ from tests.golden.cases import mistakes
     ],
 )
 def test_dimension_and_components_follow_from_the_parts(bench, text, dimension, components):
-    found = bench.clean(text).type
-    assert (found.dimension, found.components) == (dimension, components)
+    type_of_text = bench.clean(text).type
+    assert (type_of_text.dimension, type_of_text.components) == (dimension, components)
 
 
 @pytest.mark.parametrize("mistake", mistakes("expression"), ids=lambda row: row[0])
 def test_a_fault_is_one_finding_at_its_place(bench, mistake):
     text, code, piece, *advice = mistake
-    said = bench.only(text)
-    assert (said.code, said.piece) == (code, piece)
-    assert all(part in said.help for part in advice)
+    finding = bench.only(text)
+    assert (finding.code, finding.piece) == (code, piece)
+    assert all(part in finding.help for part in advice)
 
 
 @pytest.mark.parametrize(("text", "code", "piece", "help"), mistakes("habit"))
-def test_a_habit_of_another_language_is_told_what_to_write_here(bench, text, code, piece, help):
-    said = bench.only(text)
-    assert (said.code, said.piece, said.help) == (code, piece, help)
+def test_a_habit_of_another_language_has_a_finding_with_what_to_write(bench, text, code, piece, help):
+    finding = bench.only(text)
+    assert (finding.code, finding.piece, finding.help) == (code, piece, help)
 
 
 def test_a_fault_below_satisfies_every_check_above(bench):
@@ -182,21 +182,21 @@ def test_a_draw_is_settled_once_per_episode_unless_it_is_repeated(bench):
         bench.read("normal(0 +- 0.1 m) each step"), bench.scope.__class__(Context.PARAMETER), bench.report
     )
     assert stepped.redraw.period is None
-    assert bench.said == []
+    assert bench.findings == []
 
 
 def test_a_repetition_needs_a_draw_and_a_duration(bench):
     scope = bench.scope.__class__(Context.PARAMETER)
     check_drawn(bench.read("3 m every 5 s"), scope, bench.report)
-    assert [said.code for said in bench.said] == ["DB401"]
+    assert [finding.code for finding in bench.findings] == ["DB401"]
     check_drawn(bench.read("uniform(0 .. 1) every 5"), scope, bench.report)
-    assert [said.code for said in bench.said] == ["DB502"]
+    assert [finding.code for finding in bench.findings] == ["DB502"]
 
 
 def test_a_range_has_two_ends_that_fit(bench):
     def codes(text):
         check_range(bench.read(text), bench.scope, bench.report)
-        return [said.code for said in bench.said]
+        return [finding.code for finding in bench.findings]
 
     assert codes("-0.5 -0.5 0.7 .. 0.5 0.5 1.3 m") == []
     assert codes("-track .. track") == []
@@ -226,38 +226,38 @@ def test_a_range_has_two_ends_that_fit(bench):
 def test_a_field_takes_what_it_declares(bench, text, dimension, code):
     value = check(bench.read(text), bench.scope, bench.report)
     taken = expect_value(value, bench.report, "the field", dimension=dimension)
-    assert [said.code for said in bench.said] == ([code] if code else [])
+    assert [finding.code for finding in bench.findings] == ([code] if code else [])
     if code is None:
         assert taken.type.dimension == dimension
 
 
 def test_a_field_says_its_name_and_what_it_needs(bench):
     expect_value(bench.clean("3 m"), bench.report, "the timestep", dimension=TIME)
-    assert bench.said[0].headline == "the timestep must be a duration (s); this is a length (m)"
+    assert bench.findings[0].headline == "the timestep must be a duration (s); this is a length (m)"
 
 
 def test_a_value_out_of_range_is_shown_with_its_sign(bench):
     expect_value(bench.clean("-5000 km"), bench.report, "the field", dimension=LENGTH)
-    assert bench.said[0].headline == "the field is -5e+06 m"
+    assert bench.findings[0].headline == "the field is -5e+06 m"
 
 
 def test_a_field_takes_the_shape_that_it_declares_and_is_known_when_it_says(bench):
     expect_value(bench.clean("1 2 3 m"), bench.report, "the size", dimension=LENGTH, components=("x", "y"))
-    assert [said.code for said in bench.said] == ["DB106"]
+    assert [finding.code for finding in bench.findings] == ["DB106"]
     assert expect_value(bench.clean("1 2 3 m"), bench.report, "the field", components=ANY_SHAPE) is not None
     assert (
         expect_value(bench.clean("gas"), bench.report, "the motors", components=("hip", "knee")) is not None
     )
     assert expect_value(bench.clean("wind"), bench.report, "the gravity", known=Known.FIXED) is None
-    assert [said.code for said in bench.said] == ["DB407"]
+    assert [finding.code for finding in bench.findings] == ["DB407"]
 
 
 def test_both_ends_of_a_range_take_the_dimension_of_their_field(bench):
-    found = check_range(bench.read("0.1 .. 0.5 m"), bench.scope, bench.report)
-    assert expect_range(found, bench.report, "the field", dimension=LENGTH).high.type.dimension == LENGTH
+    with_unit = check_range(bench.read("0.1 .. 0.5 m"), bench.scope, bench.report)
+    assert expect_range(with_unit, bench.report, "the field", dimension=LENGTH).high.type.dimension == LENGTH
     bare = check_range(bench.read("0.1 .. 0.5"), bench.scope, bench.report)
     assert expect_range(bare, bench.report, "the field", dimension=LENGTH) is None
-    assert [said.code for said in bench.said] == ["DB502"]
+    assert [finding.code for finding in bench.findings] == ["DB502"]
 
 
 def test_a_huge_expression_is_refused_before_it_is_written_out(bench):
@@ -278,5 +278,5 @@ def test_a_component_without_its_robot_or_as_a_piece_of_a_name_is_known(bench):
     assert "did you mean `knee`?" in bench.only("stride.kne > 0").help
 
 
-def test_a_message_to_a_robot_that_nobody_sends_is_told_where_actions_are_named(bench):
+def test_a_message_to_a_robot_that_nobody_sends_has_a_finding_that_shows_where_actions_are_named(bench):
     assert "defined under `action`" in bench.only("engine * 2", Context.APPLY).help

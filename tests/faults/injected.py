@@ -86,18 +86,18 @@ def of_file(path: Path) -> Iterator[Injected]:
     for group in _grouped(list(slips(text))):
         for slip in chance.sample(group, min(2 * PER_GROUP, len(group))):
             broken = text[: slip.low] + slip.instead + text[slip.high :]
-            made = Injected(name, slip.kind, "plain", slip.codes, {name: broken}, name, slip.at, slip.until)
-            yield made
-            yield _extended(made)
+            case = Injected(name, slip.kind, "plain", slip.codes, {name: broken}, name, slip.at, slip.until)
+            yield case
+            yield _extended(case)
 
 
 Kind = TypeVar("Kind", Fault, Slip)
 
 
-def _grouped(found: Sequence[Kind]) -> Iterable[list[Kind]]:
+def _grouped(kinds: Sequence[Kind]) -> Iterable[list[Kind]]:
     groups: dict[str, list[Kind]] = {}
-    for one in found:
-        groups.setdefault(one.kind, []).append(one)
+    for kind in kinds:
+        groups.setdefault(kind.kind, []).append(kind)
     return groups.values()
 
 
@@ -126,16 +126,16 @@ def _in_style(name: str, text: str, fault: Fault, style: str) -> Injected:
     )
 
 
-def _extended(made: Injected) -> Injected:
+def _extended(case: Injected) -> Injected:
     """The same, in a file that one extends which another one extends."""
-    name = made.source
+    name = case.source
     files = {
         name: "deepbots: 1\nname: Above\nextends: middle.yaml\n",
         "middle.yaml": f"deepbots: 1\nextends:   '{PART}'\nname: Middle\n",
-        PART: made.text,
+        PART: case.text,
     }
     chain = (("middle.yaml", 2, 12), (name, 3, 10))
-    return replace(made, style=f"{made.style}, extended", files=files, culprit=PART, chain=chain)
+    return replace(case, style=f"{case.style}, extended", files=files, culprit=PART, chain=chain)
 
 
 _SECTION = re.compile(r"^(\w+):[ ]*(?:#[^\n]*)?\n((?:[ ]+[^\n]*\n|\n)+)", re.MULTILINE)
@@ -144,7 +144,7 @@ _SECTION = re.compile(r"^(\w+):[ ]*(?:#[^\n]*)?\n((?:[ ]+[^\n]*\n|\n)+)", re.MUL
 def _included(name: str, text: str, fault: Fault) -> Iterator[Injected]:
     """The section that holds the fault, moved to the left in a file of its own."""
     section = next(
-        (found for found in _SECTION.finditer(text) if found.start(2) <= fault.start < found.end(2)), None
+        (match for match in _SECTION.finditer(text) if match.start(2) <= fault.start < match.end(2)), None
     )
     if section is None:
         return
@@ -154,11 +154,11 @@ def _included(name: str, text: str, fault: Fault) -> Iterator[Injected]:
         return
     part = "".join(line[indent:] for line in lines)
     moved = section.start(2) + indent * (text.count("\n", section.start(2), fault.start) + 1)
-    made = _in_style(PART, part, replace(fault, start=fault.start - moved, end=fault.end - moved), "plain")
+    case = _in_style(PART, part, replace(fault, start=fault.start - moved, end=fault.end - moved), "plain")
     head = f"{section[1]}: {{include: "
     above = f"{text[: section.start()]}{head}{PART}}}\n{text[section.end() :]}"
     chain = ((name, text.count("\n", 0, section.start()) + 1, len(head) + 1),)
-    yield replace(made, source=name, style="included", files={name: above, PART: made.text}, chain=chain)
+    yield replace(case, source=name, style="included", files={name: above, PART: case.text}, chain=chain)
 
 
 _PLAIN = re.compile(r"[-+.\w]+")

@@ -187,11 +187,11 @@ def pieces(node: yaml.Node, path: Path = (), in_flow: bool = False) -> Iterator[
 
 def faults(text: str) -> list[Fault]:
     """Every place in `text` where a mistake can be put, in order."""
-    found: list[Fault] = []
+    places_of_faults: list[Fault] = []
     for piece in pieces(yaml.compose(text, yaml.CSafeLoader)):
         if SETTLED.isdisjoint(piece.path) and (*piece.path, piece.node.value)[:2] != ("reset", "joints"):
-            found.extend(_of_key(piece) if piece.is_key else _of_value(piece))
-    return found
+            places_of_faults.extend(_of_key(piece) if piece.is_key else _of_value(piece))
+    return places_of_faults
 
 
 def _of_key(piece: Piece) -> Iterator[Fault]:
@@ -208,7 +208,8 @@ def _of_key(piece: Piece) -> Iterator[Fault]:
 
 
 def _of_value(piece: Piece) -> Iterator[Fault]:
-    value, last = piece.node.value, piece.path[-1] if piece.path else ""
+    value = piece.node.value
+    last = piece.path[-1] if piece.path else ""
     if last in UNTYPED:
         return
     if last in KINDS:
@@ -249,7 +250,8 @@ def _of_parentheses(piece: Piece, value: str) -> Iterator[Fault]:
     closing = value.rfind(")")
     if closing < 0:
         return
-    depth, opening = 1, closing
+    depth = 1
+    opening = closing
     while depth:
         opening -= 1
         depth += (value[opening] == ")") - (value[opening] == "(")
@@ -303,7 +305,8 @@ def slips(text: str) -> Iterator[Slip]:
         yield Slip("a bracket left out", ("DB001",), end - 1, end, "", start, start + 1)
         yield Slip("a bracket too many", ("DB001",), end, end, text[end - 1], end, end + 1)
     for entry in _ENTRY.finditer(text):
-        key, indent = entry["key"], len(entry["indent"])
+        key = entry["key"]
+        indent = len(entry["indent"])
         at = entry.end() + 1 + indent
         yield Slip(
             "a key given twice", ("DB002",), entry.end(), entry.end(), "\n" + entry.group(), at, at + len(key)

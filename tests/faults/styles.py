@@ -43,7 +43,8 @@ Style = Callable[[Wish], Written]
 
 def _joined(pieces: Sequence[str], head: str = "") -> Written:
     """`pieces[0]` stands before the value, each further one for a character of it, the last behind it."""
-    places, offset = [], len(pieces[0])
+    places = []
+    offset = len(pieces[0])
     for piece in pieces[1:]:
         places.append(offset)
         offset += len(piece)

@@ -50,33 +50,33 @@ def test_there_are_a_thousand_of_them_in_every_way_of_writing(cases: list[Inject
     ("symptom", "name", "right", "wrong", "code"),
     [pytest.param(*row, id=row[0]) for row in mistakes("followed")],
 )
-def test_what_follows_from_a_mistake_is_not_told(
+def test_errors_that_follow_from_a_mistake_are_not_reported(
     project: Project, symptom: str, name: str, right: str, wrong: str, code: str
 ) -> None:
     text = (project.scenarios / f"{name}.yaml").read_text(encoding="utf-8")
     assert right in text
     faulty = text.replace(right, wrong, 1)
-    (found,) = project.errors(
+    (finding,) = project.errors(
         Injected(f"{name}.yaml", symptom, "plain", (code,), {f"{name}.yaml": faulty}, f"{name}.yaml", 0, 0)
     )
-    assert found.code == code
-    assert found.span.start_position.line == text.count("\n", 0, text.index(right)) + 1
+    assert finding.code == code
+    assert finding.span.start_position.line == text.count("\n", 0, text.index(right)) + 1
 
 
 def test_a_value_in_a_block_of_text_begins_below_the_sign_of_the_block(project: Project) -> None:
     text = (project.scenarios / "quick.yaml").read_text(encoding="utf-8")
     faulty = text.replace("type: velocity_motor\n", "type: >-\n          velocity_moter\n")
-    (found,) = project.errors(
+    (finding,) = project.errors(
         Injected("quick.yaml", "", "folded", (), {"quick.yaml": faulty}, "quick.yaml", 0, 0)
     )
-    assert found.span.text == "velocity_moter"
+    assert finding.span.text == "velocity_moter"
 
 
 def test_the_last_kind_of_a_group_that_has_a_finding_leaves_a_group_of_nothing(project: Project) -> None:
     text = (project.scenarios / "find_and_avoid.yaml").read_text(encoding="utf-8")
     start, end = text.index("    one_of:"), text.index("\nrobots:")
     faulty = f"{text[:start]}    one_of:\n      cube: {{shape: box, sze: 1 1 1 cm}}\n{text[end:]}"
-    found = project.errors(
+    findings = project.errors(
         Injected(
             "find_and_avoid.yaml",
             "",
@@ -88,4 +88,4 @@ def test_the_last_kind_of_a_group_that_has_a_finding_leaves_a_group_of_nothing(p
             0,
         )
     )
-    assert "DB101" in {finding.code for finding in found}
+    assert "DB101" in {finding.code for finding in findings}

@@ -42,11 +42,11 @@ def folder(project: Project) -> Path:
 
 @pytest.fixture(scope="module")
 def offers(folder: Path) -> dict[Path, list[Finding]]:
-    """What lint says, in preview too, of a third of the scenarios with a fix; a new scenario does not change
-    the choice of others."""
+    """The findings, also in preview, of a third of the scenarios with a fix. A new scenario does not change
+    which others are chosen."""
     chosen = [path for path in sorted(folder.glob("err/*.yaml")) if crc32(path.name.encode()) % 3 == 0]
     linted = {path: api.lint(path, preview=True) for path in chosen}
-    return {path: found for path, found in linted.items() if any(finding.fix for finding in found)}
+    return {path: findings for path, findings in linted.items() if any(finding.fix for finding in findings)}
 
 
 @pytest.mark.slow
@@ -55,11 +55,11 @@ def test_the_fix_of_a_typo_gives_back_what_was_there(project: Project) -> None:
     typos = [case for case in everything() if case.kind.startswith("typo") and case.style == "plain"]
     unfixed = []
     for case in typos[::6]:
-        (found,) = project.errors(case)
-        if found.fix is None:
+        (finding,) = project.errors(case)
+        if finding.fix is None:
             unfixed.append(case)
         else:
-            assert applied(found, case.text) == whole[case.source], (case.source, found.headline)
+            assert applied(finding, case.text) == whole[case.source], (case.source, finding.headline)
     assert len(unfixed) < len(typos) / 120, [(case.source, case.kind, case.at) for case in unfixed]
 
 
@@ -70,9 +70,9 @@ def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project)
         if case.kind == "typo in a joint or link" and case.style in ("single-quoted", "double-quoted")
     ]
     for case in typos[::3]:
-        (found,) = project.errors(case)
-        assert found.fix is not None
-        mended = applied(found, case.text)
+        (finding,) = project.errors(case)
+        assert finding.fix is not None
+        mended = applied(finding, case.text)
         assert mended[: case.at] == case.text[: case.at]
         assert mended.endswith(case.text[case.until :])
 
@@ -100,22 +100,22 @@ def test_a_second_run_finds_nothing_to_do_and_comments_stay(offers: dict[Path, l
 def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(offers: dict[Path, list[Finding]]) -> None:
     offered = 0
     for path, findings in offers.items():
-        found = {said(finding) for finding in findings if finding.fix}
+        fixable = {code_and_headline(finding) for finding in findings if finding.fix}
         together = Fixer([str(path)], api.load, unsafe=True, preview=True)
         together.fix()
-        assert found <= set(map(said, together.fixed)), path.name
+        assert fixable <= set(map(code_and_headline, together.fixed)), path.name
         assert not [finding for finding in together.remaining_findings if finding.fix], path.name
-        for one in found if len(found) > 1 else ():
+        for entry in fixable if len(fixable) > 1 else ():
             alone = Fixer(
                 [str(path)],
                 api.load,
                 unsafe=True,
                 preview=True,
-                wanted=lambda finding, one=one: said(finding) == one,
+                wanted=lambda finding, entry=entry: code_and_headline(finding) == entry,
             )
             alone.fix()
-            assert set(map(said, alone.fixed)) == {one}, path.name
-        offered += len(found)
+            assert set(map(code_and_headline, alone.fixed)) == {entry}, path.name
+        offered += len(fixable)
     assert offered > 25
 
 
@@ -124,7 +124,7 @@ def test_a_shipped_scenario_has_nothing_to_fix(project: Project, name: str) -> N
     assert Fixer([str(project.scenarios / f"{name}.yaml")], api.load, unsafe=True).fix() == []
 
 
-def said(finding: Finding) -> tuple[str, str]:
+def code_and_headline(finding: Finding) -> tuple[str, str]:
     return finding.code, finding.headline
 
 

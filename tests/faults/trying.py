@@ -1,4 +1,4 @@
-"""Injected faults, linted: whether what is found is what was put in."""
+"""Lint of injected faults: whether the findings are those of the faults."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class Project:
         try:
             for name, text in case.files.items():
                 (self.scenarios / name).write_text(text, encoding="utf-8", newline="")
-            return [found for found in api.lint(self.scenarios / case.source) if found.severity == "error"]
+            return [
+                finding for finding in api.lint(self.scenarios / case.source) if finding.severity == "error"
+            ]
         finally:
             for name in case.files:
                 (self.scenarios / name).unlink()
@@ -34,28 +36,28 @@ class Project:
                 (self.scenarios / name).write_bytes(data)
 
     def mistake(self, case: Injected) -> str | None:
-        """What lint gets wrong about a case; None where it says just what it should."""
+        """The mistake of lint about a case; None where it reports what it should."""
         errors = self.errors(case)
-        told = "; ".join(
-            f"{Path(found.span.location).name} {found.code} {found.headline}" for found in errors
+        reported = "; ".join(
+            f"{Path(finding.span.location).name} {finding.code} {finding.headline}" for finding in errors
         )
         if len(errors) != 1:
-            return f"{len(errors)} errors: {told}"
-        (found,) = errors
+            return f"{len(errors)} errors: {reported}"
+        (finding,) = errors
         start, end = line_and_column(case.text, case.at), line_and_column(case.text, case.until)
         starts, ends = [start, (start[0], start[1] - case.slack)], [end, (end[0], end[1] + case.slack)]
-        if found.code not in case.codes:
-            return f"not {' or '.join(case.codes)}: {told}"
+        if finding.code not in case.codes:
+            return f"not {' or '.join(case.codes)}: {reported}"
         if (
-            Path(found.span.source.name).name != case.culprit
-            or tuple(found.span.start_position) not in starts
+            Path(finding.span.source.name).name != case.culprit
+            or tuple(finding.span.start_position) not in starts
         ):
-            return f"not at {case.culprit}:{start[0]}:{start[1]}: {told}"
-        if tuple(found.span.end_position) not in ends:
-            return f"not up to {end}: {told} up to {tuple(found.span.end_position)}"
+            return f"not at {case.culprit}:{start[0]}:{start[1]}: {reported}"
+        if tuple(finding.span.end_position) not in ends:
+            return f"not up to {end}: {reported} up to {tuple(finding.span.end_position)}"
         chain = tuple(
             (Path(above.source.name).name, *above.start_position)
-            for above in found.span.source.inclusion_chain
+            for above in finding.span.source.inclusion_chain
         )
         return None if chain == case.chain else f"not brought in by {case.chain}: {chain}"
 

@@ -38,18 +38,19 @@ def main() -> int:
         default=Path("build/fuzz"),
         help="where files that fail are written, by default build/fuzz",
     )
-    given = parser.parse_args()
-    keep = given.keep.resolve()
-    failed, stop = 0, given.start + given.count
+    options = parser.parse_args()
+    keep = options.keep.resolve()
+    failed = 0
+    stop = options.start + options.count
     gc.set_threshold(50_000)  # as the command line does
     with tempfile.TemporaryDirectory() as folder, Workbench(Path(folder)) as bench:
         allow(folder, keep)
         watch()
-        for start in range(given.start, stop, BLOCK):
+        for start in range(options.start, stop, BLOCK):
             end = min(start + BLOCK, stop)
             failed += block(bench, start, end, keep)
             print(
-                f"{end - given.start} files, {failed} failed, {time.process_time():.0f} s of CPU,"
+                f"{end - options.start} files, {failed} failed, {time.process_time():.0f} s of CPU,"
                 f" {peak_memory() / 1e6:.0f} MB at most, "
                 f"the slowest {bench.slowest[0]:.3f} s ({bench.slowest[1]}); go on with --start {end}",
                 flush=True,

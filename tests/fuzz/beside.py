@@ -127,9 +127,9 @@ def session(client: Client, folder: Path, chance: random.Random) -> int:
         else:
             answers += _ask(client, uri, chance)
     for uri in uris:
-        found = client.findings(uri)
-        _check_places(client.texts[uri], found)
-        check_rules([one["message"] for one in found if one.get("code") == "DB903"])
+        findings = client.findings(uri)
+        _check_places(client.texts[uri], findings)
+        check_rules([finding["message"] for finding in findings if finding.get("code") == "DB903"])
         client.close(uri)
     if client.logged:
         raise FailedError(f"the language server says: {client.logged}")
@@ -161,7 +161,8 @@ def _place(text: str, chance: random.Random) -> dict[str, int]:
 
 
 def _ask(client: Client, uri: str, chance: random.Random) -> bool:
-    text, method = client.texts[uri], chance.choice(ASKED)
+    text = client.texts[uri]
+    method = chance.choice(ASKED)
     params: dict[str, Any] = {"textDocument": {"uri": uri}}
     if method in ("hover", "completion", "definition"):
         params["position"] = _place(text, chance)
@@ -174,33 +175,33 @@ def _ask(client: Client, uri: str, chance: random.Random) -> bool:
         params["options"] = {"tabSize": chance.choice((2, 4, 0)), "insertSpaces": True}
     answer = client.request(f"textDocument/{method}", params)
     if method == "formatting" and answer and "\r" not in text:
-        made = edited(text, answer)
-        if _meaning(made) != _meaning(text):
-            raise FailedError(f"formatting changes what the document says: {text!r} -> {made!r}")
+        formatted = edited(text, answer)
+        if _meaning(formatted) != _meaning(text):
+            raise FailedError(f"formatting changes what the document says: {text!r} -> {formatted!r}")
     elif method == "documentSymbol":
         _check_places(text, answer or [])
     return answer is not None
 
 
-def _check_places(text: str, found: list[dict[str, Any]]) -> None:
+def _check_places(text: str, places: list[dict[str, Any]]) -> None:
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    for one in found:
-        start, end = one["range"]["start"], one["range"]["end"]
+    for place in places:
+        start, end = place["range"]["start"], place["range"]["end"]
         if (start["line"], start["character"]) > (end["line"], end["character"]) or end["line"] >= len(lines):
-            raise FailedError(f"{one} lies outside of its text of {len(lines)} lines")
+            raise FailedError(f"{place} lies outside of its text of {len(lines)} lines")
         if end["character"] > len(lines[end["line"]].encode("utf-16-le", "surrogatepass")) // 2:
-            raise FailedError(f"{one} lies behind the end of its line")
+            raise FailedError(f"{place} lies behind the end of its line")
 
 
 def check(bench: Workbench, number: int) -> None:
     """Everything that must hold of the file of a number but what lint says of it."""
-    one = case(number)
-    if one.file.suffix == ".yaml":
+    mutated = case(number)
+    if mutated.file.suffix == ".yaml":
         with contextlib.suppress(UnicodeDecodeError):
-            check_layout(one.data.decode("utf-8"))
-        check_layout(unkempt((ROOT / one.file).read_text(encoding="utf-8"), random.Random(number)))
-    with bench.laid_out(one):
-        check_verbs(one)
+            check_layout(mutated.data.decode("utf-8"))
+        check_layout(unkempt((ROOT / mutated.file).read_text(encoding="utf-8"), random.Random(number)))
+    with bench.laid_out(mutated):
+        check_verbs(mutated)
 
 
 def main() -> int:
@@ -209,10 +210,10 @@ def main() -> int:
     )
     parser.add_argument("--count", type=int, default=1000, help="files, by default 1000")
     parser.add_argument("--start", type=int, default=0, help="the number of the first, by default 0")
-    given = parser.parse_args()
+    options = parser.parse_args()
     failed = 0
     with tempfile.TemporaryDirectory() as name, Workbench(Path(name)) as bench:
-        for number in range(given.start, given.start + given.count):
+        for number in range(options.start, options.start + options.count):
             try:
                 check(bench, number)
                 if number % SESSION == 0:
@@ -223,7 +224,7 @@ def main() -> int:
             except Exception:  # noqa: BLE001  # whatever it is, it is what is looked for
                 failed += 1
                 print(f"{number}: {traceback.format_exc()}", flush=True)
-    print(f"{given.count} files, {failed} failed, {time.process_time():.0f} s of CPU")
+    print(f"{options.count} files, {failed} failed, {time.process_time():.0f} s of CPU")
     return int(failed > 0)
 
 

@@ -269,11 +269,11 @@ def _cut_off(data: bytes, chance: random.Random) -> bytes:
 
 def _splice(data: bytes, chance: random.Random) -> bytes:
     """The beginning of one file and the end of another, cut between lines or anywhere."""
-    other = CORPUS[chance.choice(SCENARIOS)]
+    other_file = CORPUS[chance.choice(SCENARIOS)]
     if chance.random() < 0.5:
-        return data[: _place(data, chance)] + other[_place(other, chance) :]
-    mine, others = data.splitlines(keepends=True), other.splitlines(keepends=True)
-    return b"".join(mine[: chance.randint(0, len(mine))] + others[chance.randint(0, len(others)) :])
+        return data[: _place(data, chance)] + other_file[_place(other_file, chance) :]
+    mine, other_lines = data.splitlines(keepends=True), other_file.splitlines(keepends=True)
+    return b"".join(mine[: chance.randint(0, len(mine))] + other_lines[chance.randint(0, len(other_lines)) :])
 
 
 def _nest(data: bytes, chance: random.Random) -> bytes:
@@ -287,49 +287,49 @@ def _nest(data: bytes, chance: random.Random) -> bytes:
 
 def _exchanged(pattern: re.Pattern[bytes], replacements: list[bytes]) -> Change:
     def change(data: bytes, chance: random.Random) -> bytes:
-        found = list(pattern.finditer(data))
-        if not found:
+        matches = list(pattern.finditer(data))
+        if not matches:
             return data
-        chosen = chance.choice(found)
+        chosen = chance.choice(matches)
         return data[: chosen.start()] + chance.choice(replacements) + data[chosen.end() :]
 
     return change
 
 
 def _typo(data: bytes, chance: random.Random) -> bytes:
-    found = [word.span() for word in _WORD.finditer(data) if len(word.group()) > 2]
-    if not found:
+    words = [word.span() for word in _WORD.finditer(data) if len(word.group()) > 2]
+    if not words:
         return data
-    at = chance.randrange(*chance.choice(found))
+    at = chance.randrange(*chance.choice(words))
     letter = bytes([chance.choice(b"abcdefghijklmnopqrstuvwxyz_0.")])
     return data[:at] + chance.choice((b"", letter, letter + data[at : at + 1])) + data[at + 1 :]
 
 
 def _move_lines(data: bytes, chance: random.Random) -> bytes:
     lines = data.splitlines(keepends=True) or [b"\n"]
-    at, other = chance.randrange(len(lines)), chance.randrange(len(lines))
+    first, second = chance.randrange(len(lines)), chance.randrange(len(lines))
     match chance.randrange(6):
         case 0:
-            del lines[at]
+            del lines[first]
         case 1:
-            lines.insert(at, chance.choice(LINES))
+            lines.insert(first, chance.choice(LINES))
         case 2:
-            lines[at], lines[other] = lines[other], lines[at]
+            lines[first], lines[second] = lines[second], lines[first]
         case 3:
-            lines[at] = b"  " + lines[at]
+            lines[first] = b"  " + lines[first]
         case 4:
-            lines[at] = lines[at].lstrip(b" ")
+            lines[first] = lines[first].lstrip(b" ")
         case _:
-            lines[at] = lines[at].rstrip(b"\n") + b" " + lines[other].lstrip()
+            lines[first] = lines[first].rstrip(b"\n") + b" " + lines[second].lstrip()
     return b"".join(lines)
 
 
 def _requote(data: bytes, chance: random.Random) -> bytes:
     """A value in quotes, in a block, or behind an escape."""
-    found = list(_VALUE.finditer(data))
-    if not found:
+    values = list(_VALUE.finditer(data))
+    if not values:
         return data
-    chosen = chance.choice(found)
+    chosen = chance.choice(values)
     wrapped = chance.choice(
         (
             b'"%b"',

@@ -95,7 +95,9 @@ def damaged_zip(data: bytes, chance: random.Random) -> bytes:
         return flipped(data, chance)
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
-    name, way, stream = chance.choice(sorted(members)), chance.randrange(6), io.BytesIO()
+    name = chance.choice(sorted(members))
+    way = chance.randrange(6)
+    stream = io.BytesIO()
     match way:
         case 0:
             del members[name]
@@ -128,10 +130,10 @@ def mutated(file: str, data: bytes, number: int) -> bytes:
 
 def files_of(run: Path) -> list[str]:
     """The files of a run that are damaged, from its folder on."""
-    found = [path.relative_to(run).as_posix() for path in sorted(run.rglob("*")) if path.is_file()]
+    names = [path.relative_to(run).as_posix() for path in sorted(run.rglob("*")) if path.is_file()]
     return [
         name
-        for name in found
+        for name in names
         if not name.endswith((".lock", "environment.py")) and not name.startswith("inputs/")
     ]
 
@@ -157,7 +159,7 @@ READERS = {
 
 
 def problem(run: Path, file: str, number: int) -> str:
-    """What is wrong after a file was damaged; empty where all is well."""
+    """The problem after a file was damaged; empty where there is none."""
     with tempfile.TemporaryDirectory() as name, contextlib.chdir(name):
         copy = Path(shutil.copytree(run, "run"))
         before = (copy / file).read_bytes()
@@ -195,12 +197,13 @@ def _commanded(file: str, number: int, run: Path) -> str:
     words = COMMANDS[places[number % len(places)]]
     if "other" in words and not Path("other").exists():
         shutil.copytree(run, "other")
-    before, err = _content(Path("run")), io.StringIO()
+    before = _content(Path("run"))
+    err = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
         code = main(list(words))
-    said = err.getvalue()
-    if code not in (0, 1, 2) or "Traceback" in said:
-        return f"{' '.join(words)} ended with {code}: {said[-600:]}"
+    errors = err.getvalue()
+    if code not in (0, 1, 2) or "Traceback" in errors:
+        return f"{' '.join(words)} ended with {code}: {errors[-600:]}"
     return "the run has changed" if code == 2 and _content(Path("run")) != before else ""
 
 
@@ -209,19 +212,19 @@ def main() -> None:
     signal.signal(signal.SIGALRM, _late)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     for line in sys.stdin:
-        asked = json.loads(line)
+        request = json.loads(line)
         signal.alarm(MOST_SECONDS)
         try:
-            said = problem(Path(asked["run"]), asked["file"], asked["number"])
+            reason = problem(Path(request["run"]), request["file"], request["number"])
         except TimeoutError:  # a scenario may have episodes of any length
-            said = "" if asked["file"] == "resolved.yaml" else f"it takes longer than {MOST_SECONDS} s"
+            reason = "" if request["file"] == "resolved.yaml" else f"it takes longer than {MOST_SECONDS} s"
         except Exception as error:  # an error of deepbots  # noqa: BLE001
-            said = f"{type(error).__name__}: {error}"[:600]
+            reason = f"{type(error).__name__}: {error}"[:600]
         finally:
             signal.alarm(0)
-        if not said and peak_memory() > MOST_MEMORY:
-            said = f"it takes {peak_memory() >> 20} MiB"
-        print(json.dumps(said), file=sys.__stdout__, flush=True)
+        if not reason and peak_memory() > MOST_MEMORY:
+            reason = f"it takes {peak_memory() >> 20} MiB"
+        print(json.dumps(reason), file=sys.__stdout__, flush=True)
 
 
 def _late(number: int, frame: FrameType | None) -> None:
@@ -231,7 +234,8 @@ def _late(number: int, frame: FrameType | None) -> None:
 def problems(run: Path, cases: Iterable[tuple[str, int]]) -> Iterator[str]:
     """What is wrong with changes, each a file and a number, by a process of its own; a further one after one
     that was taken down."""
-    command, waiting = [sys.executable, "-m", __name__], deque(cases)
+    command = [sys.executable, "-m", __name__]
+    waiting = deque(cases)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "learning")))}
     pipe, nowhere = subprocess.PIPE, subprocess.DEVNULL
     while waiting:
@@ -247,11 +251,11 @@ def problems(run: Path, cases: Iterable[tuple[str, int]]) -> Iterator[str]:
                     file=process.stdin,
                     flush=True,
                 )
-                said = process.stdout.readline()
-                if not said:
+                answer = process.stdout.readline()
+                if not answer:
                     yield f"{file} {number}: the process ended with {process.wait()}"
                     break
-                if reason := json.loads(said):
+                if reason := json.loads(answer):
                     yield f"{file} {number}: {reason}"
             process.stdin.close()
 

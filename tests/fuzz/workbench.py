@@ -117,7 +117,7 @@ class Workbench:
 
     @contextlib.contextmanager
     def laid_out(self, damaged: Case) -> Iterator[None]:
-        """The damaged file stands in its place, and the whole one again behind."""
+        """The damaged file is in place inside the context, and the whole one again after it."""
         whole = damaged.file.read_bytes()
         damaged.file.write_bytes(damaged.data)
         try:
@@ -181,7 +181,7 @@ def check_rules(faults: Sequence[str]) -> None:
 
 def digest(findings: Sequence[Finding]) -> str:
     """All that findings say, as a SHA-256 in hexadecimal."""
-    said = [
+    rows = [
         (
             f.code,
             f.span.location,
@@ -193,7 +193,7 @@ def digest(findings: Sequence[Finding]) -> str:
         )
         for f in findings
     ]
-    text = json.dumps(said).replace(
+    text = json.dumps(rows).replace(
         os.getcwd(), "<here>"
     )  # a file that is missing is told with where it was looked for
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

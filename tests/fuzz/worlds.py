@@ -99,7 +99,9 @@ def main() -> int:
     if options.block:
         return _block(options.start, end)
     place = Path(os.environ.get("TMPDIR", "/tmp")) / f"worlds-{os.getpid()}"
-    failed, at, began = 0, options.start, time.monotonic()
+    failed = 0
+    at = options.start
+    began = time.monotonic()
     while at < end:
         size = min(BLOCK, end - at)
         words = [

@@ -1,4 +1,4 @@
-"""The golden cases: scenarios with one mistake, and what lint says of each, in one page of Markdown per code.
+"""The golden cases: scenarios with one mistake and the findings of lint, one page of Markdown per code.
 
 A page `err/db101.md` holds sections; a section is a case: its name as a heading, the scenario in a block
 `yaml` and the findings in a block `text`. `UPDATE_GOLDEN=1 pytest tests/golden` writes the blocks of
@@ -21,30 +21,32 @@ CASE = re.compile(r"^## (\S+)\n\n```yaml\n(.*?)^```\n\n```text\n(.*?)^```\n", re
 
 @dataclass(frozen=True)
 class Case:
-    """One mistake, with the findings that are expected; `page` has the code as its name."""
+    """One mistake with its expected findings; the name of `page` is the code."""
 
     page: Path
     mistake: str
     text: str
-    said: str
+    expected: str
 
     def __str__(self) -> str:
         return f"{self.page.stem}-{self.mistake}"
 
-    def update(self, said: str) -> None:
-        """Write what lint says now into the page."""
+    def update(self, output: str) -> None:
+        """Write the present output of lint into the page."""
         page = self.page.read_text(encoding="utf-8")
         block = f"## {self.mistake}\n\n```yaml\n{self.text}```\n\n```text\n"
         assert block in page
-        self.page.write_text(page.replace(f"{block}{self.said}```", f"{block}{said}```"), encoding="utf-8")
+        self.page.write_text(
+            page.replace(f"{block}{self.expected}```", f"{block}{output}```"), encoding="utf-8"
+        )
 
 
 def cases(kind: str) -> list[Case]:
     """The cases of `lint` or `deep`, sorted by page and mistake."""
     return [
-        Case(page, *found)
+        Case(page, *fields)
         for page in sorted((HERE / kind / "err").glob("*.md"))
-        for found in CASE.findall(page.read_text(encoding="utf-8"))
+        for fields in CASE.findall(page.read_text(encoding="utf-8"))
     ]
 
 

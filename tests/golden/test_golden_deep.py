@@ -1,4 +1,4 @@
-"""What a short simulation says of mistakes, word for word.
+"""The findings of a short simulation about mistakes, word for word.
 
 As `test_golden_lint`, for `lint --deep`: each section of `deep/err/<code>.md` is a CartPole (that of `lint/`)
 with one mistake that its text does not show, and what stands in `deep/ok/` is unusual and right. After a
@@ -32,36 +32,36 @@ def _stand_in_the_folder(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(golden)
 
 
-def found_in(path: str) -> list[Finding]:
-    """What only the simulation tells."""
+def simulated_findings(path: str) -> list[Finding]:
+    """The findings that only the simulation reports."""
     checked = api.load(path)
-    told = {finding.sort_key for finding in all_findings(checked, preview=True)}
-    found = all_findings(checked, preview=True, measured=simulate(checked, preview=True).findings)
-    return [finding for finding in found if finding.sort_key not in told]
+    static_keys = {finding.sort_key for finding in all_findings(checked, preview=True)}
+    findings = all_findings(checked, preview=True, measured=simulate(checked, preview=True).findings)
+    return [finding for finding in findings if finding.sort_key not in static_keys]
 
 
 @pytest.mark.parametrize("case", few(BAD, ONE_OF_EACH))
-def test_a_mistake_is_measured_and_told_in_these_words(case: Case) -> None:
-    """The words hold what PyBullet measures; on MuJoCo alone, only the codes are compared."""
+def test_a_simulated_mistake_is_reported_in_the_expected_words(case: Case) -> None:
+    """The texts contain numbers that PyBullet measures; without PyBullet, only the codes are compared."""
     if "pybullet_data" in case.text:
         pytest.importorskip("pybullet_data")
-    found = found_in(f"deep/err/{case}.yaml")
-    said = render(found, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
+    findings = simulated_findings(f"deep/err/{case}.yaml")
+    output = render(findings, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
     if os.environ.get("UPDATE_GOLDEN"):
-        case.update(said)
+        case.update(output)
     elif find_spec("pybullet"):
-        assert said == case.said
-    assert [finding.code.lower() for finding in found] == [case.page.stem]
+        assert output == case.expected
+    assert [finding.code.lower() for finding in findings] == [case.page.stem]
 
 
 @pytest.mark.parametrize("case", every(4, GOOD))
 def test_an_unusual_scenario_without_mistake_is_silent(case: str) -> None:
-    assert found_in(f"deep/ok/{case}.yaml") == []
+    assert simulated_findings(f"deep/ok/{case}.yaml") == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", UNUSUAL)
-def test_what_lint_has_nothing_to_say_of_can_be_simulated_and_is_silent(case: str) -> None:
+def test_a_scenario_without_static_findings_has_no_simulated_ones(case: str) -> None:
     """About 1.2 s of CPU each. Without preview: some goldens clip or repeat on purpose."""
     probed = simulate(api.load(f"lint/ok/{case}.yaml"))
     assert probed.incomplete is None

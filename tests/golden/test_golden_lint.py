@@ -1,4 +1,4 @@
-"""What lint says about small mistakes, word for word.
+"""The findings of lint about small mistakes, word for word.
 
 Each section of the pages `lint/err/<code>.md` is a scenario, most often a CartPole, with one mistake, and the
 finding; `several.md` and `original.md` hold more than one. What stands in `lint/ok/` has none. Rules in
@@ -27,18 +27,18 @@ def _stand_in_the_folder(golden: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("case", BAD, ids=str)
-def test_a_mistake_is_reported_once_in_these_short_and_plain_words(case: Case) -> None:
-    found = api.lint(f"err/{case}.yaml", preview=True)
-    said = render(found, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
+def test_a_mistake_is_reported_once_in_short_plain_words(case: Case) -> None:
+    findings = api.lint(f"err/{case}.yaml", preview=True)
+    output = render(findings, "full").replace(f"{Path.cwd()}{os.sep}", "<here>/").rstrip("\n") + "\n"
     if os.environ.get("UPDATE_GOLDEN"):
-        case.update(said)
+        case.update(output)
     else:
-        assert said == case.said
+        assert output == case.expected
     if case.page.stem.startswith("db"):
-        assert [finding.code.lower() for finding in found] == [case.page.stem]
+        assert [finding.code.lower() for finding in findings] == [case.page.stem]
     if case.mistake.startswith("five"):
-        assert len(found) == 5
-    for finding in found:
+        assert len(findings) == 5
+    for finding in findings:
         assert re.match(r"[a-z0-9`']|[A-Z]{3}", finding.headline), finding.headline
         assert not finding.headline.endswith(".")
         assert not re.search(r"\b(illegal|invalid|should|please)\b", finding.headline), finding.headline
@@ -47,8 +47,8 @@ def test_a_mistake_is_reported_once_in_these_short_and_plain_words(case: Case) -
 
 @pytest.mark.parametrize("case", GOOD)
 def test_a_scenario_without_mistake_is_silent(case: str) -> None:
-    found = api.lint(f"ok/{case}.yaml", preview=True)
-    assert found == [], render(found, "full")
+    findings = api.lint(f"ok/{case}.yaml", preview=True)
+    assert findings == [], render(findings, "full")
 
 
 @pytest.mark.parametrize("case", every(6, GOOD))
@@ -57,14 +57,14 @@ def test_a_scenario_without_mistake_compiles(case: str) -> None:
 
 
 def test_every_rule_has_a_case() -> None:
-    """DB108 aside: which parts of the language wait for a later version changes. DB410 and DB902 come of
-    options, DB903 of faults of ours.
+    """DB108 is exempt, because the parts of the language that wait for a later version change. DB410 and DB902
+    come from options, DB903 from faults of deepbots.
 
-    What a simulation alone can tell has its cases in `test_golden_deep`, and exploits theirs in
+    The cases of simulated rules are in `test_golden_deep`, those of exploits in
     `tests/lint/test_exploits.py`.
     """
-    found = {case.page.stem.upper() for case in BAD if case.page.stem.startswith("db")}
-    assert found | {"DB108", "DB410", "DB902", "DB903"} == {
+    codes = {case.page.stem.upper() for case in BAD if case.page.stem.startswith("db")}
+    assert codes | {"DB108", "DB410", "DB902", "DB903"} == {
         code for code, entry in RULES.items() if entry.deep not in ("only", "exploits")
     }
 

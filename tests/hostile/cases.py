@@ -377,16 +377,16 @@ def _of_paths() -> Iterator[Hostile]:
     third."""
     for number, path in enumerate(OUTSIDE):
         others = [(number + place) % 3 != 0 for place in range(5)]
-        said = f"{path[:40]}…" if len(path) > 40 else path or "nothing"
+        shown = f"{path[:40]}…" if len(path) > 40 else path or "nothing"
         quoted = f'"{path}"'
         yield Hostile(
-            f"extends {said}",
+            f"extends {shown}",
             ("DB204", "DB107", "DB103"),
             f"deepbots: 1\nextends: {quoted}\n".encode(),
             make=_make_traps,
         )
         yield Hostile(
-            f"includes {said}",
+            f"includes {shown}",
             ("DB204", "DB107", "DB103"),
             added(f"k: {{include: {quoted}}}\n"),
             make=_make_traps,
@@ -394,7 +394,7 @@ def _of_paths() -> Iterator[Hostile]:
         )
         robot = changed("rail.urdf", quoted)
         yield Hostile(
-            f"robot from {said}",
+            f"robot from {shown}",
             ("DB204", "DB301", "DB201", "DB107", "DB103"),
             robot,
             make=_make_traps,
@@ -402,17 +402,17 @@ def _of_paths() -> Iterator[Hostile]:
         )
         codes = ("DB204", "DB301", "DB103", "DB107", "DB105")
         thing = added(f"objects: {{thing: {{shape: mesh, file: {quoted}, mass: 1 kg}}}}\n")
-        yield Hostile(f"mesh of an object from {said}", codes, thing, make=_make_traps, slow=others[2])
+        yield Hostile(f"mesh of an object from {shown}", codes, thing, make=_make_traps, slow=others[2])
         relief = changed(
             "timestep: 20 ms",
             f"timestep: 20 ms, terrain: {{type: heightfield, file: {quoted}, size: 4 4 m, height: 1 m}}",
         )
-        yield Hostile(f"heights from {said}", codes, relief, make=_make_traps, slow=others[3])
+        yield Hostile(f"heights from {shown}", codes, relief, make=_make_traps, slow=others[3])
         if "\\" not in path:
             codes = ("DB301", "DB204")
             meshed = {"rail.urdf": MESHED % path.encode()}
             yield Hostile(
-                f"mesh of a robot from {said}",
+                f"mesh of a robot from {shown}",
                 codes,
                 SCENARIO.encode(),
                 meshed,

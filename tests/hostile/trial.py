@@ -44,7 +44,7 @@ class Outcome:
 
 
 def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
-    """The cases, also those that are `slow`, and what became of each; less than all if lint took its process
+    """The cases, also those that are `slow`, and the outcome of each; fewer than all if lint took its process
     down."""
     command = [sys.executable, "-m", __name__]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -59,11 +59,11 @@ def outcomes(*, slow: bool = True) -> Iterator[tuple[Hostile, Outcome]]:
                 folder = home / str(number) / "project"
                 folder.mkdir(parents=True)
                 print(case.write(folder), file=linter.stdin, flush=True)
-                said = linter.stdout.readline()
+                line = linter.stdout.readline()
                 shutil.rmtree(folder.parent, ignore_errors=True)
-                if not said:
+                if not line:
                     return
-                yield case, Outcome(**json.loads(said))
+                yield case, Outcome(**json.loads(line))
             linter.stdin.close()
 
 
@@ -73,11 +73,11 @@ def examine(main: Path) -> Outcome:
     watch.allow(main.parent)
     watch.OUTSIDE.clear()
     start = time.process_time()
-    with redirect_stdout(io.StringIO()) as said, redirect_stderr(io.StringIO()):
+    with redirect_stdout(io.StringIO()) as output, redirect_stderr(io.StringIO()):
         exit_code = command_line(["lint", str(main), "--format", "json"])
     seconds = time.process_time() - start
     os.chdir(main.parents[2])
-    findings = json.loads(said.getvalue())["findings"]
+    findings = json.loads(output.getvalue())["findings"]
     codes = sorted({finding["code"] for finding in findings if finding["severity"] == "error"})
     return Outcome(codes, seconds, exit_code, list(watch.OUTSIDE), peak_memory())
 

@@ -54,15 +54,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("seeds", type=int, nargs="+")
     parser.add_argument("--runs", type=Path)
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     with TemporaryDirectory() as temporary:
-        for seed in given.seeds:
+        for seed in options.seeds:
             right = 0
-            for entry, found in all_causes(seed, given.runs or Path(temporary)):
-                right += found[0] == entry["cause"]
-                mark = "" if found[0] == entry["cause"] else f"  planted: {entry['cause']}"
-                print(f"{seed}  {entry['name']:16} {', '.join(found)}{mark}", flush=True)
+            for entry, ranked in all_causes(seed, options.runs or Path(temporary)):
+                right += ranked[0] == entry["cause"]
+                mark = "" if ranked[0] == entry["cause"] else f"  planted: {entry['cause']}"
+                print(f"{seed}  {entry['name']:16} {', '.join(ranked)}{mark}", flush=True)
             print(
                 f"{seed}  {right} of {len(BROKEN)}, CPU time so far {time.process_time():.0f} s", flush=True
             )

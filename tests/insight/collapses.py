@@ -89,7 +89,8 @@ def trained(case: Case, run: Path) -> Run:
 
 def has_fallen(run: Run) -> bool:
     """Whether the training learned its task, and lost it again."""
-    solved, evaluations = run.program.agent.solved, read_evaluations(run.path)
+    solved = run.program.agent.solved
+    evaluations = read_evaluations(run.path)
     if solved is None or len(evaluations) < 3:
         return False
     name, wanted = (

@@ -31,7 +31,7 @@ def with_logs(
     returns = np.asarray(returns, float)
     lengths = returns if lengths is None else np.asarray(lengths, float)
     count = len(returns)
-    given = [
+    per_episode = [
         np.broadcast_to(np.asarray(value, kind), count)
         for value, kind in ((success, float), (ending, object), (stages, object))
     ]
@@ -39,7 +39,7 @@ def with_logs(
         np.cumsum(lengths),
         returns,
         lengths,
-        *given,
+        *per_episode,
         np.broadcast_to(np.asarray(drawn, object), count),
     ]
     episodes = np.rec.fromarrays(columns, names="steps, returns, lengths, successes, endings, stages, drawn")

@@ -1,4 +1,4 @@
-"""Causes that were false, or came second: each test is named after what a training was told."""
+"""Causes that were once false or in the wrong place: each test is named after the right diagnosis."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ HELD = (
 """Being at the mark pays in every step, and the success, which ends the episode, asks for staying there."""
 
 
-def _named(training: TrainingEvidence, cause: str) -> Statement:
-    (found,) = [each for each in diagnose(training) if each.cause == cause]
-    return found
+def statement_of(training: TrainingEvidence, cause: str) -> Statement:
+    (statement,) = [each for each in diagnose(training) if each.cause == cause]
+    return statement
 
 
 def _played(run: Run, actions: list[float], mark: float) -> Trace:
@@ -75,7 +75,7 @@ def held(tmp_path_factory) -> Path:
 
 
 def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(held):
-    """Returns of 268 against the 57.6 of the script, and a success rate of 9 %: nothing was said of it."""
+    """Returns of 268 against the 57.6 of the script, with a success rate of 9 %, once had no diagnosis."""
     training = read_training(Run.open(held))
     run_probes(training)
     script = np.mean([trace.returns for trace in training.scripts["by_hand"]])
@@ -84,11 +84,9 @@ def test_a_reward_that_cheats_is_named_first_with_the_term_that_pays(held):
     logged = with_logs(training.run.path, np.linspace(0, 5 * script, 400), FLAT, success=good, **curves)
     cheating = replace(logged, scripts=training.scripts, policy=training.policy, random=training.random)
     first = diagnose(cheating)[0]
-    assert (first.cause, first.evidence["term"], first.evidence["example"]) == (
-        "reward_exploited",
-        "parked",
-        "the script 'by_hand'",
-    )
+    assert first.cause == "reward_exploited"
+    assert first.evidence["term"] == "parked"
+    assert first.evidence["example"] == "the script 'by_hand'"
     assert "the script in 100% (68% to 100%) of 8 episodes" in first.text
     assert "Let 'parked' pay once" in first.advice
     poorer = with_logs(training.run.path, np.linspace(0, 0.5 * script, 400), FLAT, success=good, **curves)
@@ -104,7 +102,7 @@ def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_
     logged = with_logs(held, np.linspace(0, 829, 400), FLAT, success=0.0, **curves)
     succeeding = [Episode(295.0, 117, True, "found", {"parked": 242.0, "closer": 3.0}) for _ in range(100)]
     solved = replace(logged, final_episodes=succeeding, verdict=replace(logged.verdict, solved=True))
-    named = _named(solved, "reward_exploited")
+    named = statement_of(solved, "reward_exploited")
     assert (
         "more than the 295 of the successful episodes of the evaluation, but the policy succeeds in 0%"
         in named.text
@@ -117,7 +115,7 @@ def test_an_exploit_that_only_the_exploration_uses_is_named_although_the_policy_
 
 
 def test_a_reward_that_disagrees_with_the_success_comes_before_the_noise_on_the_actions(carriage):
-    """88 % with and 41 % without exploration was said first."""
+    """88 % with and 41 % without exploration once came first."""
     good = outcomes(400, 0.5, 0.7, 0.7)
     done = evaluations_with(*[0.2] * 20)
     training = with_logs(carriage, returns_of(good, 5) - 12 * good, FLAT, success=good, evaluations=done)
@@ -129,27 +127,31 @@ def test_previous_action_is_not_advised_to_a_scenario_that_has_it(carriage, tmp_
     good = outcomes(400, 0.2, 0.9, 1.0, 1.0)
     poor = [Episode(0.0, 60, k < 29, "max_steps") for k in range(100)]
 
-    def told(run: Path) -> str:
+    def advice_for(run: Path) -> str:
         training = with_logs(
             run, returns_of(good, 0), FLAT, success=good, evaluations=evaluations_with(*[0.3] * 20)
         )
-        return _named(replace(training, final_episodes=poor), "success_needs_exploration").advice
+        return statement_of(replace(training, final_episodes=poor), "success_needs_exploration").advice
 
-    without = told(carriage)
+    without = advice_for(carriage)
     assert "`previous_action: auto`" in without
     assert "--timesteps 50_000`. The noise" in without  # the sentence had no end
-    assert "`previous_action" not in told(train_shuttle(tmp_path, "observation.previous_action=auto"))
+    assert "`previous_action" not in advice_for(train_shuttle(tmp_path, "observation.previous_action=auto"))
 
 
 def test_a_term_for_progress_is_not_advised_to_a_scenario_that_has_one(carriage, tmp_path):
     seldom = np.zeros(2706)
     seldom[1200] = 1
     lengths = np.full(2706, 60)
-    own = _named(with_logs(carriage, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen")
+    own = statement_of(
+        with_logs(carriage, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen"
+    )
     assert "Add a reward term for progress" not in own.advice
     assert "'closer', which leads towards success" in own.advice
     sparse = train_shuttle(tmp_path, "reward={time: -0.02, parked: 5 when parked}")
-    none = _named(with_logs(sparse, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen")
+    none = statement_of(
+        with_logs(sparse, returns_of(seldom, 0), lengths, success=seldom), "success_never_seen"
+    )
     assert "Add a reward term for progress" in none.advice
 
 
@@ -159,10 +161,10 @@ def test_noise_that_is_large_already_is_raised_and_not_lowered(tmp_path):
     training = with_logs(
         train_shuttle(tmp_path, noisy), returns_of(np.zeros(400), 0), FLAT, train__std=[0.01] * 20
     )
-    assert _named(training, "exploration_collapsed").settings == {"train.action_noise.sigma": "1"}
+    assert statement_of(training, "exploration_collapsed").settings == {"train.action_noise.sigma": "1"}
 
 
-def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
+def test_a_kept_model_is_named_where_another_one_succeeds_more(carriage):
     """A version before 0.2 chose it by its return."""
     good = outcomes(400, 0.3, 0.3)
     done = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.2, returns=9.0)]
@@ -173,9 +175,9 @@ def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
     training.run.record = record.model_copy(
         update={"result": record.result.model_copy(update={"best": best})}
     )
-    found = _named(training, "kept_by_return")
-    assert (found.evidence["kept_at"], found.evidence["best_at"]) == (2000, 1000)
-    assert "chosen by its return, 9 against 1" in found.text
+    statement = statement_of(training, "kept_by_return")
+    assert (statement.evidence["kept_at"], statement.evidence["best_at"]) == (2000, 1000)
+    assert "chosen by its return, 9 against 1" in statement.text
     same = [*evaluations_with(0.9, returns=1.0), *evaluations_with(0.85, returns=9.0)]
     assert "kept_by_return" not in causes_of(replace(training, all_evaluations=same))
 
@@ -183,8 +185,9 @@ def test_the_kept_model_is_told_where_another_one_succeeds_more(carriage):
 # Failing
 
 
-def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp_path):
-    """It was told that success is rare, and to add a term for progress, which it has."""
+def test_the_terms_that_make_an_early_failure_pay_are_named(tmp_path):
+    """The diagnosis was once that success is rare, with the advice to add a term for progress, which the
+    scenario has."""
     hit = "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
     lengths = np.concatenate([np.full(60, 60.0), np.full(340, 20.0)]) + np.random.default_rng(3).normal(
         0, 1, 400
@@ -212,7 +215,7 @@ def test_a_drone_that_learned_to_flip_at_once_is_told_what_makes_failing_pay(tmp
 # The ceiling of the return
 
 
-def test_a_return_that_every_episode_reaches_is_not_told_to_explore_more(tmp_path):
+def test_a_return_that_every_episode_reaches_has_no_advice_to_explore_more(tmp_path):
     """39.2 in all of 100 episodes, where `solved` asks for 60 and the speed of the wheels allows 40."""
     sets = [
         "termination={}",
@@ -242,9 +245,9 @@ def test_a_teacher_that_fails_itself_is_named_when_its_pupil_does_as_well(tmp_pa
     done = [*evaluations_with(0.5, 0.5, 0.5)]
     curves = {"teacher__success_rate": [0.55]}
     pupil = with_logs(run, returns_of(good, 0), FLAT, success=good, evaluations=done, **curves)
-    found = _named(pupil, "teacher_fails")
-    assert "'by_hand' succeeds in 55% (34% to 74%) of 20 episodes" in found.text
-    assert found.command == f"deepbots try {SHUTTLE} --driver by_hand --episodes 20"
+    statement = statement_of(pupil, "teacher_fails")
+    assert "'by_hand' succeeds in 55% (34% to 74%) of 20 episodes" in statement.text
+    assert statement.command == f"deepbots try {SHUTTLE} --driver by_hand --episodes 20"
     able = with_logs(
         run, returns_of(good, 0), FLAT, success=good, evaluations=done, teacher__success_rate=[1.0]
     )
@@ -260,26 +263,24 @@ SLOW = (
 
 
 def test_the_condition_that_all_failed_episodes_miss_is_in_the_verdict_over_the_run(tmp_path):
-    """`speed < 0.2 m/s` in 1 of 84 moments was only in `diagnose --episode failed`, and the run was told to
-    train on."""
+    """`speed < 0.2 m/s` in 1 of 84 moments was only in `diagnose --episode failed`, and the advice for the
+    run was to continue."""
     run = Run.open(train_shuttle(tmp_path, SLOW))
     drives = [0.8] * 12 + [1, -1] * 24  # to the mark, and never slow there
     failed = [_played(run, drives, mark) for mark in (0.2, 0.21, 0.22, 0.23)]
     assert {trace.outcome for trace in failed} == {"time limit"}
     missed = common_miss(failed)
     assert missed is not None
-    assert (missed.condition.text, missed.episodes, missed.of) == (
-        "abs(joint_velocity(shuttle.slide)) < 2 mm/s",
-        4,
-        4,
-    )
+    assert missed.condition.text == "abs(joint_velocity(shuttle.slide)) < 2 mm/s"
+    assert missed.episodes == 4
+    assert missed.of == 4
     good = outcomes(400, 0.5, 0.5)
     training = with_logs(run.path, returns_of(good, 0), FLAT, success=good)
-    found = _named(replace(training, failed=failed), "missed_condition")
-    assert f"in {missed.true} of {missed.moments} moments; the nearest value is" in found.text
-    assert "and the threshold 2 mm/s" in found.text
-    assert found.advice.startswith("Reward what brings")
-    assert "`abs(gap) < near` is true in" in found.text
+    statement = statement_of(replace(training, failed=failed), "missed_condition")
+    assert f"in {missed.true} of {missed.moments} moments; the nearest value is" in statement.text
+    assert "and the threshold 2 mm/s" in statement.text
+    assert statement.advice.startswith("Reward what brings")
+    assert "`abs(gap) < near` is true in" in statement.text
 
 
 # Lint as a cause
@@ -298,13 +299,13 @@ def test_lint_as_a_cause_says_that_falling_early_pays_and_names_the_file_of_the_
     monkeypatch.chdir(tmp_path)
     run = train(api.compile("mine.yaml"), total_timesteps=64, seed=2, run=Path("run")).run
     noise = np.random.default_rng(0).normal(0, 3, 200)
-    lint = _named(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
+    lint = statement_of(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
     assert lint.text.startswith("Failing early pays: continuing an episode costs at least ")
     assert "Lint reports" not in lint.text
     assert lint.command == f"deepbots lint {own}"
     assert main(lint.command.split()[1:]) == 0
     own.write_text(own.read_text() + "# changed\n")
-    copy = _named(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
+    copy = statement_of(with_logs(run, -30 + noise, 30 - noise), "lint_warns")
     assert copy.command == "deepbots lint run/inputs/mine.yaml"
     assert f"It is the copy that the training read: {own} was changed since then." in copy.advice
 
@@ -313,12 +314,13 @@ def test_lint_is_no_likely_cause_where_the_training_shows_the_opposite(tmp_path)
     """ "Avoiding the success pays more" was the first cause of a training whose successes returned 383, and
     the others 117."""
     run = train_shuttle(tmp_path, "reward.stay=1")
-    noise, success = np.random.default_rng(0).normal(0, 3, 200), np.arange(200) % 2
+    noise = np.random.default_rng(0).normal(0, 3, 200)
+    success = np.arange(200) % 2
     refuted = with_logs(run, 117 + 266 * success + noise, np.full(200, 30), success=success)
-    assert _named(refuted, "lint_warns").text.startswith("Lint warns about ")
-    assert _named(refuted, "lint_warns").evidence["likelihood"] < 0.5
+    assert statement_of(refuted, "lint_warns").text.startswith("Lint warns about ")
+    assert statement_of(refuted, "lint_warns").evidence["likelihood"] < 0.5
     confirmed = with_logs(run, 117 - 66 * success + noise, np.full(200, 30), success=success)
-    assert _named(confirmed, "lint_warns").text.startswith(
+    assert statement_of(confirmed, "lint_warns").text.startswith(
         "Avoiding the success pays more than the success: "
     )
 
@@ -398,7 +400,7 @@ def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
 # One verdict
 
 
-def test_a_confirmed_training_whose_episodes_are_random_is_told_its_exploration(tmp_path):
+def test_a_confirmation_counts_as_an_evaluation_and_not_as_episodes_of_the_training(tmp_path):
     """A confirmation does not explore, and it was taken for episodes of the training."""
     run = train_shuttle(tmp_path, "solved=success_rate >= 90 % over 100 episodes")
     training = with_logs(run, returns_of(np.zeros(400), 0), FLAT, evaluations=evaluations_with(1.0, 1.0))

@@ -181,7 +181,7 @@ def test_an_episode_that_is_another_one_here_is_refused(recording):
         list(trace_recorded(opened, [swapped]))
 
 
-def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
+def test_an_argument_that_is_no_episode_is_refused_in_a_sentence(recording, tmp_path, capsys):
     for shown, words in [
         (str(tmp_path), "is not a run"),
         ("nothing.mcap", "no file, folder or shipped scenario"),
@@ -193,7 +193,7 @@ def test_what_is_no_episode_is_told_in_a_sentence(recording, tmp_path, capsys):
     assert "contains no episode 9; it contains 0 to 1" in capsys.readouterr().err
 
 
-def test_json_holds_the_same_statements(recording, capsys):
+def test_json_has_the_same_statements(recording, capsys):
     assert main(["diagnose", str(recording), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert [each["text"] for each in data["statements"]] == [
@@ -223,11 +223,11 @@ def test_the_condition_that_a_missed_success_lacks_is_named_and_not_one_that_hel
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
     assert trace.outcome == "failure"
-    (found,) = [each for each in explain(trace) if each.cause == "nearest"]
-    assert f"'kept' requires {needed}; " in found.text
-    assert not found.evidence["holds"]
-    assert found.evidence["margin"] < 0
-    assert f" {value}, at " in found.text
+    (statement,) = [each for each in explain(trace) if each.cause == "nearest"]
+    assert f"'kept' requires {needed}; " in statement.text
+    assert not statement.evidence["holds"]
+    assert statement.evidence["margin"] < 0
+    assert f" {value}, at " in statement.text
 
 
 def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
@@ -238,21 +238,23 @@ def test_a_missed_duration_is_explained_by_the_comparisons_inside_it(tmp_path):
     with closing_player(Showing("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
-    (found,) = [each for each in explain(trace) if each.cause == "conditions"]
-    near, slow = found.evidence["conditions"]
-    assert (near["condition"], near["bound"], near["step"]) == ("abs(x) < 1 mm", pytest.approx(1e-3), 0)
+    (statement,) = [each for each in explain(trace) if each.cause == "conditions"]
+    near, slow = statement.evidence["conditions"]
+    assert near["condition"] == "abs(x) < 1 mm"
+    assert near["bound"] == pytest.approx(1e-3)
+    assert near["step"] == 0
     assert (slow["condition"], slow["bound"]) == ("abs(speed) < 0.001 mm/s", pytest.approx(1e-6))
     assert near["steps"] > 0
-    assert "`abs(x) < 1 mm` was true in" in found.text
-    assert " at 0.00 s, threshold 0.001 m" in found.text
+    assert "`abs(x) < 1 mm` was true in" in statement.text
+    assert " at 0.00 s, threshold 0.001 m" in statement.text
 
 
-def test_the_time_in_which_a_cost_arose_is_told(tmp_path):
+def test_the_time_in_which_a_cost_arose_is_named(tmp_path):
     sets = ["reward={alive: 0.01, late: -1 when step > 5 and step < 9}"]
     with closing_player(Showing("cartpole", overrides=sets), "random") as world:
         recordings.record(world, tmp_path / "one.mcap", 3, [0])
     trace = _traced(tmp_path / "one.mcap")
-    (found,) = [each for each in explain(trace) if each.cause == "concentrated_rewards"]
-    begin, end = found.evidence["spans"]["late"]
+    (statement,) = [each for each in explain(trace) if each.cause == "concentrated_rewards"]
+    begin, end = statement.evidence["spans"]["late"]
     assert end - begin == pytest.approx(3 * trace.program.period)
-    assert f"late from {begin:.2f} s to {end:.2f} s" in found.text
+    assert f"late from {begin:.2f} s to {end:.2f} s" in statement.text

@@ -1,5 +1,5 @@
-"""Exported networks act as Stable-Baselines3 does; `deepbots export` describes what it writes, and refuses
-what does not fit."""
+"""Exported networks act as Stable-Baselines3 does. `deepbots export` describes the files that it writes, and
+refuses scenarios that do not fit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from deepbots_cli.runtime.spaces import action_space, observation_space
 slow = pytest.mark.slow
 
 
-def _made(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: int = 1):
+def _untrained(scenario: str, algorithm: str, activation: str = "tanh", frame_stack: int = 1):
     """A program, and an untrained policy whose weights are spread, so that its actions differ."""
     program = api.compile(scenario).program
     training = Training(algorithm, 1000, network=Network((32, 32), activation))
@@ -70,7 +70,7 @@ def _session(graph: bytes):
     ],
 )
 def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation):
-    program, learner = _made(scenario, algorithm, activation)
+    program, learner = _untrained(scenario, algorithm, activation)
     graph = network.policy_graph(learner, program)
     session = _session(graph)
     assert (
@@ -81,7 +81,7 @@ def test_actions_are_those_of_stable_baselines3(scenario, algorithm, activation)
 
 @pytest.mark.slow
 def test_pictures_are_seen_as_stable_baselines3_sees_them():
-    program, learner = _made("see_ball", "PPO")
+    program, learner = _untrained("see_ball", "PPO")
     graph = network.policy_graph(learner, program)
     session = _session(graph)
     assert (
@@ -91,14 +91,14 @@ def test_pictures_are_seen_as_stable_baselines3_sees_them():
 
 
 def test_older_values_stand_where_the_environment_puts_them():
-    program, learner = _made("cartpole", "PPO", frame_stack=3)
+    program, learner = _untrained("cartpole", "PPO", frame_stack=3)
     graph = network.policy_graph(learner, program)
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
 
 
 def test_a_layer_that_is_not_known_is_named():
-    program, learner = _made("cartpole", "PPO")
+    program, learner = _untrained("cartpole", "PPO")
     learner.model.policy.mlp_extractor.policy_net[1] = torch.nn.Dropout()
     with pytest.raises(UsageError, match="layer Dropout"):
         network.policy_graph(learner, program)
@@ -111,45 +111,45 @@ def bundle(run, tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_bundle_tells_what_goes_in_and_out_and_how_good_it_is(bundle):
-    known = json.loads((bundle / "bundle.json").read_text())
-    inputs = {entry["name"]: entry for entry in known["inputs"]}
+def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
+    description = json.loads((bundle / "bundle.json").read_text())
+    inputs = {entry["name"]: entry for entry in description["inputs"]}
     angle, place = inputs["cart.pole_angle"], inputs["position(cart)"]
-    assert (angle["source"], angle["sensor"], angle["joints"], angle["unit"]) == (
-        "sensor",
-        "joint_position",
-        ["pole_hinge"],
-        "rad",
-    )
-    assert (place["source"], place["components"], place["unit"], place["frame"]) == (
-        "supervisor",
-        ["x", "y", "z"],
-        "m",
-        "world",
-    )
-    (wheels,) = known["outputs"]
-    assert (wheels["name"], wheels["kind"], wheels["unit"], wheels["safe"]) == (
-        "cart.wheels",
-        "velocity",
-        "rad/s",
-        [0.0] * 4,
-    )
+    assert angle["source"] == "sensor"
+    assert angle["sensor"] == "joint_position"
+    assert angle["joints"] == ["pole_hinge"]
+    assert angle["unit"] == "rad"
+    assert place["source"] == "supervisor"
+    assert place["components"] == ["x", "y", "z"]
+    assert place["unit"] == "m"
+    assert place["frame"] == "world"
+    (wheels,) = description["outputs"]
+    assert wheels["name"] == "cart.wheels"
+    assert wheels["kind"] == "velocity"
+    assert wheels["unit"] == "rad/s"
+    assert wheels["safe"] == [0.0] * 4
     assert wheels["range"] == [[-10.0] * 4, [10.0] * 4]  # of the URDF
-    assert known["action"] == [
-        {"name": "drive", "unit": "", "low": None, "high": None, "options": known["action"][0]["options"]}
+    assert description["action"] == [
+        {
+            "name": "drive",
+            "unit": "",
+            "low": None,
+            "high": None,
+            "options": description["action"][0]["options"],
+        }
     ]
-    assert known["action"][0]["options"] == {"forward": {"drive": 1.0}, "backward": {"drive": -1.0}}
-    assert known["rate_hz"] == 31.25
-    assert known["evaluation"]["episodes"] == 12
-    urdf = (bundle / "inputs" / known["scenario"]["robots"]["cart"]["file"]).read_bytes()
-    assert known["scenario"]["robots"]["cart"]["digest"] == hashlib.sha256(urdf).hexdigest()
+    assert description["action"][0]["options"] == {"forward": {"drive": 1.0}, "backward": {"drive": -1.0}}
+    assert description["rate_hz"] == 31.25
+    assert description["evaluation"]["episodes"] == 12
+    urdf = (bundle / "inputs" / description["scenario"]["robots"]["cart"]["file"]).read_bytes()
+    assert description["scenario"]["robots"]["cart"]["digest"] == hashlib.sha256(urdf).hexdigest()
     text = (bundle / "README.md").read_text()
     assert "| cart.pole_angle | 0 | pole_hinge | rad | no limit | yes | sensor (joint_position) |" in text
     assert (
         "The policy acts on 4 numbers: `position(cart)` (x), `velocity(cart)` (x), `cart.pole_angle`,"
         " `velocity(cart.tip)` (x)." in text
     )
-    assert f"mean return {known['evaluation']['mean_return']:.4g} (95 % interval " in text
+    assert f"mean return {description['evaluation']['mean_return']:.4g} (95 % interval " in text
 
 
 def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):
@@ -163,9 +163,11 @@ def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):
 
 
 def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):
-    policy, acting = load_policy(run), deepbots_robot.load(bundle).start()
+    policy = load_policy(run)
+    acting = deepbots_robot.load(bundle).start()
     with api.make(run / "resolved.yaml") as env:
-        seen, done = env.reset(seed=1)[0], False
+        observation = env.reset(seed=1)[0]
+        done = False
         while not done:
             pose, velocity = env.engine.pose("cart")()[0], env.engine.velocity("cart")()[0]
             tip = env.engine.velocity("cart", "tip")()[0]
@@ -176,11 +178,11 @@ def test_the_bundle_drives_the_environment_as_the_policy_does(bundle, run):
                 "velocity(cart.tip)": tip,
                 "cart.pole_angle": hinge[0],
             }
-            found = acting.step(values)
-            action = policy(seen)
-            assert found["action"] == action
-            assert found["cart.wheels"] == pytest.approx([5.0 if action == 0 else -5.0] * 4)
-            seen, _, terminated, truncated, _ = env.step(action)
+            commands = acting.step(values)
+            action = policy(observation)
+            assert commands["action"] == action
+            assert commands["cart.wheels"] == pytest.approx([5.0 if action == 0 else -5.0] * 4)
+            observation, _, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
 
 
@@ -188,13 +190,13 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     assert main(["export", "--check", "cartpole", str(bundle)]) == 0
     assert "fits cartpole" in capsys.readouterr().out
     assert main(["export", "--check", "cartpole", str(bundle), "--set", "observation.x=-1 .. 1 m"]) == 1
-    told = capsys.readouterr().out
-    assert "observation.x: bundle -0.4 .. 0.4 m, scenario -1 .. 1 m" in told
-    assert "cart.pole_angle" not in told
+    output = capsys.readouterr().out
+    assert "observation.x: bundle -0.4 .. 0.4 m, scenario -1 .. 1 m" in output
+    assert "cart.pole_angle" not in output
     assert main(["export", "--check", "cartpole", str(bundle), "--set", "world.timestep=16ms"]) == 0
-    told = capsys.readouterr().err
-    assert "0.032 s" in told
-    command = shlex.split(told.strip().rpartition("deepbots ")[2])  # its robot file is in the bundle
+    output = capsys.readouterr().err
+    assert "0.032 s" in output
+    command = shlex.split(output.strip().rpartition("deepbots ")[2])  # its robot file is in the bundle
     assert main(command) == 1
     assert "world.timestep" in capsys.readouterr().out
     assert (
@@ -210,7 +212,7 @@ def _edit(folder: Path, **changes: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (
             lambda folder: (folder / "policy.onnx").write_bytes(b"other"),
@@ -232,13 +234,13 @@ def _edit(folder: Path, **changes: object) -> None:
         (lambda folder: (folder / "bundle.json").unlink(), "is not a bundle"),
     ],
 )
-def test_a_spoiled_bundle_is_told_in_a_sentence(bundle, tmp_path, capsys, spoil, told):
+def test_a_spoiled_bundle_is_refused_in_a_sentence(bundle, tmp_path, capsys, spoil, message):
     folder = Path(shutil.copytree(bundle, tmp_path / "copy"))
     spoil(folder)
     assert main(["export", "--check", "cartpole", str(folder)]) == 2
-    told_now = capsys.readouterr().err
-    assert told in told_now
-    assert told_now.count("\n") == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
 
 
 def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""Reports: what they show is what the files of the run say, in a file that loads nothing."""
+"""Reports show the numbers of the files of the run, in a file that loads nothing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.view.browser import CHROMIUM, browser
 
 
 @pytest.fixture(scope="module")
-def written(run, tmp_path_factory):
+def written_report(run, tmp_path_factory):
     """The report of the run without clips, and the folder with its figures."""
     folder = tmp_path_factory.mktemp("reports")
     options = ["--figures", str(folder / "figures"), "--episodes", "3", "--no-clips"]
@@ -68,49 +68,49 @@ def group(run, tmp_path) -> Path:
     return folder
 
 
-def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written):
-    text = written[0].read_text(encoding="utf-8")
+def test_the_page_shows_the_result_of_the_run_and_loads_nothing(run, written_report):
+    text = written_report[0].read_text(encoding="utf-8")
     kept = json.loads((run / "evaluations" / "0001.json").read_text())
     low, high = kept["return_interval"]
-    shown = (
+    expected = (
         f"mean return {kept['mean_return']:.4g} (95 % interval {low:.4g} .. {high:.4g}; all returns are"
         " equal)"
     )
-    assert shown in text
+    assert expected in text
     assert set(re.findall(r'(?:src|srcset|href)="([a-z]+:)', text)) == {"data:"}
     assert not re.search(r"<script|https?://", text.lower())
     assert "deepbots train &#39;&lt;b&gt;cartpole&lt;/b&gt;&#39;" in text
     assert len(text) < 8_000_000
 
 
-def test_every_figure_is_a_file_too(written):
-    assert {path.name for path in written[1].iterdir()} == {
+def test_every_figure_is_a_file_too(written_report):
+    assert {path.name for path in written_report[1].iterdir()} == {
         "returns.png",
         "endings.png",
         "starts.png",
         "trajectories.png",
     }
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written[1].iterdir())
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in written_report[1].iterdir())
 
 
 def test_best_median_and_worst_are_those_of_the_evaluation_and_happen_again(run):
     report = Report.read(run)
-    shown = report.choose_episodes(6)
-    assert len(shown) == 6
+    chosen = report.choose_episodes(6)
+    assert len(chosen) == 6
     returns = sorted(
         episode["total_return"]
         for episode in json.loads((run / "evaluations" / "0001.json").read_text())["outcomes"]
     )
-    assert [each.outcome.total_return for each in shown if each.label] == [
+    assert [each.outcome.total_return for each in chosen if each.label] == [
         returns[-1],
         returns[len(returns) // 2 - 1],
         returns[0],
     ]
-    report.repeat_episodes(shown, lambda done, of: None, clips=False)
+    report.repeat_episodes(chosen, lambda done, of: None, clips=False)
     assert report.notes == []  # a return that differs now would be noted
     assert report.moving.parts == (("cart", "body"),)
     assert [len(each.positions["cart", "body"]) - 1 for each in report.episodes] == [
-        each.outcome.length for each in shown
+        each.outcome.length for each in chosen
     ]
 
 
@@ -128,7 +128,8 @@ def test_the_stages_of_a_curriculum_are_listed_with_their_last_evaluation(run):
 def test_the_script_that_taught_the_policy_is_named_with_its_score_and_drawn(run):
     report = Report.read(run)
     (log,) = (member.log for member in report.runs)
-    assert (report.teacher, lessons([log], "light")) == ("", None)
+    assert report.teacher == ""
+    assert lessons([log], "light") is None
     log.teacher = "by_hand"
     assert report.teacher == "The script by_hand taught the policy."  # before its score was logged
     at = np.array([100.0, 200.0])
@@ -239,12 +240,12 @@ def test_the_interval_of_a_group_is_over_its_seeds(group, run):
     )
 
 
-def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, group):
+def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path, capsys, group):
     copy = Path(shutil.copytree(run, tmp_path / "copy"))
     shutil.rmtree(copy / "evaluations")
     (tmp_path / "empty").mkdir()
     shutil.rmtree(group / "seed-0")
-    for folder, told in (
+    for folder, message in (
         (
             copy,
             "contains no evaluation of its best model after the training; create one with: deepbots eval"
@@ -255,13 +256,13 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
     ):
         assert main(["report", str(folder), "-o", str(tmp_path / "x.html")]) == 2
         err = capsys.readouterr().err
-        assert told in err
+        assert message in err
         assert err.count("\n") == 1
     assert not (tmp_path / "x.html").exists()
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"outcomes": []}, "'outcomes'"),
         ({"mean_return": float("nan")}, "'mean_return'"),
@@ -269,21 +270,21 @@ def test_what_cannot_be_reported_is_told_in_a_sentence(run, tmp_path, capsys, gr
         ({"drawn": {"mass": "heavy"}}, "a drawn value is a number in one episode and a name in another"),
     ],
 )
-def test_an_evaluation_that_cannot_be_drawn_is_told_in_a_sentence(run, tmp_path, capsys, change, told):
+def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(run, tmp_path, capsys, change, message):
     copy = Path(shutil.copytree(run, tmp_path / "copy"))
     path = copy / "evaluations" / "0001.json"
-    kept = json.loads(path.read_text())
-    for episode in kept["outcomes"]:
+    evaluation = json.loads(path.read_text())
+    for episode in evaluation["outcomes"]:
         episode["drawn"]["mass"] = 1.0
-    kept["outcomes"][3] |= change
-    path.write_text(json.dumps(kept | change))
+    evaluation["outcomes"][3] |= change
+    path.write_text(json.dumps(evaluation | change))
     assert main(["report", str(copy), "-o", str(tmp_path / "x.html")]) == 2
     err = capsys.readouterr().err
     assert "0001.json is damaged" in err
-    assert told in err
+    assert message in err
 
 
-def test_a_place_that_cannot_be_written_to_is_told_before_anything_runs(run, tmp_path, capsys):
+def test_a_place_that_cannot_be_written_to_is_refused_before_anything_runs(run, tmp_path, capsys):
     (tmp_path / "x.html").mkdir()
     assert main(["report", str(run), "-o", str(tmp_path / "x.html")]) == 2
     assert "it is a directory" in capsys.readouterr().err

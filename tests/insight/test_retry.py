@@ -42,20 +42,19 @@ def retried(tmp_path_factory) -> Path:
     """A group whose first training has a learning rate that is far too high; not to be changed."""
     folder = tmp_path_factory.mktemp("retry")
     (folder / "mine.yaml").write_text(SCENARIO)
-    found = train_with_retries(api.compile(folder / "mine.yaml"), 2, seed=3, group=folder / "group")
-    assert not found.solved
-    return found.group
+    result = train_with_retries(api.compile(folder / "mine.yaml"), 2, seed=3, group=folder / "group")
+    assert not result.solved
+    return result.group
 
 
 @pytest.mark.slow
 def test_the_next_attempt_has_the_advised_value_and_the_reason(retried):
     first, second, *_ = Group.open(retried).record.attempts
-    assert (first.settings, first.base) == ({}, 0)
-    assert (second.settings, second.base, second.cause) == (
-        {"train.learning_rate": "0.003"},
-        1,
-        "learning_rate_too_high",
-    )
+    assert first.settings == {}
+    assert first.base == 0
+    assert second.settings == {"train.learning_rate": "0.003"}
+    assert second.base == 1
+    assert second.cause == "learning_rate_too_high"
     assert "The learning rate is 0.5, 167 times the usual 0.003" in second.text
     runs = [RunRecord.read(retried / name) for name in ("try-1", "try-2")]
     assert [run.seed for run in runs] == [3, 3]
@@ -89,11 +88,11 @@ def test_an_attempt_that_only_trains_longer_continues_a_copy(tmp_path):
         "train.environments=2",
         "train.total_timesteps=1024",
     ]
-    found = train_with_retries(
+    result = train_with_retries(
         api.compile("cartpole", overrides=settings), 1, group=tmp_path / "group", total_timesteps=256
     )
-    assert [each.attempt.cause for each in found.attempts] == ["", "too_few_steps"]
-    first, longer = (RunRecord.read(each.path) for each in found.attempts)
+    assert [entry.attempt.cause for entry in result.attempts] == ["", "too_few_steps"]
+    first, longer = (RunRecord.read(entry.path) for entry in result.attempts)
     assert (first.resumed_at, longer.resumed_at) == ((), (256,))
     assert (first.result.steps, longer.result.steps) == (256, 1024)
 

@@ -62,8 +62,8 @@ def logged(run: Run, path: Path, measured: Callable[[float, float], float], step
 
 @pytest.mark.slow
 def test_a_robot_that_moves_as_the_simulation_differs_in_nothing(run: Run, tmp_path: Path) -> None:
-    found = compare_log(run, logged(run, tmp_path / "log.mcap", lambda time, angle: angle))
-    assert not [each for each in found if each.is_different]
+    differences = compare_log(run, logged(run, tmp_path / "log.mcap", lambda time, angle: angle))
+    assert not [difference for difference in differences if difference.is_different]
 
 
 def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
@@ -96,11 +96,11 @@ def test_the_distance_is_that_of_the_distribution_functions() -> None:
     assert distance(np.zeros(3), np.ones(7)) == 1.0
 
 
-def test_what_is_no_log_of_this_policy_is_refused(run: Run, tmp_path: Path) -> None:
-    other = tmp_path / "other.mcap"
-    other.write_bytes(b"no log")
+def test_a_log_of_another_policy_is_refused(run: Run, tmp_path: Path) -> None:
+    damaged = tmp_path / "other.mcap"
+    damaged.write_bytes(b"no log")
     with pytest.raises(UsageError, match="cannot be read as a log"):
-        compare_log(run, other)
+        compare_log(run, damaged)
     with pytest.raises(UsageError, match="has 3 steps of a policy; a comparison needs at least 50"):
         compare_log(run, logged(run, tmp_path / "short.mcap", lambda time, angle: angle, steps=3))
     with pytest.raises(UsageError, match="cannot be read as a log"):
@@ -123,16 +123,21 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
     writer.step(20.6, {}, commands, 0.0, "safe")
     writer.close()
     assert main(["replay", str(path), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["episodes"]
-    assert [(each["number"], each["begun"], each["steps"], each["safe_steps"]) for each in found] == [
+    episodes = json.loads(capsys.readouterr().out)["episodes"]
+    assert [
+        (episode["number"], episode["begun"], episode["steps"], episode["safe_steps"]) for episode in episodes
+    ] == [
         (0, 0.0, 2, 0),
         (1, 10.0, 2, 1),
     ]
-    assert [each["seconds"] for each in found] == [0.5, 0.5]  # without the time in which no policy acted
+    assert [episode["seconds"] for episode in episodes] == [
+        0.5,
+        0.5,
+    ]  # without the time in which no policy acted
     assert main(["diagnose", str(path), "--episode", "1"]) == 0
-    shown = capsys.readouterr().out
-    assert "episode 1: 2 steps of the policy in 0.5 s; median answer 2.00 ms, longest 2.00 ms" in shown
-    assert "0.60 s  safe posture: no new value of cart.pole_angle" in shown
+    output = capsys.readouterr().out
+    assert "episode 1: 2 steps of the policy in 0.5 s; median answer 2.00 ms, longest 2.00 ms" in output
+    assert "0.60 s  safe posture: no new value of cart.pole_angle" in output
     assert main(["diagnose", str(path), "--episode", "7"]) == 2
     assert "has no episode 7; list them with: deepbots replay" in capsys.readouterr().err
     assert main(["view", str(path)]) == 2
@@ -148,9 +153,9 @@ def test_a_log_of_a_robot_that_sent_nothing_says_so(
     LogWriter(path, {}).close()
     for words in (["diagnose", str(path)], ["replay", str(path)], ["diagnose", str(path), "--episode", "0"]):
         assert main(words) == 2
-        found = capsys.readouterr()
-        assert "contains no step: the robot sent no complete set of values" in found.err
-        assert found.out == ""
+        output = capsys.readouterr()
+        assert "contains no step: the robot sent no complete set of values" in output.err
+        assert output.out == ""
 
 
 def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: Path) -> None:
@@ -163,8 +168,8 @@ def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: P
         writer.event(begun, "episode", "0")
         writer.step(begun + 1.0, {}, {"cart.wheels": np.zeros(4)}, 0.002, "policy")
     writer.close()
-    found = logged_episodes(path)
-    assert [(each.number, each.steps, len(each.events)) for each in found] == [
+    episodes = logged_episodes(path)
+    assert [(episode.number, episode.steps, len(episode.events)) for episode in episodes] == [
         (0, 1, 1),
         (1, 1, 0),
         (2, 1, 0),
@@ -185,13 +190,13 @@ def test_a_log_that_a_kill_cut_is_used_with_a_note(
         ["transfer", str(run.path), "--log", str(cut)],
     ):
         assert main(command) == 0
-        told = capsys.readouterr()
-        found = re.findall(
+        output = capsys.readouterr()
+        counts = re.findall(
             r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are"
             r" used",
-            told.err,
+            output.err,
         )
-        assert [100 < int(number) < 300 for number in found] == [True]
+        assert [100 < int(number) < 300 for number in counts] == [True]
         assert main([*command[:-1], str(whole)]) == 0
         assert "has no end" not in capsys.readouterr().err
 
@@ -200,7 +205,7 @@ def test_a_log_that_a_kill_cut_is_used_with_a_note(
 
 
 @pytest.fixture(scope="module")
-def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cut_log(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log with a step in each of two episodes, then silence; the process was killed."""
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_robot.bundle import load
@@ -232,8 +237,8 @@ def shown(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return killed
 
 
-def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Path) -> None:
-    with closing(open_player(Showing(str(shown)).open())) as player:
+def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(cut_log: Path) -> None:
+    with closing(open_player(Showing(str(cut_log)).open())) as player:
         frame = player.begin(0, 1)
         joints = dict(
             zip(
@@ -248,16 +253,16 @@ def test_joints_and_poses_of_a_log_move_the_model_and_all_else_stands(shown: Pat
         assert "the log moves position(cart), cart.pole_angle" in player.note
 
 
-def test_what_the_robot_reported_and_got_is_in_the_frames(shown: Path) -> None:
-    with closing(open_player(Showing(str(shown)).open())) as player:
+def test_what_the_robot_reported_and_got_is_in_the_frames(cut_log: Path) -> None:
+    with closing(open_player(Showing(str(cut_log)).open())) as player:
         player.begin(0, 1)
-        seen = []
+        rows = []
         for _ in range(2):
             frame = player.step()
             (agent,) = frame.agents.values()
             names = [field.name for field in player.reader.layout.observation]
             values = dict(zip(names, agent.observation, strict=True))
-            seen.append(
+            rows.append(
                 (
                     frame.time,
                     values["cart.pole_angle"],
@@ -267,16 +272,16 @@ def test_what_the_robot_reported_and_got_is_in_the_frames(shown: Path) -> None:
                 )
             )
             assert agent.action == (frame.step,) * 4
-        assert seen == [
+        assert rows == [
             pytest.approx(row) for row in ((PERIOD, 0.2, 2.0, 50.0, 0.0), (2 * PERIOD, 0.2, 2.0, 50.0, 0.0))
         ]
 
 
-def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path) -> None:
+def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(cut_log: Path) -> None:
     pytest.importorskip("viser")
     from deepbots_cli.view.page import Page
 
-    with closing(Page(Showing(str(shown)), port=0, episode=1)) as page:
+    with closing(Page(Showing(str(cut_log)), port=0, episode=1)) as page:
         page.seek(99)
         assert page.player is not None
         assert page.player.frame.ended_by == "end of the log"
@@ -286,11 +291,11 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(shown: Path
 
 
 def test_a_log_with_damaged_content_is_refused_in_one_sentence(
-    shown: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cut_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from deepbots_robot.log import LogWriter, read_attached
 
-    files = read_attached(shown)
+    files = read_attached(cut_log)
     wrong = {
         "a description": {**files, "bundle.json": b"{}"},
         "a path": {**files, "inputs/../../evil.urdf": b""},
@@ -301,6 +306,6 @@ def test_a_log_with_damaged_content_is_refused_in_one_sentence(
         writer = LogWriter(path, {}, files=attached)
         writer.close()
         assert main(["view", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("cannot be read as the log of a robot: ") == 2
-    assert "contains no step" in said
+    error = capsys.readouterr().err
+    assert error.count("cannot be read as the log of a robot: ") == 2
+    assert "contains no step" in error

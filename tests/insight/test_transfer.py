@@ -306,35 +306,35 @@ FEW = ["amount between levels: mass"]
 @pytest.mark.parametrize("error", few(list(ERRORS), FEW))
 def test_an_error_is_named_first(run_of: Any, error: str) -> None:
     name, change, expected = ERRORS[error]
-    found = compared(run_of(name), yaml.safe_load(change))
-    assert found.differences
-    assert found.causes, found.differences
-    assert re.search(expected, found.causes[0].text), found.causes[:3]
+    report = compared(run_of(name), yaml.safe_load(change))
+    assert report.differences
+    assert report.causes, report.differences
+    assert re.search(expected, report.causes[0].text), report.causes[:3]
 
 
 def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
-    found = compared(run_of("cartpole"), {}, episodes=2)
-    assert (found.differences, found.causes) == ((), ())
+    report = compared(run_of("cartpole"), {}, episodes=2)
+    assert (report.differences, report.causes) == ((), ())
 
 
 def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(run_of("cartpole").path)
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
-    shown = capsys.readouterr().out
+    output = capsys.readouterr().out
     score = r"\S+ \(95 %: \S+ \.\. \S+\)"
     assert re.match(
         rf"works neither in mujoco nor in pybullet: mean return {score} and {score}, judged by 2 episodes\n",
-        shown,
+        output,
     )
-    assert "CartPole in mujoco and in pybullet, 2 held-out starts" in shown
-    assert "failed: mujoco: mean return" in shown
-    assert "the changes are alternatives" in shown
+    assert "CartPole in mujoco and in pybullet, 2 held-out starts" in output
+    assert "failed: mujoco: mean return" in output
+    assert "the changes are alternatives" in output
     assert main(["transfer", path, "--quick", "--engine", "mujoco"]) == 2
     assert "was trained in mujoco; name the other engine" in capsys.readouterr().err
 
 
 @pytest.mark.slow
-def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progress(
+def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progress(
     run_of: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(run_of("cartpole").path)
@@ -349,23 +349,23 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_holds_no_progr
         "--json",
     ]
     assert main(["transfer", path, *words]) == 0
-    shown = capsys.readouterr()
-    (found,) = json.loads(shown.out)
-    assert [world["name"] for world in found["worlds"]] == ["training", "other"]
-    (only,) = found["differences"]
+    output = capsys.readouterr()
+    (report,) = json.loads(output.out)
+    assert [world["name"] for world in report["worlds"]] == ["training", "other"]
+    (only,) = report["differences"]
     assert only["name"] == "cart.pole_angle"
     assert only["step"] > 1  # where the values part
     assert abs(only["here"]) > 0.05 == pytest.approx(abs(only["there"]))
-    assert found["causes"][0]["text"].startswith("cart.pole_angle is multiplied by ")
-    assert found["passed"] is True
-    assert "\r" not in shown.err
+    assert report["causes"][0]["text"].startswith("cart.pole_angle is multiplied by ")
+    assert report["passed"] is True
+    assert "\r" not in output.err
 
 
 def test_a_quick_transfer_ends_long_evaluations_after_eight_episodes(run_of: Any) -> None:
-    found = transfer(run_of("cartpole"), engine="mujoco", max_steps=1, with_conditions=False)
-    assert (found.here.episodes, found.there.episodes) == (8, 8)
-    assert [episode.seed for episode in found.here.outcomes] == [
-        episode.seed for episode in found.there.outcomes
+    report = transfer(run_of("cartpole"), engine="mujoco", max_steps=1, with_conditions=False)
+    assert (report.here.episodes, report.there.episodes) == (8, 8)
+    assert [episode.seed for episode in report.here.outcomes] == [
+        episode.seed for episode in report.there.outcomes
     ]
 
 

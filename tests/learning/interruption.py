@@ -1,4 +1,4 @@
-"""Trainings to which something happens after some steps, and what a training has made, to the bit."""
+"""Trainings with an event after some steps, and the result of a training, to the bit."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class At(Reporter):
     """Does something once, after some steps."""
 
     def __init__(self, steps: int, act: Callable[[], None] = press_ctrl_c) -> None:
-        self.steps, self.act, self.is_done = steps, act, False
+        self.steps = steps
+        self.act = act
+        self.is_done = False
         self.notes: list[str] = []
 
     def update(self, progress: TrainingProgress) -> None:

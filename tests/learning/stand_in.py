@@ -126,7 +126,7 @@ def _figure(value: object) -> object:
 
 
 def scenario(**settings: Any) -> Program:
-    """The same, as what it is compiled to."""
+    """The program of the same scenario."""
     return compiled(**settings).program
 
 

@@ -70,8 +70,8 @@ def train(generator: np.random.Generator, solved: Solved, values: Sequence[float
     for value in values:
         steps += 10 * EVALUATION_EPISODES
         evaluated = draw(generator, value, EVALUATION_EPISODES)
-        mean = float(np.mean([each.total_return for each in evaluated]))
-        rate = float(np.mean([each.is_success for each in evaluated]))
+        mean = float(np.mean([episode.total_return for episode in evaluated]))
+        rate = float(np.mean([episode.is_success for episode in evaluated]))
         if mean < (solved.mean_return or -math.inf) or rate < (solved.success_rate or 0.0):
             continue
         if number > 1 and failed > COST_SHARE * steps:

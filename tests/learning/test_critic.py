@@ -74,40 +74,40 @@ def test_only_the_critic_sees_the_values_of_the_critic(algorithm: str, space: gy
     learner = learner_for(algorithm, space)
     policy: Any = learner.model.policy
     space.seed(3)
-    seen = space.sample()
-    numbers = seen["observation"] if isinstance(seen, dict) else seen
-    other = numbers.copy()
-    other[[2, 4]] += 0.5
-    first, second = with_numbers(seen, numbers), with_numbers(seen, other)
-    actions = [learner.predict(one, deterministic=True)[0] for one in (first, second)]
-    own, _ = learner.predict(with_numbers(seen, numbers[list(COLUMNS)]), deterministic=True)
+    observation = space.sample()
+    numbers = observation["observation"] if isinstance(observation, dict) else observation
+    changed = numbers.copy()
+    changed[[2, 4]] += 0.5
+    first, second = with_numbers(observation, numbers), with_numbers(observation, changed)
+    actions = [learner.predict(each, deterministic=True)[0] for each in (first, second)]
+    own, _ = learner.predict(with_numbers(observation, numbers[list(COLUMNS)]), deterministic=True)
     np.testing.assert_array_equal(actions[0], actions[1])
     np.testing.assert_array_equal(own, actions[0])
-    values = [value_of(policy, algorithm, one) for one in (first, second)]
+    values = [value_of(policy, algorithm, each) for each in (first, second)]
     assert values[0] != pytest.approx(values[1], abs=1e-6)
 
 
 def value_of(policy: Any, algorithm: str, observation: Any) -> float:
-    seen, _ = policy.obs_to_tensor(observation)
+    tensors, _ = policy.obs_to_tensor(observation)
     with torch.no_grad():
         if algorithm == "RecurrentPPO":
             zeros = torch.zeros(policy.lstm_hidden_state_shape)
-            return float(policy.predict_values(seen, (zeros, zeros), torch.zeros(1)))
+            return float(policy.predict_values(tensors, (zeros, zeros), torch.zeros(1)))
         if hasattr(policy, "predict_values"):
-            return float(policy.predict_values(seen))
-        predicted = policy.critic(seen, torch.zeros(1, 2))
+            return float(policy.predict_values(tensors))
+        predicted = policy.critic(tensors, torch.zeros(1, 2))
         return float(predicted.mean() if isinstance(predicted, torch.Tensor) else predicted[0])
 
 
 def test_fast_actions_are_those_of_the_policy_to_the_bit() -> None:
     policy = learner_for("PPO", WIDE).model.policy
-    seen = torch.rand(6, 5)
+    observations = torch.rand(6, 5)
     torch.manual_seed(5)
-    drawn = networks.sampled_actions(policy, seen)
+    drawn = networks.sampled_actions(policy, observations)
     torch.manual_seed(5)
-    expected = policy(seen)
+    expected = policy(observations)
     assert drawn is not None
-    assert all(torch.equal(mine, other) for mine, other in zip(drawn, expected, strict=True))
+    assert all(torch.equal(actual, wanted) for actual, wanted in zip(drawn, expected, strict=True))
 
 
 # Trainings
@@ -173,8 +173,8 @@ def test_histories_and_frame_stacks_keep_the_columns_of_the_policy(tmp_path: Pat
     columns = agent.policy_columns
     assert columns is not None
     kept = [agent.inputs[column] for column in columns]
-    assert [(one.name, one.steps_ago) for one in kept] == [
-        (one.name, one.steps_ago) for one in program.agent.inputs
+    assert [(entry.name, entry.steps_ago) for entry in kept] == [
+        (entry.name, entry.steps_ago) for entry in program.agent.inputs
     ]
     hidden = {agent.inputs[place].name for place in range(len(agent.inputs)) if place not in columns}
     assert hidden == {"drag", "spin"}
@@ -195,7 +195,7 @@ def test_a_scenario_with_the_section_has_another_digest(tmp_path: Path) -> None:
     assert digest(api.compile(path).program) != digest(with_critic)
 
 
-def test_a_run_knows_its_critic_after_the_file_is_gone(trained: TrainingResult) -> None:
+def test_a_run_keeps_its_critic_after_the_file_is_gone(trained: TrainingResult) -> None:
     assert [entry.name for entry in Run.open(trained.run).program.agent.critic] == ["drag", "spin"]
 
 

@@ -1,4 +1,4 @@
-"""What the critic of an off-policy algorithm predicts, beside what followed."""
+"""The predictions of the critic of an off-policy algorithm beside the returns that followed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from deepbots_cli.view.plots import scalars_of
 
 
 def test_the_return_that_followed_ends_with_the_episode_and_is_unknown_after_a_time_limit():
-    rewards, none = np.ones((6, 1)), np.zeros((6, 1), bool)
+    rewards = np.ones((6, 1))
+    none = np.zeros((6, 1), bool)
     ended, cut = none.copy(), none.copy()
     ended[2] = True
     followed, unknown = _discounted(rewards, ended, none, 0.5)

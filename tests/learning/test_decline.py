@@ -1,5 +1,4 @@
-"""When a training is said to fall apart: after a fall of its evaluations, and hardly ever while it is
-healthy."""
+"""A training is said to fall apart after a fall of its evaluations, and hardly ever while it is healthy."""
 
 from __future__ import annotations
 
@@ -34,13 +33,13 @@ FALL = [0.0, 0.2, 0.6, 1.0, 1.0, 0.95, 1.0, 0.4, 0.3, 0.35, 0.2, 0.4]
 
 
 def test_a_training_that_gets_much_worse_after_its_best_evaluation_is_named():
-    found = decline(_evaluations(FALL), "success_rate")
-    assert found is not None
-    assert found.best_value == 1.0
-    assert (found.best_steps, found.since_steps, found.last_episodes) == (7000, 8000, 60)
-    assert found.last_value == pytest.approx(19 / 60)
-    assert "the success rate of its evaluations fell from 100% at 7,000 steps to 32%" in found.text
-    assert "since about 8,000 steps" in found.text
+    fall = decline(_evaluations(FALL), "success_rate")
+    assert fall is not None
+    assert fall.best_value == 1.0
+    assert (fall.best_steps, fall.since_steps, fall.last_episodes) == (7000, 8000, 60)
+    assert fall.last_value == pytest.approx(19 / 60)
+    assert "the success rate of its evaluations fell from 100% at 7,000 steps to 32%" in fall.text
+    assert "since about 8,000 steps" in fall.text
     returns = decline(_evaluations(FALL), "mean_return")
     assert returns is not None
     assert returns.best_value > 190
@@ -67,9 +66,9 @@ def test_a_training_that_rises_recovers_or_never_learned_is_not_named(rates, mea
 
 
 def test_the_last_evaluation_alone_is_enough_for_a_large_fall():
-    found = decline(_evaluations([0.0, 0.6, 1.0, 0.2]), "success_rate")
-    assert found is not None
-    assert (found.best_steps, found.last_value) == (3000, 0.2)
+    fall = decline(_evaluations([0.0, 0.6, 1.0, 0.2]), "success_rate")
+    assert fall is not None
+    assert (fall.best_steps, fall.last_value) == (3000, 0.2)
 
 
 def test_a_harder_stage_of_the_curriculum_is_no_fall():
@@ -77,9 +76,9 @@ def test_a_harder_stage_of_the_curriculum_is_no_fall():
     hard = _evaluations([0.1, 0.2, 0.2, 0.3], stage="hard", every=10_000)
     assert decline([*easy, *hard], "success_rate") is None
     fallen = _evaluations([0.1, 0.9, 1.0, 1.0, 0.1, 0.0], stage="hard", every=10_000)
-    found = decline([*easy, *fallen], "success_rate")
-    assert found is not None
-    assert found.best_steps == 40_000
+    fall = decline([*easy, *fallen], "success_rate")
+    assert fall is not None
+    assert fall.best_steps == 40_000
 
 
 def test_small_differences_between_nearly_perfect_returns_are_no_fall():
@@ -118,7 +117,9 @@ def _drawn(rates, kind: str, random: np.random.Generator):
 @pytest.mark.parametrize("kind", ["two values", "a long tail", "normal"])
 @pytest.mark.parametrize("shape", few(["steady", "rising", "leveling"], ["leveling"]))
 def test_healthy_trainings_raise_a_false_alarm_in_at_most_two_percent(shape, kind):
-    random, count, alarms = np.random.default_rng(7), 150, {"success_rate": 0, "mean_return": 0}
+    random = np.random.default_rng(7)
+    count = 150
+    alarms = {"success_rate": 0, "mean_return": 0}
     for number in range(count):
         evaluations = _drawn(_healthy(shape, (4, 10, 30)[number % 3], random), kind, random)
         for measure in alarms:
@@ -129,7 +130,8 @@ def test_healthy_trainings_raise_a_false_alarm_in_at_most_two_percent(shape, kin
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
 def test_starts_that_always_fail_raise_no_alarm(share):
     """With a test for independent episodes, 4 to 9 % of such trainings "got worse"."""
-    random, alarms = np.random.default_rng(3), 0
+    random = np.random.default_rng(3)
+    alarms = 0
     for _ in range(150):
         rate = random.uniform(0.3, 0.95)
         is_hard = random.random(20) < share
@@ -152,7 +154,7 @@ def test_the_test_is_students_of_the_differences(shift):
     assert paired([1.0], [0.0]) == paired([1.0] * 20, [1.0] * 20) == 1.0
 
 
-def test_damaged_evaluations_are_told_in_a_sentence(tmp_path):
+def test_damaged_evaluations_are_refused_in_a_sentence(tmp_path):
     (tmp_path / "evaluations").mkdir()
     path = tmp_path / "evaluations" / "training.jsonl"
     line = json.dumps(_evaluations([0.5])[0])

@@ -195,7 +195,8 @@ def test_values_have_the_units_of_the_scenario_and_a_drawn_factor_is_called_one(
     labels = _labels("quadruped")
     assert labels["robots.dog.links.trunk.mass"].unit.text == "(factor)"
     hinge = _labels("cartpole")["reset.joints.cart.pole_hinge"]
-    assert (hinge.unit.text, hinge.is_parameter) == ("deg", False)
+    assert hinge.unit.text == "deg"
+    assert hinge.is_parameter is False
     assert _labels("panda_push")["mark.x"].is_parameter
     done = [Episode(0.0, 1, k >= 5, None, drawn={"hinge": np.radians(k)}) for k in range(5)]
     part = by_drawn_value(done, {"hinge": hinge}).values["hinge"].parts[3]

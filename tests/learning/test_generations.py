@@ -81,7 +81,8 @@ def test_the_first_value_of_a_stage_is_that_of_a_whole_generation(seed: int) -> 
 
 def test_the_recent_success_rate_of_a_training_does_not_depend_on_what_ends_first() -> None:
     statistics = Statistics(0.1, None, worlds=WORLDS)
-    before, after = set(), []
+    before = set()
+    after = []
     for step, world, survives in _endings(seed=1):
         statistics.add(_episode(survives), world)
         if step < SURVIVAL:
@@ -96,11 +97,11 @@ def test_the_recent_success_rate_of_a_training_does_not_depend_on_what_ends_firs
 
 def test_with_one_world_a_window_has_the_newest_episodes() -> None:
     window = Generations[int](3)
-    seen = []
+    states = []
     for number in range(5):
         window.add(number)
-        seen.append((window.whole, window.is_full, window.newest(2)))
-    assert seen == [
+        states.append((window.whole, window.is_full, window.newest(2)))
+    assert states == [
         ([0], False, None),
         ([0, 1], False, [0, 1]),
         ([0, 1, 2], True, [1, 2]),
@@ -113,7 +114,9 @@ def test_a_window_has_as_many_episodes_of_each_world_and_at_least_so_many_in_all
     window = Generations[str](5, worlds=3)
     for name in ("a1", "a2", "b1", "a3", "b2"):
         window.add(name, "abc".index(name[0]))
-    assert (window.whole, window.is_full, len(window.finished)) == ([], False, 4)
+    assert window.whole == []
+    assert window.is_full is False
+    assert len(window.finished) == 4
     window.add("c1", 2)
     assert (sorted(window.whole), window.newest(1)) == (["a3", "b2", "c1"], ["a3", "b2", "c1"])
     assert window.newest(4) is None
@@ -128,22 +131,23 @@ def test_the_copies_of_a_robot_end_together_and_belong_to_one_generation() -> No
         window.add(world, world)
     assert window.whole == []
     window.add(1, 1)
-    assert (sorted(window.whole), window.is_full) == ([0, 0, 1, 1], True)
+    assert sorted(window.whole) == [0, 0, 1, 1]
+    assert window.is_full is True
 
 
 def test_a_checkpoint_keeps_which_world_an_episode_was_in() -> None:
     program = _staged(0.9, 4)
     whole, again = (Curriculum(program, worlds=2) for _ in range(2))
-    one, two = (Statistics(0.1, None, worlds=2) for _ in range(2))
+    original, restored = (Statistics(0.1, None, worlds=2) for _ in range(2))
     first = [(0, False), (0, True), (1, True), (0, True)]
     for step, (world, success) in enumerate(first):
         whole.add(_episode(success), step, 0, world)
-        one.add(_episode(success), world)
+        original.add(_episode(success), world)
     again.restore(CurriculumState.model_validate_json(whole.state().model_dump_json()))
-    two.restore(StatisticsState.model_validate_json(one.state().model_dump_json()))
-    assert (again.value(4), two.success_rate) == (whole.value(4), one.success_rate) == (None, 1.0)
+    restored.restore(StatisticsState.model_validate_json(original.state().model_dump_json()))
+    assert (again.value(4), restored.success_rate) == (whole.value(4), original.success_rate) == (None, 1.0)
     assert again.add(_episode(True), 5, 0, 1) is whole.add(_episode(True), 5, 0, 1) is True
-    assert two.has_episodes(4)
+    assert restored.has_episodes(4)
 
 
 def test_a_checkpoint_of_an_earlier_version_is_read() -> None:
@@ -160,10 +164,8 @@ def test_a_checkpoint_of_an_earlier_version_is_read() -> None:
     single, several = Statistics(0.1, None), Statistics(0.1, None, worlds=2)
     single.restore(old)
     several.restore(old)
-    assert (single.mean_return, several.mean_return) == (
-        3.0,
-        None,
-    )  # it is not known which worlds they were in
+    assert single.mean_return == 3.0
+    assert several.mean_return is None  # it is not known which worlds they were in
     curriculum = Curriculum(_staged(0.9, 2))
     curriculum.restore(CurriculumState.model_validate({"ends": [], "first_step": 0, "recent": [1.0]}))
     assert curriculum.add(_episode(True), 20, 3)

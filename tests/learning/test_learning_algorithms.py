@@ -1,4 +1,4 @@
-"""What the algorithms are given: noise, hindsight, masks, pictures."""
+"""The inputs of the algorithms: noise, hindsight, masks, pictures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_an_optimizer_takes_the_steps_of_torch_to_the_bit() -> None:
             weights.backward(gradient)
             optimizer.step()
         learned.append((weights.detach(), optimizer.state_dict()["state"][0]["exp_avg_sq"]))
-    assert all(torch.equal(mine, other) for mine, other in zip(*learned, strict=True))
+    assert all(torch.equal(own, of_torch) for own, of_torch in zip(*learned, strict=True))
 
 
 @pytest.mark.parametrize("algorithm", ["PPO", "DQN"])
@@ -148,10 +148,10 @@ def test_noise_goes_from_its_first_deviation_to_its_last(kind: Any) -> None:
 def test_noise_fades_while_the_training_goes_on(
     tmp_path: Path, algorithm: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seen: list[float] = []
+    remaining_shares: list[float] = []
 
     def watched(kind: Any, size: Any, remaining: Any) -> Any:
-        return DecayingNoise(kind, size, lambda: seen.append(remaining()) or remaining())
+        return DecayingNoise(kind, size, lambda: remaining_shares.append(remaining()) or remaining())
 
     monkeypatch.setattr(algorithms, "DecayingNoise", watched)
     training = Training(
@@ -163,9 +163,9 @@ def test_noise_fades_while_the_training_goes_on(
         ActionNoise("ornstein_uhlenbeck", Schedule(0.5, 0.1)),
     )
     learned(stand_in.build, tmp_path, training, continuous=True)
-    assert seen[0] > 0.8
-    assert seen[-1] < 0.05
-    assert seen == sorted(seen, reverse=True)
+    assert remaining_shares[0] > 0.8
+    assert remaining_shares[-1] < 0.05
+    assert remaining_shares == sorted(remaining_shares, reverse=True)
 
 
 # Hindsight
@@ -186,7 +186,8 @@ class Reach(stand_in.CartPole):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
-        self.place, self.goal = 0.0, float(self.np_random.uniform(-1, 1))
+        self.place = 0.0
+        self.goal = float(self.np_random.uniform(-1, 1))
         return self._seen(), self._info(None)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -312,7 +313,7 @@ def test_masks_are_not_asked_for_where_nothing_is_forbidden(tmp_path: Path) -> N
     assert evaluate(run, episodes=3, build=stand_in.build).episodes == 3
 
 
-def test_what_is_not_installed_is_told_with_how_to_install_it(
+def test_an_algorithm_that_is_not_installed_is_refused_with_the_command_to_install_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(algorithms.ALGORITHMS["TQC"], "import_path", "not_there:TQC")
@@ -395,7 +396,8 @@ def test_numbers_of_units_and_worlds_that_no_machine_could_have_are_refused(sett
 
 def test_an_unknown_activation_is_refused() -> None:
     (finding,) = api.lint("cartpole", overrides=["train.network.activation=relou"])
-    assert (finding.code, finding.fix is not None) == ("DB104", True)
+    assert finding.code == "DB104"
+    assert finding.fix is not None
 
 
 # Pictures
@@ -433,7 +435,7 @@ def test_a_policy_that_sees_pictures_is_trained_kept_evaluated_and_gone_on_with(
     assert resume(run, total_timesteps=150, build=Seeing).steps >= 150
 
 
-def test_more_remembered_pictures_than_memory_holds_are_refused_before_anything_is_made(
+def test_remembered_pictures_beyond_the_memory_are_refused_before_anything_is_made(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(UsageError, match=r"remembered steps need .* GB of memory"):
@@ -457,16 +459,19 @@ def test_the_effective_hyperparameters_are_those_that_the_library_gets(algorithm
     training = Training(algorithm, 5_000, 2, hyper(gamma=0.9), SMALL)
     scenario = stand_in.scenario(training=training, continuous=algorithm not in ("DQN", "MaskablePPO"))
     model = algorithms.create(training, copies_of(scenario, stand_in.CartPole), seed=0, total_timesteps=5_000)
-    shown = {row.name: row for row in defaults.effective_hyperparameters(scenario, 5_000)}
-    assert (shown["gamma"].value, shown["gamma"].source) == (0.9, "scenario")
+    effective = {row.name: row for row in defaults.effective_hyperparameters(scenario, 5_000)}
+    assert effective["gamma"].value == 0.9
+    assert effective["gamma"].source == "scenario"
     got = {
-        name: getattr(model, name) for name in shown if isinstance(getattr(model, name, None), (int, float))
+        name: getattr(model, name)
+        for name in effective
+        if isinstance(getattr(model, name, None), (int, float))
     }
     got = {
-        name: value for name, value in got.items() if shown[name].value != "auto"
+        name: value for name, value in got.items() if effective[name].value != "auto"
     }  # which the library resolves
     assert got.keys() >= {"learning_rate", "gamma", "n_steps"}
-    assert {name: shown[name].value for name in got} == got
+    assert {name: effective[name].value for name in got} == got
 
 
 @pytest.mark.parametrize("algorithm", STABLE)

@@ -113,7 +113,7 @@ class Scored(stand_in.CartPole):
 
 
 class Notes(Reporter):
-    """Keeps what a training notes, and its activities beside learning."""
+    """Keeps the notes of a training, and its activities beside learning."""
 
     def __init__(self) -> None:
         self.notes: list[str] = []
@@ -199,10 +199,8 @@ def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_pa
     result = learned(tmp_path, build, total=2_400, solved=None, progress=notes)
     *_, third = evaluated_steps(result)[:3]
     assert result.best is not None
-    assert (result.best.chosen_by, result.best.steps) == (
-        "new starts",
-        third,
-    )  # of equals it was the first to play
+    assert result.best.chosen_by == "new starts"
+    assert result.best.steps == third  # of equals it was the first to play
     assert result.best.episodes is not None
     assert (
         result.best.episodes % EVALUATION_EPISODES == 0
@@ -239,7 +237,8 @@ def test_a_run_of_before_is_read_and_its_best_marked_as_chosen_by_return(
     best = RunRecord.read(tmp_path).result
     assert best is not None
     assert best.best_model is not None
-    assert (best.best_model.chosen_by, best.best_model.mean_return) == ("return", 12.5)
+    assert best.best_model.chosen_by == "return"
+    assert best.best_model.mean_return == 12.5
     assert "chosen by return" in best.best_model.text
 
 
@@ -250,7 +249,8 @@ def test_successes_of_training_episodes_do_not_solve_a_task(unpaid: tuple[Worlds
     build, result = unpaid
     assert result.success_rate == 1.0
     assert result.solved_at is None
-    assert (result.status, result.steps >= 300) == ("finished", True)
+    assert result.status == "finished"
+    assert result.steps >= 300
     assert not set(build.seeds) & set(CONFIRMATIONS)
 
 
@@ -258,7 +258,9 @@ def test_a_lucky_evaluation_does_not_stop_a_training(tmp_path: Path) -> None:
     notes = Notes()
     build = Worlds(good, confirmation=poor)
     result = learned(tmp_path, build, total=1_000, progress=notes)
-    assert (result.status, result.steps >= 1_000, result.solved_at) == ("finished", True, None)
+    assert result.status == "finished"
+    assert result.steps >= 1_000
+    assert result.solved_at is None
     assert result.confirmations >= 1
     assert notes.activities[0].startswith("confirming on ")
     assert any("not confirmed after" in note and "the training goes on" in note for note in notes.notes)
@@ -282,7 +284,8 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     assert verdict.evaluation.confirmation == 1
     assert verdict.evaluation.episodes % solved.episodes == 0
     # The evaluation after the training and `deepbots eval` are these episodes, not other ones.
-    trained, again = evaluate_trained(run), evaluate(run, episodes=verdict.evaluation.episodes, build=build)
+    trained = evaluate_trained(run)
+    again = evaluate(run, episodes=verdict.evaluation.episodes, build=build)
     assert [each.total_return for each in trained.outcomes] == [each.total_return for each in again.outcomes]
     assert trained.seed == again.seed == result.confirmed_seed == confirmation_root(SEED, 1)
     assert result.best is not None
@@ -325,7 +328,8 @@ def test_a_training_that_does_not_stop_when_solved_notes_it_once(tmp_path: Path)
     assert result.steps >= 1_000
     assert result.solved_at is not None
     assert result.solved_at.steps < result.steps
-    assert (result.confirmations, result.confirmed_seed) == (1, None)
+    assert result.confirmations == 1
+    assert result.confirmed_seed is None
 
 
 @pytest.mark.slow
@@ -384,7 +388,9 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
     result = learned(
         tmp_path, build, on_evaluation=lambda run: "somebody" if run.parent == tmp_path else None
     )
-    assert (result.status, result.stopped_by, build.evaluations) == ("finished", "somebody", 1)
+    assert result.status == "finished"
+    assert result.stopped_by == "somebody"
+    assert build.evaluations == 1
     assert result.steps < 600
 
 
@@ -439,7 +445,8 @@ def test_an_evaluation_stops_when_somebody_wants_the_training_to_end() -> None:
     world = stand_in.build(task)
     assert task.agent.training is not None
     policy = learner.create(learner.Setup(task.agent.training, world.observation_space, world.action_space))
-    evaluator, interruption = Evaluator(stand_in.build, seed=0), Interruption()
+    evaluator = Evaluator(stand_in.build, seed=0)
+    interruption = Interruption()
     state = torch.get_rng_state()
     first, second = (evaluator.evaluate(policy, task, interruption) for _ in range(2))
     assert first == second  # the same starts each time

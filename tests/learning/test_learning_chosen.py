@@ -40,8 +40,8 @@ def compiled(folder: Path, scenario: str, train: str | None = None) -> Compiled:
     return api.with_learner(api.compile(file))
 
 
-def settings(found: Compiled) -> dict[str, Any]:
-    training = found.program.agent.training
+def settings(chosen: Compiled) -> dict[str, Any]:
+    training = chosen.program.agent.training
     assert training is not None
     return {entry.name: entry.value for entry in training.hyperparameters} | vars(training)
 
@@ -50,11 +50,11 @@ def settings(found: Compiled) -> dict[str, Any]:
     "scenario", few(shipped.scenario_names(), ("cartpole", "find_ball", "panda_push", "quadruped", "tag"))
 )
 def test_every_shipped_scenario_without_train_can_be_trained(tmp_path: Path, scenario: str) -> None:
-    found = compiled(tmp_path, scenario)
-    assert found.findings == ()
-    assert found.learner
+    chosen = compiled(tmp_path, scenario)
+    assert chosen.findings == ()
+    assert chosen.learner
     algorithm, worlds = EXPECTED.get(scenario, (None, None))
-    assert algorithm is None or (settings(found)["algorithm"], settings(found)["environments"]) == (
+    assert algorithm is None or (settings(chosen)["algorithm"], settings(chosen)["environments"]) == (
         algorithm,
         worlds,
     )
@@ -84,7 +84,7 @@ def test_with_a_teacher_the_policy_learns_by_imitation(tmp_path: Path) -> None:
 
 
 def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
-    given = {
+    values = {
         "gamma": 0.5,
         "n_epochs": 3,
         "environments": 3,
@@ -92,13 +92,18 @@ def test_given_values_stay_and_their_reasons_go(tmp_path: Path) -> None:
         "total_timesteps": 1000,
         "learning_rate": "1e-3 -> 0",
     }
-    found = compiled(tmp_path, "cartpole", json.dumps(given))
-    known = settings(found)
-    assert (known["gamma"], known["environments"], known["total_timesteps"]) == (0.5, 3, 1000)
-    assert (known["network"].hidden, known["network"].activation) == ((64, 64), "relu")
-    assert (known["learning_rate"].start, known["learning_rate"].end) == (1e-3, 0)
-    assert (known["n_epochs"], known["n_steps"]) == (3, 64)
-    assert [reason.split(":")[0] for reason in found.learner] == [
+    chosen = compiled(tmp_path, "cartpole", json.dumps(values))
+    chosen_settings = settings(chosen)
+    assert (
+        chosen_settings["gamma"],
+        chosen_settings["environments"],
+        chosen_settings["total_timesteps"],
+    ) == (0.5, 3, 1000)
+    assert chosen_settings["network"].hidden == (64, 64)
+    assert chosen_settings["network"].activation == "relu"
+    assert (chosen_settings["learning_rate"].start, chosen_settings["learning_rate"].end) == (1e-3, 0)
+    assert (chosen_settings["n_epochs"], chosen_settings["n_steps"]) == (3, 64)
+    assert [reason.split(":")[0] for reason in chosen.learner] == [
         "PPO"
     ]  # those for `environments` and `gamma` are gone
 

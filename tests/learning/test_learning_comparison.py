@@ -52,13 +52,15 @@ def group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
 
 
 def test_a_run_is_compared_with_its_own_checkpoint_and_both_rows_name_their_steps(climb: Path) -> None:
-    found = compare([climb, climb / STEP], episodes=3, build=stand_in.build)
-    assert [each.name for each in found.groups] == ["climb", "climb (step-000000256)"]
-    (first,), (second,) = (each.evaluations for each in found.groups)
-    assert (first.model, second.model, second.model_steps) == ("best", "step-000000256", 256)
+    comparison = compare([climb, climb / STEP], episodes=3, build=stand_in.build)
+    assert [entry.name for entry in comparison.groups] == ["climb", "climb (step-000000256)"]
+    (first,), (second,) = (entry.evaluations for entry in comparison.groups)
+    assert first.model == "best"
+    assert second.model == "step-000000256"
+    assert second.model_steps == 256
     assert first.model_steps is not None
     assert first.model_steps > 256
-    assert [each.seed for each in first.outcomes] == [each.seed for each in second.outcomes]
+    assert [entry.seed for entry in first.outcomes] == [entry.seed for entry in second.outcomes]
 
 
 def test_a_model_is_named_in_the_same_way_everywhere(climb: Path) -> None:
@@ -66,7 +68,9 @@ def test_a_model_is_named_in_the_same_way_everywhere(climb: Path) -> None:
     assert evaluate(checkpoint, episodes=1, build=stand_in.build).model_steps == 256
     assert load_policy(checkpoint).scenario == "stand_in"
     ref = ModelRef.open(checkpoint)
-    assert (ref.path, ref.label, ref.is_named) == (checkpoint, "climb (step-000000256)", True)
+    assert ref.path == checkpoint
+    assert ref.label == "climb (step-000000256)"
+    assert ref.is_named is True
     with pytest.raises(
         UsageError, match=r"--last chooses a model of a run, but .*step-000000256\.zip is already a model"
     ):
@@ -97,9 +101,9 @@ def test_evaluations_of_checkpoints_are_the_last_ones_too(run_copy: Path) -> Non
         (of_checkpoint, path),
         (ModelRef.open(run.model("best")), best),
     ):
-        found = last_episodes(ref)
-        assert found is not None
-        assert found[0] == expected
+        last = last_episodes(ref)
+        assert last is not None
+        assert last[0] == expected
     forged = evaluate(run, episodes=2, build=stand_in.build).model_dump(mode="json") | {
         "model": "../../../elsewhere"
     }
@@ -114,18 +118,18 @@ def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(
     climb: Path, tmp_path: Path
 ) -> None:
     faster = trained(tmp_path / "faster", apply="drive * 8 rad/s")
-    found = compare([climb, faster], episodes=3, build=stand_in.build)
-    assert found.scenario is None
-    (difference,) = found.differences
+    comparison = compare([climb, faster], episodes=3, build=stand_in.build)
+    assert comparison.scenario is None
+    (difference,) = comparison.differences
     assert difference.own_scenarios
     assert difference.mean_return is not None  # the rewards are the same
-    (note,) = [note for note in found.notes if "own scenario" in note]
+    (note,) = [note for note in comparison.notes if "own scenario" in note]
     assert note.startswith(
         "climb and faster are each evaluated in their own scenario, from starts with the same seeds"
     )
     assert "robots.cart.apply.wheels: drive * 5 rad/s -> drive * 8 rad/s" in note
-    for each in found.groups:
-        assert each.evaluations[0].elsewhere is None
+    for entry in comparison.groups:
+        assert entry.evaluations[0].elsewhere is None
     named = compare(
         [climb, faster], episodes=3, scenario=stand_in.compiled(training=SHORT), build=stand_in.build
     )
@@ -136,9 +140,9 @@ def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(
 def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_own_scenario(
     climb: Path, tmp_path: Path
 ) -> None:
-    other = trained(tmp_path / "other", apply="drive * 8 rad/s", reward="{alive: 2, center: 0}")
-    found = compare([climb, other], episodes=3, build=stand_in.build)
-    (difference,) = found.differences
+    rewarded_twice = trained(tmp_path / "other", apply="drive * 8 rad/s", reward="{alive: 2, center: 0}")
+    comparison = compare([climb, rewarded_twice], episodes=3, build=stand_in.build)
+    (difference,) = comparison.differences
     assert (difference.mean_return, difference.compared) == (None, None)
     assert (
         difference.verdict
@@ -146,28 +150,31 @@ def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_o
     )
     assert any(
         "returns are not compared, because they do not mean the same: reward.alive: 1 -> 2" in note
-        for note in found.notes
+        for note in comparison.notes
     )
 
 
 def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Path) -> None:
-    one = trained(tmp_path / "one", success=True)
-    other = trained(tmp_path / "other", success=True, apply="drive * 8 rad/s", reward="{alive: 2, center: 0}")
-    found = compare([one, other], episodes=3, build=stand_in.build)
-    (difference,) = found.differences
-    assert (difference.measure, difference.mean_return) == ("success_rate", None)
+    first = trained(tmp_path / "one", success=True)
+    second = trained(
+        tmp_path / "other", success=True, apply="drive * 8 rad/s", reward="{alive: 2, center: 0}"
+    )
+    comparison = compare([first, second], episodes=3, build=stand_in.build)
+    (difference,) = comparison.differences
+    assert difference.measure == "success_rate"
+    assert difference.mean_return is None
     assert "success rate" in difference.verdict
 
 
 def test_policies_are_compared_in_one_world_where_only_the_reward_differs(
     climb: Path, tmp_path: Path
 ) -> None:
-    found = compare(
+    comparison = compare(
         [climb, trained(tmp_path / "other", reward="{alive: 2, center: 0}")], episodes=2, build=stand_in.build
     )
-    assert found.scenario == "stand_in"
-    assert not found.differences[0].own_scenarios
-    assert any("the rewards of the runs differ" in note for note in found.notes)
+    assert comparison.scenario == "stand_in"
+    assert not comparison.differences[0].own_scenarios
+    assert any("the rewards of the runs differ" in note for note in comparison.notes)
 
 
 # By which measure
@@ -199,15 +206,18 @@ def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_see
 # Groups
 
 
-def test_the_interval_of_equal_seeds_says_that_seeds_are_few_and_stands_beside_that_of_the_starts(
+def test_the_text_of_a_group_has_the_intervals_over_seeds_and_over_starts(
     group: GroupTraining,
 ) -> None:
-    found = evaluate_group(group.group, episodes=6, build=stand_in.build)
+    evaluation = evaluate_group(group.group, episodes=6, build=stand_in.build)
     means = [
-        sum(result.outcomes[start].total_return for result in found.evaluations) / 3 for start in range(6)
+        sum(result.outcomes[start].total_return for result in evaluation.evaluations) / 3
+        for start in range(6)
     ]
-    assert found.return_interval_over_starts == mean_interval(means, found.evaluations[0].possible_returns)
-    text = records.group_text(found)
+    assert evaluation.return_interval_over_starts == mean_interval(
+        means, evaluation.evaluations[0].possible_returns
+    )
+    text = records.group_text(evaluation)
     assert "over 3 seeds: what another training may give; more seeds narrow the intervals" in text
     assert (
         "over 6 starts: what these policies give from other starts; more episodes narrow the intervals"
@@ -217,11 +227,11 @@ def test_the_interval_of_equal_seeds_says_that_seeds_are_few_and_stands_beside_t
 
 
 def test_a_group_counts_solved_runs_by_their_verdicts(group: GroupTraining) -> None:
-    found = evaluate_group(group.group, episodes=10, build=stand_in.build)
-    first, *others = found.evaluations
+    evaluation = evaluate_group(group.group, episodes=10, build=stand_in.build)
+    first, *others = evaluation.evaluations
     run = Run.open(first.run)
     run.write_evaluation(first.model_copy(update={"episodes": 100, "solved": True}).model_dump(mode="json"))
     for result in others:
         Run.open(result.run).write_evaluation(result.model_dump(mode="json"))
-    assert "solved              1 of 3 seeds" in records.group_text(found)
-    assert records.group_json(found)["solved"] == [True, False, False]
+    assert "solved              1 of 3 seeds" in records.group_text(evaluation)
+    assert records.group_json(evaluation)["solved"] == [True, False, False]

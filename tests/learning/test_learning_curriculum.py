@@ -33,8 +33,8 @@ SHORT, LONG = Criterion("mean_return", 4.5, 6), Criterion("steps", 300.0)
 
 
 def staged(*untils: Criterion | None, lengths: tuple[int, ...] = (5, 8, 11, 14), **settings: Any) -> Compiled:
-    """A scenario with a stage for each criterion; an episode of the stages `a`, `b`, ... has so many
-    steps."""
+    """A scenario with a stage for each criterion; `lengths` has the steps of an episode in the stages `a`,
+    `b`, ..."""
     stages = [
         f"  - {{name: {name}, set: {{truncation.max_steps: {length}}}{until_text(until)}}}\n"
         for name, until, length in zip("abcd", untils, lengths, strict=False)
@@ -66,7 +66,8 @@ def through(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
 
 
 def test_each_copy_goes_on_to_the_next_stage_when_its_episode_has_ended(through: TrainingResult) -> None:
-    result, log = through, monitor_rows(through.run)
+    result = through
+    log = monitor_rows(through.run)
     assert {stage: {int(row["l"]) for row in log if row["stage"] == stage} for stage in "abc"} == {
         "a": {5},
         "b": {8},
@@ -90,7 +91,9 @@ def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
         curriculum.add(Episode(0.0, 10, good, None), 10 * n, n) for n, good in enumerate(outcomes[:4], 1)
     ]
     assert begun == [False, False, False, True]
-    assert (curriculum.name, curriculum.is_last, curriculum.value(40)) == ("b", True, None)
+    assert curriculum.name == "b"
+    assert curriculum.is_last is True
+    assert curriculum.value(40) is None
     assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
 
 
@@ -109,7 +112,8 @@ def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tm
     parts = train(
         compiled, run=tmp_path / "parts", build=stand_in.build, total_timesteps=1400, progress=At(501)
     )
-    assert (parts.status, [done.name for done in parts.stages]) == ("interrupted", ["a"])
+    assert parts.status == "interrupted"
+    assert [done.name for done in parts.stages] == ["a"]
     again = resume(parts.run, build=stand_in.build)
     assert (again.inexact, again.stages, again.weights_digest) == ((), whole.stages, whole.weights_digest)
 
@@ -152,10 +156,12 @@ def test_a_resumed_training_goes_on_in_its_stage(tmp_path: Path) -> None:
 def test_a_training_may_begin_in_a_later_stage_and_stays_there_when_it_is_resumed(tmp_path: Path) -> None:
     result = learned(tmp_path, staged(SHORT, LONG, None), stage="b", total_timesteps=96)
     assert {row["stage"] for row in monitor_rows(result.run)} == {"b"}
-    assert (result.stage, result.stages) == ("b", ())
+    assert result.stage == "b"
+    assert result.stages == ()
     again = resume(result.run, total_timesteps=900, build=stand_in.build)
     assert [row["stage"] for row in monitor_rows(result.run)][-1] == "c"
-    assert (again.stage, [end.name for end in again.stages]) == ("c", ["b"])
+    assert again.stage == "c"
+    assert [end.name for end in again.stages] == ["b"]
 
 
 def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_stage(tmp_path: Path) -> None:
@@ -172,13 +178,13 @@ def test_a_killed_training_that_had_learned_nothing_begins_anew_in_its_first_sta
 
 
 @pytest.mark.parametrize(
-    ("untils", "known"),
+    ("untils", "message"),
     [((SHORT, None), "has no stage 'z'.*there are: a, b"), ((), "has no stages, so there is no 'z'")],
 )
 def test_a_stage_that_does_not_exist_is_refused_before_there_is_a_run(
-    tmp_path: Path, untils: tuple[Criterion, ...], known: str
+    tmp_path: Path, untils: tuple[Criterion, ...], message: str
 ) -> None:
-    with pytest.raises(UsageError, match=known):
+    with pytest.raises(UsageError, match=message):
         learned(tmp_path, staged(*untils), stage="z")
     assert not (tmp_path / "run").exists()
 

@@ -48,7 +48,8 @@ def test_a_reward_that_is_no_number_is_refused_with_the_term_at_fault() -> None:
 
 
 def test_the_episode_file_is_appended_to_and_keeps_one_header(tmp_path: Path) -> None:
-    path, statistics = tmp_path / "monitor.csv", Statistics(0.1, None)
+    path = tmp_path / "monitor.csv"
+    statistics = Statistics(0.1, None)
     for _ in range(2):
         file = EpisodeLog(path, "Pole, long")
         file.open()

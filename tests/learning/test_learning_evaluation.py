@@ -69,12 +69,15 @@ def test_the_figures_belong_together(trained: TrainingResult) -> None:
     assert json.loads(json.dumps(result.model_dump(mode="json")))["episodes"] == 20
 
 
-def test_each_episode_is_told_when_it_is_over(trained: TrainingResult) -> None:
-    told: list[tuple[int, int]] = []
+def test_on_episode_is_called_after_each_episode(trained: TrainingResult) -> None:
+    progress: list[tuple[int, int]] = []
     evaluate(
-        trained.run, episodes=10, build=stand_in.build, on_episode=lambda done, of: told.append((done, of))
+        trained.run,
+        episodes=10,
+        build=stand_in.build,
+        on_episode=lambda done, of: progress.append((done, of)),
     )
-    assert told == [(done, 10) for done in range(1, 11)]
+    assert progress == [(done, 10) for done in range(1, 11)]
 
 
 def test_a_single_episode_has_no_standard_deviation(trained: TrainingResult) -> None:
@@ -106,7 +109,8 @@ def test_after_failed_confirmations_an_evaluation_that_just_meets_the_criterion_
     """`train` noted "not confirmed", and ended with "solved: success rate 92.0% where 90.0% is required"."""
     solved = Solved(100, success_rate=0.9)
     met, text, required = solved_verdict(solved, episodes(100, 1.0, 92), number=2)
-    assert (met, required) == (None, 200)
+    assert met is None
+    assert required == 200
     assert text.endswith("may be luck in 100 episodes; evaluate with `--episodes 200`")
     met, text, _ = solved_verdict(solved, episodes(200, 1.0, 184), number=2)
     assert met is False
@@ -182,7 +186,9 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
     run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
     base = evaluate(run, build=stand_in.build)
     short, same = evaluate_cases(run, build=stand_in.build)
-    assert (short.case, short.episodes, short.greatest_return) == ("short", 3, 7.0)
+    assert short.case == "short"
+    assert short.episodes == 3
+    assert short.greatest_return == 7.0
     plain = {"case": None, "circumstances": [], "verdict": base.verdict}
     assert same.model_dump(mode="json") | plain == base.model_dump(mode="json")
     assert evaluate(run, case="short", build=stand_in.build) == short
@@ -199,7 +205,8 @@ def test_every_case_is_evaluated_from_the_same_starts(tmp_path: Path) -> None:
 
 def test_a_run_with_a_case_for_another_policy_is_refused(tmp_path: Path) -> None:
     run = train(evaluation_json(), run=tmp_path / "run", total_timesteps=200, build=stand_in.build).run
-    resolved, text = run / "resolved.yaml", (run / "resolved.yaml").read_text()
+    resolved = run / "resolved.yaml"
+    text = (run / "resolved.yaml").read_text()
     for forged in ("observation.speed: -2 .. 2 m/s", "evaluation.episodes: 3"):
         resolved.write_text(text.replace("truncation.max_steps: 7", forged))
         with pytest.raises(RunError, match="does not compile"):

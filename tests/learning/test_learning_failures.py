@@ -27,7 +27,7 @@ ODD = {
 }
 
 
-def odd(name: str) -> Compiled:
+def not_finite_after_some_steps(name: str) -> Compiled:
     """The CartPole, in which a reward term or an observed value has no value after some steps."""
     return api.compile(
         check(
@@ -41,14 +41,15 @@ def odd(name: str) -> Compiled:
 
 @pytest.mark.parametrize(("name", "field"), [("reward", "`odd = "), ("observation", "growth")])
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
-def test_a_scenario_without_a_value_is_told_with_its_place_and_repeated_from_a_file(
+def test_a_value_that_is_not_finite_is_reported_with_its_place_and_repeated_from_a_file(
     tmp_path: Path, name: str, field: str, engine: str
 ) -> None:
     """On MuJoCo the worlds are a batch."""
     pytest.importorskip(engine)
     with pytest.raises(DeepbotsError) as caught:
-        train(odd(name), run=tmp_path / "run", total_timesteps=2_000, engine=engine)
-    text, notes = str(caught.value), caught.value.full_message
+        train(not_finite_after_some_steps(name), run=tmp_path / "run", total_timesteps=2_000, engine=engine)
+    text = str(caught.value)
+    notes = caught.value.full_message
     path = tmp_path / "run" / "failures" / "0001.json"
     failure, error = reproduce(path)
     assert all(
@@ -82,7 +83,7 @@ train: {{n_steps: 16, n_epochs: 1}}
 
 
 class Notes(Reporter):
-    """Keeps what the user is told."""
+    """Keeps the notes to the user."""
 
     def __init__(self) -> None:
         self.texts: list[str] = []
@@ -96,11 +97,11 @@ def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_ke
     notes = Notes()
     rarely = f"choice({' | '.join(['0'] * 5)} | 1e9)"
     done = train(hurled(rarely), run=tmp_path / "run", total_timesteps=256, engine="mujoco", progress=notes)
-    told = [text for text in notes.texts if "was reset" in text]
+    resets = [text for text in notes.texts if "was reset" in text]
     files = sorted((tmp_path / "run" / "failures").iterdir())
     assert done.status == "finished"
-    assert len(told) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
-    for text, path in zip(told, files, strict=True):
+    assert len(resets) == len(files) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 0
+    for text, path in zip(resets, files, strict=True):
         assert re.match(
             r"episode \d+ \(seed \d+\), step \d: the pose of 'cart' became infinite or NaN\nreproduce .*"
             rf" {path}\n",
@@ -151,9 +152,9 @@ def test_an_evaluation_names_the_episode_and_its_seed(run_copy: Path) -> None:
 def test_an_observation_that_is_not_finite_is_named() -> None:
     class Blind(stand_in.CartPole):
         def _observation(self) -> Any:
-            seen = super()._observation()
-            seen[2] = np.nan if self.steps == 3 else seen[2]
-            return seen
+            observation = super()._observation()
+            observation[2] = np.nan if self.steps == 3 else observation[2]
+            return observation
 
         def reset(self, **settings: Any) -> Any:
             self.steps = 0

@@ -96,9 +96,9 @@ STATES: dict[str, Callable[[State], object]] = {
 @pytest.mark.parametrize("name", STATES)
 def test_a_forged_state_of_a_checkpoint_is_damaged(run_copy: Path, name: str) -> None:
     with_state(run_copy, STATES[name])
-    said = refusal(run_copy)
-    assert "damaged" in said
-    assert f"deepbots train {run_copy}/resolved.yaml --initialize-from {run_copy}" in said
+    message = refusal(run_copy)
+    assert "damaged" in message
+    assert f"deepbots train {run_copy}/resolved.yaml --initialize-from {run_copy}" in message
 
 
 def torch_generator(run: Path) -> np.ndarray[Any, Any]:

@@ -83,7 +83,7 @@ def test_each_seed_of_a_group_is_the_run_that_this_seed_alone_would_be(
     trained_group: GroupTraining, tmp_path: Path
 ) -> None:
     assert trained_group.group.name == "stand_in-seeds-1"
-    assert [found.run.name for found in trained_group.trained] == ["seed-0", "seed-1", "seed-4"]
+    assert [result.run.name for result in trained_group.trained] == ["seed-0", "seed-1", "seed-4"]
     alone = train(SCENARIO, run=tmp_path / "alone", seed=4, build=stand_in.build)
     assert (
         trained_group.trained[2].weights_digest
@@ -93,7 +93,7 @@ def test_each_seed_of_a_group_is_the_run_that_this_seed_alone_would_be(
 
 
 def test_the_cpu_time_of_a_seed_is_its_own(trained_group: GroupTraining) -> None:
-    first, *_, last = (found.cpu_seconds for found in trained_group.trained)
+    first, *_, last = (result.cpu_seconds for result in trained_group.trained)
     assert 0 < last < 2.5 * first
 
 
@@ -103,31 +103,33 @@ def test_an_interrupted_group_goes_on_and_skips_what_is_finished(
     begun = train_group(
         SCENARIO, (0, 1, 4), group=tmp_path / "group", progress=InterruptsSeed(2), build=stand_in.build
     )
-    assert [found.status for found in begun.trained] == ["finished", "interrupted"]
+    assert [result.status for result in begun.trained] == ["finished", "interrupted"]
     assert begun.waiting == (1, 4)
     listed = read_listed(tmp_path / "group")
-    assert (listed.state, [run.state for run in listed.runs]) == ("interrupted", ["finished", "interrupted"])
+    assert listed.state == "interrupted"
+    assert [run.state for run in listed.runs] == ["finished", "interrupted"]
     rest = resume_group(tmp_path / "group", build=stand_in.build)
     assert (rest.skipped, rest.waiting) == ((0,), ())
-    assert [found.weights_digest for found in rest.trained] == [
-        found.weights_digest for found in trained_group.trained[1:]
+    assert [result.weights_digest for result in rest.trained] == [
+        result.weights_digest for result in trained_group.trained[1:]
     ]
     assert read_listed(tmp_path / "group").state == "finished"
     again = resume_group(tmp_path / "group", build=stand_in.build)
     assert (again.trained, again.skipped) == ((), (0, 1, 4))
     longer = resume_group(tmp_path / "group", total_timesteps=300, build=stand_in.build)
-    assert all(found.steps >= 300 for found in longer.trained)
+    assert all(result.steps >= 300 for result in longer.trained)
 
 
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
-    found = train_group(
+    training = train_group(
         SCENARIO,
         (0, 1),
         group=tmp_path / "group",
         build=lambda program, render_mode=None: stand_in.Failing(program),
     )
-    assert (found.trained, sorted(found.failed)) == ((), [0, 1])
-    assert "is not finite" in found.failed[0]
+    assert training.trained == ()
+    assert sorted(training.failed) == [0, 1]
+    assert "is not finite" in training.failed[0]
     assert read_listed(tmp_path / "group").state == "failed"
 
 
@@ -138,8 +140,8 @@ def test_ctrl_c_while_a_seed_is_set_up_leaves_a_group_to_go_on_with(tmp_path: Pa
             raise KeyboardInterrupt
         return stand_in.build(program)
 
-    found = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=build)
-    assert found.waiting == (1,)
+    training = train_group(SCENARIO, (0, 1), group=tmp_path / "group", build=build)
+    assert training.waiting == (1,)
     assert resume_group(tmp_path / "group", build=stand_in.build).waiting == ()
 
 
@@ -152,15 +154,15 @@ def test_a_group_that_cannot_be_trained_leaves_nothing_behind(tmp_path: Path) ->
 
 
 def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining) -> None:
-    found = evaluate_group(trained_group.group, episodes=6, build=stand_in.build)
-    starts = [[episode.seed for episode in result.outcomes] for result in found.evaluations]
+    evaluation = evaluate_group(trained_group.group, episodes=6, build=stand_in.build)
+    starts = [[episode.seed for episode in result.outcomes] for result in evaluation.evaluations]
     assert starts[0] == starts[1] == starts[2]
-    assert found.returns == [result.mean_return for result in found.evaluations]
-    assert found.mean_return == fmean(found.returns)
-    assert found.return_interval == mean_interval(found.returns)
-    assert found.interquartile_mean == interquartile_mean(found.returns)
+    assert evaluation.returns == [result.mean_return for result in evaluation.evaluations]
+    assert evaluation.mean_return == fmean(evaluation.returns)
+    assert evaluation.return_interval == mean_interval(evaluation.returns)
+    assert evaluation.interquartile_mean == interquartile_mean(evaluation.returns)
     alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
-    assert alone.model_dump(mode="json") == found.evaluations[1].model_dump(mode="json")
+    assert alone.model_dump(mode="json") == evaluation.evaluations[1].model_dump(mode="json")
 
 
 def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer(
@@ -168,12 +170,12 @@ def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer
 ) -> None:
     gates = Gates(min_success=0.5, min_return=None, solved=False)
     enough = partial(gates.decided_of_group, planned=30)
-    found = evaluate_group(trained_group.group, episodes=10, until=enough, build=stand_in.build)
-    done = sum(result.episodes for result in found.evaluations)
-    successes = sum(result.successes for result in found.evaluations)
+    evaluation = evaluate_group(trained_group.group, episodes=10, until=enough, build=stand_in.build)
+    done = sum(result.episodes for result in evaluation.evaluations)
+    successes = sum(result.successes for result in evaluation.evaluations)
     assert done < 30
     assert successes >= 15 or successes + 30 - done < 15
-    [(_, met, reason)] = gates.requirements_of_group(found, 30)
+    [(_, met, reason)] = gates.requirements_of_group(evaluation, 30)
     assert met == (successes >= 15)
     assert f"the remaining {30 - done} episodes cannot change the result" in reason
 
@@ -183,26 +185,26 @@ def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_sam
 ) -> None:
     longer = shutil.copytree(trained_group.group, tmp_path / "longer")
     resume_group(longer, total_timesteps=400, build=stand_in.build)
-    found = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
-    assert [(group.name, len(group.evaluations)) for group in found.groups] == [
+    comparison = compare([trained_group.group, longer], episodes=5, build=stand_in.build)
+    assert [(group.name, len(group.evaluations)) for group in comparison.groups] == [
         ("stand_in-seeds-1", 3),
         ("longer", 3),
     ]
-    assert found.groups[0].solved_after == (None, None, None)
-    (difference,) = found.differences
+    assert comparison.groups[0].solved_after == (None, None, None)
+    (difference,) = comparison.differences
     assert difference.between_seeds
     assert difference.mean_return is not None
     assert difference.mean_return.mean == pytest.approx(
-        found.groups[1].mean_return - found.groups[0].mean_return
+        comparison.groups[1].mean_return - comparison.groups[0].mean_return
     )
     with pytest.raises(UsageError, match="at least two runs"):
         compare([trained_group.group / "seed-0"], build=stand_in.build)
 
 
 def test_the_runs_of_one_group_are_compared_with_each_other(trained_group: GroupTraining) -> None:
-    found = compare([trained_group.group], episodes=2, build=stand_in.build)
-    assert [group.name for group in found.groups] == ["seed-0", "seed-1", "seed-4"]
-    assert len(found.differences) == 2
+    comparison = compare([trained_group.group], episodes=2, build=stand_in.build)
+    assert [group.name for group in comparison.groups] == ["seed-0", "seed-1", "seed-4"]
+    assert len(comparison.differences) == 2
 
 
 def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> None:
@@ -220,18 +222,16 @@ def test_groups_of_equal_returns_differ_by_the_steps_until_they_are_solved() -> 
 def test_variants_that_see_something_else_are_compared_in_their_own_scenarios(
     trained_group: GroupTraining, tmp_path: Path
 ) -> None:
-    other = train(
+    variant = train(
         stand_in.compiled(training=SHORT, speed_range=1.0), run=tmp_path / "other", build=stand_in.build
     ).run
-    found = compare([trained_group.group / "seed-0", other], episodes=4, build=stand_in.build)
-    assert found.scenario is None
-    assert any("observation.speed" in note for note in found.notes)
-    assert not any("rewards differ" in note for note in found.notes)
+    comparison = compare([trained_group.group / "seed-0", variant], episodes=4, build=stand_in.build)
+    assert comparison.scenario is None
+    assert any("observation.speed" in note for note in comparison.notes)
+    assert not any("rewards differ" in note for note in comparison.notes)
 
 
-def test_a_group_that_is_no_group_any_more_is_told_in_one_sentence(
-    trained_group: GroupTraining, tmp_path: Path
-) -> None:
+def test_a_damaged_group_is_refused_in_one_sentence(trained_group: GroupTraining, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(trained_group.group, tmp_path / "copy"))
     record = json.loads((copy / "group.json").read_text())
     (copy / "group.json").write_text(json.dumps(record | {"format": 9}))
@@ -265,13 +265,13 @@ def test_the_list_follows_a_training_by_its_own_files(run_copy: Path, trained: T
     Run.open(run_copy).update(status="running", result=None)
     assert read_listed(run_copy).state == "interrupted"  # the process is gone
     with run_lock(run_copy):
-        found = read_listed(run_copy)
-    assert (found.state, found.episodes, found.score) == ("training", trained.episodes, "training")
-    assert found.mean_return == pytest.approx(fmean(_returns(run_copy)[-100:]))
-    assert found.cpu_seconds is not None
+        listed = read_listed(run_copy)
+    assert (listed.state, listed.episodes, listed.score) == ("training", trained.episodes, "training")
+    assert listed.mean_return == pytest.approx(fmean(_returns(run_copy)[-100:]))
+    assert listed.cpu_seconds is not None
     with (run_copy / "monitor.csv").open("a") as log:
         log.write("12.0,12")  # a line that is being written
-    assert read_listed(run_copy).episodes == found.episodes
+    assert read_listed(run_copy).episodes == listed.episodes
 
 
 def _returns(run: Path) -> list[float]:
@@ -286,17 +286,15 @@ def test_the_list_shows_the_longest_evaluation_in_the_scenario_of_the_training(r
     run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "set": ["world.substeps=2"]})
     run.write_evaluation(plain.model_dump(mode="json") | {"mean_return": 1e6, "model": "last"})
     (run_copy / "evaluations" / "0009.json").write_text("{")
-    found = read_listed(run_copy)
-    assert (found.score, found.mean_return, found.return_interval) == (
-        "evaluation",
-        plain.mean_return,
-        plain.return_interval,
-    )
+    listed = read_listed(run_copy)
+    assert listed.score == "evaluation"
+    assert listed.mean_return == plain.mean_return
+    assert listed.return_interval == plain.return_interval
     run.write_evaluation(
         plain.model_dump(mode="json") | {"mean_return": 1e6, "episodes": 2}
     )  # such as one that a gate has stopped early
-    found = read_listed(run_copy)
-    assert (found.mean_return, found.evaluated_episodes) == (plain.mean_return, 3)
+    listed = read_listed(run_copy)
+    assert (listed.mean_return, listed.evaluated_episodes) == (plain.mean_return, 3)
 
 
 def test_values_that_the_command_line_has_changed_are_listed(run_copy: Path) -> None:
@@ -322,21 +320,21 @@ def test_scenarios_of_the_same_name_are_listed_with_their_files(
 ) -> None:
     assert main(["runs", str(run_copy.parent)]) == 0
     assert "stand_in (" not in capsys.readouterr().out
-    other = shutil.copytree(run_copy, run_copy.parent / "other")
-    record = json.loads((other / "run.json").read_text())
-    (other / "run.json").write_text(json.dumps(record | {"source": "tasks/other.yaml"}))
+    copy = shutil.copytree(run_copy, run_copy.parent / "other")
+    record = json.loads((copy / "run.json").read_text())
+    (copy / "run.json").write_text(json.dumps(record | {"source": "tasks/other.yaml"}))
     assert main(["runs", str(run_copy.parent)]) == 0
-    told = capsys.readouterr().out
-    assert "stand_in (stand_in.yaml)" in told
-    assert "stand_in (other.yaml)" in told
+    output = capsys.readouterr().out
+    assert "stand_in (stand_in.yaml)" in output
+    assert "stand_in (other.yaml)" in output
 
 
 def test_runs_in_folders_of_the_same_name_are_compared_under_their_paths(
     run_copy: Path, tmp_path: Path
 ) -> None:
-    other = shutil.copytree(run_copy, tmp_path / "second" / run_copy.name)
-    found = compare([run_copy, other], episodes=1, build=stand_in.build)
-    assert [group.name for group in found.groups] == [str(run_copy), str(other)]
+    copy = shutil.copytree(run_copy, tmp_path / "second" / run_copy.name)
+    comparison = compare([run_copy, copy], episodes=1, build=stand_in.build)
+    assert [group.name for group in comparison.groups] == [str(run_copy), str(copy)]
 
 
 def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -> None:

@@ -35,7 +35,8 @@ class PaidByTurn:
     worlds."""
 
     def __init__(self, *turns: int) -> None:
-        self.turns, self.count = turns, 0
+        self.turns = turns
+        self.count = 0
         self.seeds: set[int] = set()
 
     def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
@@ -72,38 +73,39 @@ def bytes_of(run: Run, name: str) -> bytes:
 
 
 def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(run: Run) -> None:
-    before, names = bytes_of(run, "best"), kept_models(run)
+    before = bytes_of(run, "best")
+    names = kept_models(run)
     assert len(names) >= 3
     assert len(set(names.values())) == len(names)
     run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
     # The second model wins the first round, and is the first to play in each later one.
-    turns, left = [1], len(names)
+    turns = [1]
+    left = len(names)
     played = left
     while (left := (left + 1) // 2) > 1:
         turns.append(played)
         played += left
-    build, shown = PaidByTurn(*turns), list[tuple[int, int]]()
-    kept = keep(ModelRef(run), build=build, on_model=lambda done, planned: shown.append((done, planned)))
+    build = PaidByTurn(*turns)
+    progress = list[tuple[int, int]]()
+    kept = keep(ModelRef(run), build=build, on_model=lambda done, planned: progress.append((done, planned)))
     steps, name = list(names.items())[1]
-    assert (kept.name, kept.best.steps, kept.best.chosen_by, kept.best.mean_return) == (
-        name,
-        steps,
-        "new starts",
-        kept.played[0].result.mean_return,
-    )
-    assert shown[-1] == (played, played)
+    assert kept.name == name
+    assert kept.best.steps == steps
+    assert kept.best.chosen_by == "new starts"
+    assert kept.best.mean_return == kept.played[0].result.mean_return
+    assert progress[-1] == (played, played)
     assert bytes_of(run, "best") == bytes_of(run, name)
     assert kept.earlier == run.model("earlier-1")
     assert bytes_of(run, "earlier-1") == before
     record = RunRecord.read(run.path)
     assert record.result is not None
     assert record.result.best == kept.best
-    # What is known of the earlier model says nothing of this one.
+    # The evaluations of the earlier model do not apply to this one.
     assert run_verdict(run.path, record).evaluation is None
-    seen = set(build.seeds)
+    seeds_of_the_choice = set(build.seeds)
     evaluated = evaluate(kept.run, episodes=4, build=build)
     assert evaluated.seed == kept.best.evaluation_seed != run.record.seed
-    assert not {episode.seed for episode in evaluated.outcomes} & seen
+    assert not {episode.seed for episode in evaluated.outcomes} & seeds_of_the_choice
     kept.run.write_evaluation(evaluated.model_dump(mode="json"))
     assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
 
@@ -152,7 +154,7 @@ def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
     assert stand_in.tree_digest(run.path / "models") == digest
 
 
-def test_what_is_no_model_is_not_kept(run: Run) -> None:
+def test_a_file_that_is_no_model_is_not_kept(run: Run) -> None:
     run.model("step-000000001").write_bytes(b"nothing")
     before = bytes_of(run, "best")
     with pytest.raises(RunError, match="is damaged, or was not written by deepbots"):

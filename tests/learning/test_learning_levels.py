@@ -98,7 +98,8 @@ def test_the_first_levels_are_spread_evenly_over_the_worlds() -> None:
 
 def test_every_path_changes_by_one_at_a_time_and_stays_within_the_levels() -> None:
     """All outcomes of five episodes, from every level."""
-    levels, steps = rule(3), {"won": 1, "lost": -1, "max_steps": 0}
+    levels = rule(3)
+    steps = {"won": 1, "lost": -1, "max_steps": 0}
     for first, outcomes in itertools.product(range(3), itertools.product(steps, repeat=5)):
         path = path_of(levels, list(outcomes), first)
         for before, each, after in zip(path[:-1], outcomes, path[1:], strict=True):
@@ -135,7 +136,8 @@ def test_each_world_follows_its_own_episodes(tmp_path: Path, engine: str) -> Non
     """With one world, the order of the log is that of its episodes."""
     task = compiled("train.environments=1", "train.total_timesteps=512", "curriculum.at_top=stay")
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows, levels = monitor_rows(result.run), levels_of(task)
+    rows = monitor_rows(result.run)
+    levels = levels_of(task)
     visited = [drawn_level(row) for row in rows]
     assert visited[0] == 0
     assert len(set(visited)) > 2
@@ -170,14 +172,14 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
                 next_episode=lambda: 1,
                 note=lambda text: None,
             )
-            seen = [worlds.reset().tolist()]
+            trajectory = [worlds.reset().tolist()]
             generator = np.random.default_rng(0)
             for _ in range(300):
                 actions = np.full(4, generator.integers(0, 2))
-                seen.append((worlds.step_all(actions).observations.tolist(), tuple(stages)))
-            assert max(max(levels) for _, levels in seen[1:]) == 5
+                trajectory.append((worlds.step_all(actions).observations.tolist(), tuple(stages)))
+            assert max(max(levels) for _, levels in trajectory[1:]) == 5
             histories = worlds.histories()
-        steps.append(seen)
+        steps.append(trajectory)
         with ExitStack() as stack:
             again = make_worlds(
                 stack,
@@ -187,7 +189,7 @@ def test_a_batch_gives_the_levels_of_single_worlds(whole: Callable[..., Training
                 next_episode=lambda: 1,
                 note=lambda text: None,
             )
-            assert again.repeat(histories).tolist() == seen[-1][0]
+            assert again.repeat(histories).tolist() == trajectory[-1][0]
     assert type(worlds).__name__ == "Worlds"
     assert steps[0] == steps[1]
 
@@ -211,9 +213,9 @@ def test_a_resumed_training_is_one_without_interruption_to_the_bit(
     again = resume(parts.run)
     assert again.inexact == ()
     assert {drawn_level(row) for row in monitor_rows(expected)} == {0, 1, 2, 3, 4, 5}
-    one, other = outcome(expected), outcome(again.run)
-    for part in one:
-        assert other[part] == one[part], part
+    uninterrupted, resumed = outcome(expected), outcome(again.run)
+    for part in uninterrupted:
+        assert resumed[part] == uninterrupted[part], part
 
 
 @pytest.mark.slow
@@ -228,8 +230,10 @@ def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> Non
         for shards in (1, 2)
     }
     runs = [train(task[shards], run=tmp_path / str(shards)).run for shards in (1, 2)]
-    one, two = ([(row["ended_by"], row["l"], row["drawn"]) for row in monitor_rows(run)] for run in runs)
-    assert one == two
+    single_shard, two_shards = (
+        [(row["ended_by"], row["l"], row["drawn"]) for row in monitor_rows(run)] for run in runs
+    )
+    assert single_shard == two_shards
     assert {drawn_level(row) for row in monitor_rows(runs[0])} == set(range(6))
 
 

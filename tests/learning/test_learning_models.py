@@ -71,7 +71,7 @@ def changed(path: Path, part: str, change: Callable[[dict[str, Any]], None]) -> 
     rewrite(path, members(path) | {f"{part}.pth": saved(state)})
 
 
-def refused(run: Path, reason: str) -> None:
+def assert_refused(run: Path, reason: str) -> None:
     with pytest.raises(RunError, match=reason) as caught:
         evaluate(run, episodes=1, build=stand_in.build)
     assert "\n" not in str(caught.value)
@@ -110,9 +110,9 @@ def test_plain_stable_baselines_loads_a_model_and_acts_the_same(tmp_path: Path, 
 def test_a_pickle_in_place_of_a_model_is_refused_and_never_run(run_copy: Path, tmp_path: Path) -> None:
     trace, path = tmp_path / "trace", run_copy / BEST
     path.write_bytes(pickle.dumps(Bomb(trace)))
-    refused(run_copy, "damaged")
+    assert_refused(run_copy, "damaged")
     torch.save({"weights": Bomb(trace)}, path)
-    refused(run_copy, "lacks|damaged")
+    assert_refused(run_copy, "lacks|damaged")
     assert not trace.exists()
 
 
@@ -144,30 +144,32 @@ def test_a_pickle_inside_a_model_is_never_run(run_copy: Path, tmp_path: Path, me
 )
 def test_a_tensor_that_does_not_fit_is_refused(run_copy: Path, tensor: Any, reason: str) -> None:
     changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: tensor}))
-    refused(run_copy, reason)
+    assert_refused(run_copy, reason)
 
 
 def test_missing_and_strange_tensors_are_named(run_copy: Path) -> None:
-    path, whole = run_copy / BEST, members(run_copy / BEST)
+    path = run_copy / BEST
+    whole = members(run_copy / BEST)
     changed(path, "policy", lambda state: state.pop(WEIGHT))
-    refused(run_copy, "lacks 'policy/action_net.weight'")
+    assert_refused(run_copy, "lacks 'policy/action_net.weight'")
     rewrite(path, whole)
     changed(path, "policy", lambda state: state.update(backdoor=torch.zeros(1)))
-    refused(run_copy, "policy/backdoor")
+    assert_refused(run_copy, "policy/backdoor")
     rewrite(path, whole | {"backdoor.pth": saved({"x": torch.zeros(1)})})
-    refused(run_copy, "contains 'backdoor'")
+    assert_refused(run_copy, "contains 'backdoor'")
 
 
 def test_a_zip_bomb_is_refused_outside_and_inside(run_copy: Path, tmp_path: Path) -> None:
-    path, whole = run_copy / BEST, members(run_copy / BEST)
+    path = run_copy / BEST
+    whole = members(run_copy / BEST)
     rewrite(path, whole | {"policy.pth": bytes(50_000_000)}, zipfile.ZIP_DEFLATED)
-    refused(run_copy, "compressed")
+    assert_refused(run_copy, "compressed")
     (tmp_path / "inner").write_bytes(saved({WEIGHT: torch.zeros(10_000_000)}))
     rewrite(tmp_path / "inner", members(tmp_path / "inner"), zipfile.ZIP_DEFLATED)
     rewrite(path, whole | {"policy.pth": (tmp_path / "inner").read_bytes()})
-    refused(run_copy, "compressed")
+    assert_refused(run_copy, "compressed")
     rewrite(path, whole | {f"{index}.pth": b"" for index in range(100)})
-    refused(run_copy, "members")
+    assert_refused(run_copy, "members")
 
 
 @pytest.mark.parametrize(("place", "value"), [(6, 1), (8, 99)], ids=["encrypted", "unknown compression"])
@@ -180,8 +182,8 @@ def test_a_model_that_is_encrypted_or_packed_otherwise_is_refused(
         (b"PK\x03\x04", 0),
         (b"PK\x01\x02", 2),
     ):  # a local header, and its entry in the directory
-        for found in re.finditer(re.escape(mark), bytes(content)):
-            content[found.start() + place + further] = value
+        for match in re.finditer(re.escape(mark), bytes(content)):
+            content[match.start() + place + further] = value
     path.write_bytes(content)
     with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         steps_of(path)
@@ -212,7 +214,7 @@ def test_a_damaged_checkpoint_is_refused_and_the_models_stay(run_copy: Path, nam
     assert evaluate(run_copy, episodes=1, build=stand_in.build).episodes == 1
 
 
-def test_an_array_that_promises_more_than_it_holds_costs_no_memory(run_copy: Path) -> None:
+def test_an_array_with_a_size_beyond_its_data_costs_no_memory(run_copy: Path) -> None:
     (path,) = (run_copy / "checkpoints").glob("0*/arrays.npz")
     whole = members(path)
     name = "torch.npy"
@@ -258,7 +260,7 @@ KINDS: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tensor_of_a_kind_that_no_policy_has_is_refused(run_copy: Path, kind: str) -> None:
     changed(run_copy / BEST, "policy", lambda state: state.update({WEIGHT: KINDS[kind](state[WEIGHT])}))
-    refused(run_copy, "damaged, or was not written by deepbots")
+    assert_refused(run_copy, "damaged, or was not written by deepbots")
     with pytest.raises(RunError, match="damaged, or was not written by deepbots"):
         train(
             run_copy / "resolved.yaml", run=run_copy / "new", initialize_from=run_copy, build=stand_in.build
@@ -272,7 +274,7 @@ def test_a_pickle_that_asks_for_memory_is_refused(run_copy: Path) -> None:
 
     path = run_copy / BEST
     rewrite(path, members(path) | {"policy.pth": saved({WEIGHT: Large()})})
-    refused(run_copy, "contains objects other than plain tensors")
+    assert_refused(run_copy, "contains objects other than plain tensors")
 
 
 def test_weights_that_lead_to_no_finite_action_are_one_sentence(run_copy: Path) -> None:
@@ -280,7 +282,7 @@ def test_weights_that_lead_to_no_finite_action_are_one_sentence(run_copy: Path) 
         state.update({name: tensor.clamp(-1, 1) * 3e38 for name, tensor in state.items()})
 
     changed(run_copy / BEST, "policy", enlarge)
-    refused(run_copy, "the policy gives actions that are not finite")
+    assert_refused(run_copy, "the policy gives actions that are not finite")
     run = Run.open(run_copy)
     with pytest.raises(RunError, match="the policy gives actions that are not finite"):
         policy_graph(load_model(run, "best", stand_in.build(run.program)), run.program)
@@ -339,10 +341,8 @@ def test_likeliest_actions_of_rows_are_those_of_the_library_to_the_bit(scenario)
     generator = np.random.default_rng(0)
     for scale in (0.01, 1.0, 30.0):
         rows = (scale * generator.normal(size=(8, *policy.setup.observation_space.shape))).astype(np.float32)
-        ours, (theirs, _) = (
-            policy.predict(rows, deterministic=True)[0],
-            policy.model.predict(rows, deterministic=True),
-        )
+        ours = policy.predict(rows, deterministic=True)[0]
+        (theirs, _) = policy.model.predict(rows, deterministic=True)
         assert ours.dtype == theirs.dtype
         np.testing.assert_array_equal(ours, theirs)
 
@@ -362,9 +362,10 @@ def test_sampled_actions_of_rows_are_those_of_the_library_to_the_bit(scenario):
         )
         with torch.no_grad():
             before = torch.get_rng_state()
-            theirs, after = policy(rows), torch.get_rng_state()
+            theirs = policy(rows)
+            after = torch.get_rng_state()
             torch.set_rng_state(before)
             ours = sampled_actions(policy, rows)
         assert torch.equal(torch.get_rng_state(), after)
-        for mine, other in zip(ours, theirs, strict=True):
-            assert torch.equal(mine, other)
+        for own, of_library in zip(ours, theirs, strict=True):
+            assert torch.equal(own, of_library)

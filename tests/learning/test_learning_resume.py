@@ -85,12 +85,15 @@ def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = s
     """Train twice, once with kills at random moments; a shipped scenario takes its seed, the small ones have
     a single uninterrupted run."""
     root = seed if name in SHIPPED else 0
-    whole, parts, generator = folder / f"whole-{root}", folder / f"parts-{seed}", random.Random(seed)
+    whole = folder / f"whole-{root}"
+    parts = folder / f"parts-{seed}"
+    generator = random.Random(seed)
     began = time.perf_counter()
     if not whole.exists():
         assert in_a_process(name, whole, 1800.0, seed=root) == 0
         (folder / f"seconds-{root}").write_text(str(time.perf_counter() - began))
-    took, code = float((folder / f"seconds-{root}").read_text()), 1
+    took = float((folder / f"seconds-{root}").read_text())
+    code = 1
     for _ in range(kills):
         code = in_a_process(name, parts, generator.uniform(0.1, 1.2) * took / 2, number, root)
         if code == 0 and number == signal.SIGKILL:
@@ -100,9 +103,9 @@ def survives(name: str, folder: Path, kills: int, seed: int = 0, number: int = s
             Run.open(parts)
     if code != 0 or ((parts / "run.json").exists() and Run.open(parts).record.status != "finished"):
         assert in_a_process(name, parts, 1800.0, seed=root) == 0
-    expected, found = outcome(whole), outcome(parts)
+    expected, continued = outcome(whole), outcome(parts)
     for part in expected:
-        assert found[part] == expected[part], part
+        assert continued[part] == expected[part], part
 
 
 OFF_POLICY = {"learning_starts": 100}
@@ -301,7 +304,10 @@ def test_so_does_a_training_in_the_simulator(tmp_path: Path, name: str, seed: in
 
 @pytest.mark.slow
 def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> None:
-    generator, run, kills, with_checkpoint = random.Random(0), tmp_path / "run", 0, 0
+    generator = random.Random(0)
+    run = tmp_path / "run"
+    kills = 0
+    with_checkpoint = 0
     began = time.perf_counter()
     assert in_a_process("PPO", tmp_path / "whole", 120.0) == 0
     took = time.perf_counter() - began
@@ -309,10 +315,10 @@ def test_a_run_can_be_opened_after_any_of_two_hundred_kills(tmp_path: Path) -> N
         code = in_a_process("PPO", run, generator.uniform(0.0, took))
         kills += code == -signal.SIGKILL
         if (run / "run.json").exists():
-            known = Run.open(run)
-            if (last := checkpoints.latest_checkpoint(known)) is not None:
+            opened = Run.open(run)
+            if (last := checkpoints.latest_checkpoint(opened)) is not None:
                 checkpoints.read_state(last, StableState)
-                assert all(path.is_file() for path in (known.model("best"), known.model("last")))
+                assert all(path.is_file() for path in (opened.model("best"), opened.model("last")))
                 with_checkpoint += 1
         if code == 0:
             shutil.rmtree(run)
@@ -331,17 +337,18 @@ def test_a_shipped_world_is_brought_back_in_the_middle_of_an_episode(name: str) 
         while steps < 12 or (not ended and steps < 3_000):
             actions = np.array([env.action_space.sample() for _ in range(env.rows)])
             dones = env.step_all(actions)[2]
-            ended, steps = ended + bool(dones[0]), 0 if dones[0] else steps + 1
+            ended = ended + bool(dones[0])
+            steps = 0 if dones[0] else steps + 1
         (history,) = env.histories()
-        seen = observation_digest(env.observations)
+        digest = observation_digest(env.observations)
     kept = EpisodeHistory(json.loads(json.dumps(history.start)), list(np.array(history.actions)))
     with closing(Worlds([api.build(compiled.program, permissions=Permissions(code=True))], [8])) as env:
         env.reset()
-        assert observation_digest(env.repeat([kept])) == seen
+        assert observation_digest(env.repeat([kept])) == digest
 
 
 @pytest.mark.slow
-def test_a_world_that_does_not_repeat_itself_is_told_and_the_training_goes_on(tmp_path: Path) -> None:
+def test_a_world_that_does_not_repeat_itself_is_noted_and_the_training_goes_on(tmp_path: Path) -> None:
     class Moody(stand_in.CartPole):
         """No two episodes begin alike."""
 
@@ -399,9 +406,9 @@ def test_a_training_begins_with_the_policy_of_another_run_and_says_what_it_took_
     ).initialized_from
     assert taken is not None
     assert "new: " in taken
-    strange = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
+    unlike = stand_in.compiled(training=Training("DQN", 96, 1, hyper(learning_starts=50), Network((7,))))
     with pytest.raises(UsageError, match="no tensor"):
-        train(strange, run=tmp_path / "other", initialize_from=first.run, build=stand_in.build)
+        train(unlike, run=tmp_path / "other", initialize_from=first.run, build=stand_in.build)
     assert not (tmp_path / "other").exists()
 
 

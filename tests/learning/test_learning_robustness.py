@@ -55,18 +55,18 @@ def masses(program: Program) -> list[float]:
     "name", few(["cartpole_wireless", "quadruped", "find_ball_random", "panda_push"], ["find_ball_random"])
 )
 def test_every_condition_compiles_and_leaves_the_interface_of_the_policy_alone(name: str) -> None:
-    base, found = changes(name)
+    base, conditions = changes(name)
     plain = api.compile(name)
-    for levels in found.values():
+    for levels in conditions.values():
         changed = changed_scenario(base, [*levels.values()][-1])
         assert identity.differences(plain.program, changed.program) == []
         assert changed.digest != plain.digest
 
 
 def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
-    base, found = changes("cartpole")
+    base, conditions = changes("cartpole")
     plain = api.compile("cartpole").program
-    assert list(found) == [
+    assert list(conditions) == [
         "latency to the robot",
         "latency from the robot",
         "message loss",
@@ -77,7 +77,7 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
     ]
 
     def changed(condition: str, level: str) -> Program:
-        return changed_scenario(base, found[condition][level]).program
+        return changed_scenario(base, conditions[condition][level]).program
 
     loaded = changed("mass of cart.body", "x 2")
     factors = [after / before for before, after in zip(masses(plain), masses(loaded), strict=True)]
@@ -105,15 +105,15 @@ def test_each_condition_changes_what_it_says_and_nothing_else() -> None:
 def test_in_a_case_or_stage_its_settings_apply_before_the_changes(
     name: str, case: str | None, stage: str | None
 ) -> None:
-    base, found = changes(name, case, stage)
+    base, conditions = changes(name, case, stage)
     plain = api.compile(name).program.variant(case, stage)
 
     def variant(change: Change) -> Program:
         return changed_scenario(base, change).program.variant(case, stage)
 
     assert identity.task_digest(variant({})) == identity.task_digest(plain)
-    assert any(condition.startswith("friction of the ground") for condition in found)
-    for levels in found.values():
+    assert any(condition.startswith("friction of the ground") for condition in conditions)
+    for levels in conditions.values():
         assert identity.task_digest(variant([*levels.values()][-1])) != identity.task_digest(plain)
 
 
@@ -176,36 +176,38 @@ def test_the_mass_of_what_is_fixed_to_the_world_is_not_varied(tmp_path: Path) ->
 
 
 def test_a_policy_is_measured_against_a_bar_at_every_level(trained: TrainingResult) -> None:
-    told: list[tuple[int, int]] = []
-    found = evaluate_robustness(
+    progress: list[tuple[int, int]] = []
+    result = evaluate_robustness(
         trained.run,
         episodes=2,
         min_return=1.0,
         build=stand_in.build,
-        on_level=lambda done, of: told.append((done, of)),
+        on_level=lambda done, of: progress.append((done, of)),
     )
-    assert (found.metric, found.bar, found.bar_source) == ("mean_return", 1.0, "given")
-    levels = [entry for condition in found.conditions for entry in condition.levels]
-    assert told[-1] == (1 + len(levels), 1 + len(levels))
-    assert found.conditions[0].verdicts == {"latency to the robot": "holds up to +256 ms"}
-    assert {condition.name: [side.holds_up_to for side in condition.sides] for condition in found.conditions}[
-        "mass of cart.body"
-    ] == [
+    assert result.metric == "mean_return"
+    assert result.bar == 1.0
+    assert result.bar_source == "given"
+    levels = [entry for condition in result.conditions for entry in condition.levels]
+    assert progress[-1] == (1 + len(levels), 1 + len(levels))
+    assert result.conditions[0].verdicts == {"latency to the robot": "holds up to +256 ms"}
+    assert {
+        condition.name: [side.holds_up_to for side in condition.sides] for condition in result.conditions
+    }["mass of cart.body"] == [
         "x 0.5",
         "x 2",
     ]
     starts = {tuple(episode.seed for episode in entry.evaluation.outcomes) for entry in levels}
-    assert starts == {tuple(episode.seed for episode in found.nominal.outcomes)}
+    assert starts == {tuple(episode.seed for episode in result.nominal.outcomes)}
     brief: dict[str, Any] = {"episodes": 1, "overrides": ["truncation.max_steps=5"], "build": stand_in.build}
     strict = evaluate_robustness(trained.run, min_return=1e6, **brief)
     # A single episode has no interval.
     assert strict.conditions[0].verdicts == {"latency to the robot": "fails from +32 ms (not significant)"}
-    assert (found.nominal_holds, strict.nominal_holds) == (True, False)
-    assert (found.nominal_certain, strict.nominal_certain) == (True, False)
+    assert (result.nominal_holds, strict.nominal_holds) == (True, False)
+    assert (result.nominal_certain, strict.nominal_certain) == (True, False)
     assert re.search(r"\(no change\) .* missed, not significant", robustness_text(strict))
     assert "even without any change; set another one with --min-return" in robustness_text(strict)
-    assert "set another one" not in robustness_text(found)
-    assert _bar(Run.open(trained.run).program, found.nominal, None, None)[1] == 195.0
+    assert "set another one" not in robustness_text(result)
+    assert _bar(Run.open(trained.run).program, result.nominal, None, None)[1] == 195.0
 
 
 def side(**levels: tuple[float, float, float]) -> Side:
@@ -222,20 +224,22 @@ def side(**levels: tuple[float, float, float]) -> Side:
 
 
 def test_a_level_that_is_easier_than_a_smaller_one_within_the_intervals_is_no_threshold() -> None:
-    found = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
-    assert found.verdict == (
+    close = side(l10=(0.95, 0.85, 0.99), l20=(0.76, 0.62, 0.86), l40=(0.84, 0.7, 0.93), l80=(0.1, 0.05, 0.2))
+    assert close.verdict == (
         "holds up to +10 ms, fails from +80 ms; not decided at +20 ms and +40 ms, which do not differ within"
         " their intervals"
     )
-    assert (found.holds_up_to, found.fails_from) == ("+10 ms", "+80 ms")
+    assert (close.holds_up_to, close.fails_from) == ("+10 ms", "+80 ms")
     apart = side(l20=(0.5, 0.4, 0.6), l40=(0.9, 0.85, 0.97))
     assert apart.verdict == "fails at +20 ms but holds at +40 ms: here, a larger change is not always harder"
 
 
 def test_the_verdict_says_up_to_which_level_the_interval_excludes_the_required_score() -> None:
-    found = side(l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2))
+    falling = side(
+        l10=(0.95, 0.85, 0.99), l20=(0.84, 0.7, 0.93), l40=(0.76, 0.62, 0.86), l80=(0.1, 0.05, 0.2)
+    )
     assert (
-        found.verdict
+        falling.verdict
         == "holds up to +20 ms (up to +10 ms with 95 % confidence), fails from +40 ms (from +80 ms with 95 %"
         " confidence)"
     )
@@ -269,25 +273,25 @@ def test_the_friction_of_a_stair_varies_with_that_of_the_ground_and_is_named() -
     assert plan.name == "friction of the ground and stair"
     world = changed_scenario(base, dict(plan.levels)["x 0.5"]).program.world
     assert world.ground is not None
-    assert (world.ground.friction, {body.name: body.friction for body in world.objects}) == (
-        0.5,
-        {"stair": 0.4, "mark": 1.0},
-    )
+    assert world.ground.friction == 0.5
+    assert {body.name: body.friction for body in world.objects} == {"stair": 0.4, "mark": 1.0}
 
 
 def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
     trained: TrainingResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kept = (trained.run / "resolved.yaml").read_text()
-    without_solved = re.sub(r"(?m)^solved:.*\n", "", kept).replace(
+    text = (trained.run / "resolved.yaml").read_text()
+    without_solved = re.sub(r"(?m)^solved:.*\n", "", text).replace(
         "inputs/robots/urdf/cartpole.urdf", "cartpole"
     )
     hard = tmp_path / "hard.yaml"
     hard.write_text(without_solved.replace("failure:", "success: {far: abs(x) > 1 m}\n  failure:"))
     options = ["--scenario", str(hard), "--engine", "mujoco", "--episodes", "2"]
     assert main(["robustness", str(trained.run), *options]) == 1
-    shown = capsys.readouterr().out
-    assert "nothing to keep: without any change, the success rate is 0.0%" in shown
-    assert "required" not in shown
-    found = evaluate_robustness(trained.run, episodes=2, scenario=hard, engine="mujoco")
-    assert (found.bar, found.nominal_holds, found.conditions) == (None, False, ())
+    output = capsys.readouterr().out
+    assert "nothing to keep: without any change, the success rate is 0.0%" in output
+    assert "required" not in output
+    result = evaluate_robustness(trained.run, episodes=2, scenario=hard, engine="mujoco")
+    assert result.bar is None
+    assert result.nominal_holds is False
+    assert result.conditions == ()

@@ -65,7 +65,7 @@ def test_new_runs_are_numbered_past_all_that_exist(tmp_path: Path) -> None:
     assert new_directory(None, tmp_path / "new" / "runs", "Cart Pole", 0).is_dir()
 
 
-def test_what_is_no_run_is_named_in_one_sentence(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_run_is_refused_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
     for name, reason in (
@@ -148,9 +148,9 @@ def test_a_forged_scenario_is_refused_in_a_sentence(
     (run_copy.parent / "deepbots.toml").touch()  # what looks like a project around a run is not its project
     opened = watched(monkeypatch)
     rewrite(run_copy, old, new)
-    assert "does not compile" in (said := refusal(run_copy))
-    assert "\n" not in said
-    assert len(said) < 1000
+    assert "does not compile" in (message := refusal(run_copy))
+    assert "\n" not in message
+    assert len(message) < 1000
     assert not [path for path in opened() if path.name.startswith("secret") or path == Path("/etc/passwd")]
 
 
@@ -176,8 +176,8 @@ def test_a_forged_robot_that_would_end_the_process_is_refused(run_copy: Path, ol
     text = robot.read_text()
     assert old in text
     robot.write_text(text.replace(old, new, 1))
-    assert "does not compile" in (said := refusal(run_copy))
-    assert "\n" not in said
+    assert "does not compile" in (message := refusal(run_copy))
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize("radius", ["-1 m", "1e300 m", "0 m", ".nan"])
@@ -192,8 +192,8 @@ def test_a_forged_form_of_an_object_that_would_end_the_process_is_refused(
 @pytest.mark.parametrize("name", ["resolved.yaml", "inputs", "inputs/robots/urdf/cartpole.urdf"])
 def test_a_run_without_one_of_its_files_is_refused_in_a_sentence(run_copy: Path, name: str) -> None:
     (run_copy / name).rename(run_copy / "lost")
-    assert name.partition("/")[0] in (said := refusal(run_copy))
-    assert "\n" not in said
+    assert name.partition("/")[0] in (message := refusal(run_copy))
+    assert "\n" not in message
 
 
 @pytest.mark.parametrize(
@@ -293,7 +293,7 @@ VALUES = st.recursive(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_whatever_run_json_holds_it_opens_or_is_refused_in_a_sentence(
+def test_a_run_with_any_run_json_opens_or_is_refused_in_a_sentence(
     run_copy: Path, trained: TrainingResult, data: st.DataObject
 ) -> None:
     record = json.loads((trained.run / "run.json").read_text())
@@ -349,7 +349,7 @@ def rewrite(path: Path, old: str, new: str) -> None:
 
 
 def watched(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[Path]]:
-    """What tells the files that have been opened since, links followed."""
+    """A function that returns the files that were opened since, links followed."""
     opened: list[Path] = []
     plain = Path.open
 

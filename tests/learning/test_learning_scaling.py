@@ -28,9 +28,9 @@ def timings(*rates: float) -> list[ShardTiming]:
     ],
 )
 def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
-    found = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
-    assert [timing.shards for timing in found] == [1, 2]
-    for timing in found:
+    measured = measure("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
+    assert [timing.shards for timing in measured] == [1, 2]
+    for timing in measured:
         parts = (
             timing.worlds_us + timing.policy_us + timing.transfer_us + timing.waiting_us + timing.update_us
         )

@@ -68,9 +68,9 @@ def trained(
         staleness=staleness,
     )
     compiled = stand_in.compiled(**settings)
-    found = compiled.program.agent.training
-    assert found is not None
-    assert (found.shards, found.staleness) == (shards, staleness)
+    section = compiled.program.agent.training
+    assert section is not None
+    assert (section.shards, section.staleness) == (shards, staleness)
     train(compiled, run=folder, build=build_of(name), executor=executor)
     return outcome(folder)
 

@@ -93,11 +93,13 @@ def test_a_team_is_unrolled_into_a_row_for_each_copy() -> None:
     assert copies.rows == 6
     assert copies.observation_space.shape == (4,)
     assert (copies.reset() == first).all()
-    dones, count = np.zeros(6, bool), 0
+    dones = np.zeros(6, bool)
+    count = 0
     while (
         not dones.any()
     ):  # the first team drives on, the second back and forth, which holds the poles up for longer
-        actions, count = np.array([0, 1, 1] + [count % 2] * 3), count + 1
+        actions = np.array([0, 1, 1] + [count % 2] * 3)
+        count = count + 1
         before = np.concatenate(
             [team.step(rows)[0] for team, rows in zip(alone, (actions[:3], actions[3:]), strict=True)]
         )

@@ -133,7 +133,7 @@ def test_tensorboard_shows_a_success_rate_where_episodes_may_end_in_success(tmp_
     assert "rollout/success_rate" in events.Tags()["scalars"]
 
 
-def test_training_stops_when_solved_unless_told_to_go_on(tmp_path: Path) -> None:
+def test_training_stops_when_solved_unless_an_option_continues_it(tmp_path: Path) -> None:
     easy = Solved(2, mean_return=5.0)
     stopped = short(tmp_path, total=5_000, solved=easy, build=stand_in.build)
     assert stopped.status == "finished"
@@ -196,8 +196,8 @@ def test_resuming_takes_up_networks_and_optimizer(run_copy: Path, trained: Train
         def start(self, progress: TrainingProgress) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
-    told = Impatient(0, None)
-    result = resume(run_copy, total_timesteps=100_000, progress=told, build=stand_in.build)
+    progress = Impatient(0, None)
+    result = resume(run_copy, total_timesteps=100_000, progress=progress, build=stand_in.build)
     assert result.interrupted
     assert result.weights_digest == trained.weights_digest
     kept, before = (run / "models" / "agent" / "last.zip" for run in (run_copy, trained.run))
@@ -215,10 +215,10 @@ def test_an_interrupted_training_keeps_what_was_learned_and_says_how_to_go_on(
     tmp_path: Path, number: int
 ) -> None:
     handler = signal.getsignal(number)
-    told = Telling(5, lambda: os.kill(os.getpid(), number))
-    result = short(tmp_path, total=50_000, progress=told, build=stand_in.build)
+    progress = Telling(5, lambda: os.kill(os.getpid(), number))
+    result = short(tmp_path, total=50_000, progress=progress, build=stand_in.build)
     assert result.interrupted
-    assert told.stopped
+    assert progress.stopped
     assert f"deepbots resume {result.run}" in training_text(result)
     assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
     assert signal.getsignal(number) is handler
@@ -260,7 +260,8 @@ def test_a_stop_after_the_last_step_leaves_nothing_to_resume(tmp_path: Path) -> 
     result = short(
         tmp_path, total=300, solved=Solved(10, mean_return=1e6), progress=Late(), build=stand_in.build
     )
-    assert (result.status, result.stop_requested) == ("finished", True)
+    assert result.status == "finished"
+    assert result.stop_requested is True
     assert result.steps > 300
     assert "deepbots resume" not in training_text(result)
     assert f"evaluate the policy with: deepbots eval {result.run}" in training_text(result)
@@ -272,7 +273,8 @@ def test_a_stop_after_the_last_step_leaves_the_last_evaluation_to_resume(tmp_pat
     result = short(
         tmp_path, total=300, solved=Solved(2, mean_return=1e6), progress=Late(), build=stand_in.build
     )
-    assert (result.status, result.stop_requested) == ("interrupted", True)
+    assert result.status == "interrupted"
+    assert result.stop_requested is True
     assert result.steps > 300
     assert f"deepbots resume {result.run}" in training_text(result)
     evaluated = [each["steps"] for each in read_evaluations(result.run)]
@@ -305,7 +307,8 @@ def test_suggested_steps_are_round_and_more_than_there_are(steps: int, goal: int
 def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream, now = io.StringIO(), 0.0
+    stream = io.StringIO()
+    now = 0.0
     monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
     display = ProgressReporter(stream)
     display.start(TrainingProgress(0, 1_000_000, 0, None, None))
@@ -446,16 +449,16 @@ def test_a_scenario_without_a_train_section_is_refused() -> None:
 
 
 def test_worlds_are_closed_after_success_and_failure(tmp_path: Path) -> None:
-    made: list[stand_in.CartPole] = []
+    worlds: list[stand_in.CartPole] = []
 
     def build(program: Any, *, render_mode: str | None = None) -> stand_in.CartPole:
-        made.append((stand_in.CartPole if len(made) < 3 else stand_in.Failing)(program))
-        return made[-1]
+        worlds.append((stand_in.CartPole if len(worlds) < 3 else stand_in.Failing)(program))
+        return worlds[-1]
 
     short(tmp_path, build=build)
     with pytest.raises(DeepbotsError):
         short(tmp_path, build=build)
-    assert [world.closed for world in made] == [1] * 6
+    assert [world.closed for world in worlds] == [1] * 6
 
 
 def test_without_a_terminal_progress_is_a_line_for_every_tenth(tmp_path: Path) -> None:
@@ -476,7 +479,8 @@ def test_the_table_of_a_terminal_fits_80_columns_and_shows_a_success_rate_of_0(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("TERM", "xterm")
-    stream, solved = Terminal(), Solved(100, mean_return=195.0, success_rate=0.9)
+    stream = Terminal()
+    solved = Solved(100, mean_return=195.0, success_rate=0.9)
     stage = "crowded (2 of 3): success rate 0.45 of 0.7, of episodes with a very long name of the criterion"
     display = ProgressReporter(stream)
     best = Candidate(steps=12_000, episodes=20, success_rate=0.1, mean_return=31.0)
@@ -504,7 +508,7 @@ def test_the_time_to_go_includes_evaluations_and_the_choice_of_the_best_model() 
     assert TrainingProgress(1_000, 1_000, 9, 1.0, None).seconds_left(0, elapsed=90.0) is None
 
 
-def test_a_drawn_value_stands_in_the_log_of_its_episode(tmp_path: Path) -> None:
+def test_a_drawn_value_is_in_the_log_of_its_episode(tmp_path: Path) -> None:
     class Drawing(stand_in.CartPole):
         def reset(self, **settings: Any) -> Any:
             observation, info = super().reset(**settings)
@@ -532,8 +536,8 @@ except deepbots_cli.learning.MissingExtraError as error:
 @pytest.mark.slow
 @pytest.mark.parametrize("module", few(["torch", "stable_baselines3", "tensorboard"], ["torch"]))
 def test_a_missing_extra_is_one_sentence_with_the_command(module: str, tmp_path: Path) -> None:
-    said = python(NEEDS_EXTRA, module, folder=tmp_path)
-    assert said == f"training needs the 'train' extra; {install_hint('train')}\n"
+    message = python(NEEDS_EXTRA, module, folder=tmp_path)
+    assert message == f"training needs the 'train' extra; {install_hint('train')}\n"
     assert not list(tmp_path.iterdir())
 
 
@@ -546,7 +550,7 @@ def test_importing_the_package_brings_neither_torch_nor_numpy(tmp_path: Path) ->
 
 
 def python(code: str, *arguments: str, folder: Path) -> str:
-    """What a fresh interpreter prints."""
+    """The output of a fresh interpreter."""
     places = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(
@@ -559,13 +563,13 @@ def test_results_are_json_and_text(trained: TrainingResult) -> None:
     assert str(trained.run) in training_text(trained)
 
 
-def test_networks_that_no_memory_holds_are_refused_before_they_are_built() -> None:
+def test_networks_beyond_the_memory_are_refused_before_they_are_built() -> None:
     training = Training("PPO", 100, network=Network((8192,) * 16))
     with pytest.raises(UsageError, match="weights"):
         algorithms.check(training)
 
 
-def test_more_worlds_than_the_memory_holds_are_refused_before_they_are_built() -> None:
+def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:
     algorithms.check_memory(8, memory=10**9)
     with pytest.raises(
         UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
@@ -583,7 +587,8 @@ def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_pat
         return stand_in.build(*arguments, **settings)
 
     result = short(tmp_path, build=interrupted)
-    assert (result.status, result.steps) == ("interrupted", 0)
+    assert result.status == "interrupted"
+    assert result.steps == 0
     assert json.loads((result.run / "run.json").read_text())["status"] == "interrupted"
     gone_on = resume(result.run, build=stand_in.build)
     assert gone_on.weights_digest == short(tmp_path, build=stand_in.build).weights_digest
@@ -596,11 +601,9 @@ def test_a_training_that_was_killed_when_it_was_done_is_finished_by_resuming_it(
     (run_copy / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
     events = {path.name: path.read_bytes() for path in (run_copy / "tensorboard").iterdir()}
     result = resume(run_copy, build=stand_in.build)
-    assert (result.status, result.steps, result.weights_digest) == (
-        "finished",
-        trained.steps,
-        trained.weights_digest,
-    )
+    assert result.status == "finished"
+    assert result.steps == trained.steps
+    assert result.weights_digest == trained.weights_digest
     assert (run_copy / "monitor.csv").read_bytes() == (trained.run / "monitor.csv").read_bytes()
     assert all((run_copy / "tensorboard" / name).read_bytes() == content for name, content in events.items())
     with pytest.raises(UsageError, match="is complete"):

@@ -21,7 +21,8 @@ def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_
     long, quick = (evaluate(run, episodes=count, build=stand_in.build) for count in (12, 3))
     path = run.write_evaluation(long.model_dump(mode="json"))
     quick_path = run.write_evaluation(quick.model_dump(mode="json"))
-    quoted, last = quoted_episodes(run), last_episodes(ModelRef(run))
+    quoted = quoted_episodes(run)
+    last = last_episodes(ModelRef(run))
     assert quoted is not None
     assert last is not None
     assert (quoted[0], len(quoted[1].outcomes), last[0]) == (path, 12, quick_path)
@@ -35,12 +36,13 @@ def test_an_edited_criterion_does_not_make_a_run_solved(run_copy: Path) -> None:
     resolved.write_text(resolved.read_text().replace("mean_return >= 195", "mean_return >= 1"))
     run = Run.open(run_copy)
     assert run.digest != run.record.digest
-    found = evaluate(run, episodes=12, build=stand_in.build)
-    assert found.solved is True
-    assert found.verdict.endswith("(scenario changed since the training)")
-    run.write_evaluation(found.model_dump(mode="json"))
+    evaluation = evaluate(run, episodes=12, build=stand_in.build)
+    assert evaluation.solved is True
+    assert evaluation.verdict.endswith("(scenario changed since the training)")
+    run.write_evaluation(evaluation.model_dump(mode="json"))
     listed = read_listed(run_copy)
-    assert (listed.solved, listed.remarks) == (None, ("scenario changed since the training",))
+    assert listed.solved is None
+    assert listed.remarks == ("scenario changed since the training",)
     # One of the scenario of the training is quoted in its place, however few its episodes.
     few = evaluate(run, episodes=3, build=stand_in.build)
     run.write_evaluation(few.model_copy(update={"digest": run.record.digest}).model_dump(mode="json"))
@@ -60,18 +62,18 @@ def test_an_evaluation_of_an_easy_stage_or_another_scenario_does_not_make_a_run_
     run_copy: Path, where: dict[str, object]
 ) -> None:
     run = Run.open(run_copy)
-    found = evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json")
-    run.write_evaluation(found | where | {"solved": True, "episodes": 999})
+    evaluation = evaluate(run, episodes=12, build=stand_in.build).model_dump(mode="json")
+    run.write_evaluation(evaluation | where | {"solved": True, "episodes": 999})
     assert run_verdict(run_copy, run.record).solved is None
     assert quoted_evaluation(run_copy, run.record) is None
 
 
 def test_an_evaluation_that_a_requirement_stopped_says_so(run_copy: Path) -> None:
     run = Run.open(run_copy)
-    found = evaluate(run, episodes=12, build=stand_in.build, until=lambda episodes: len(episodes) == 8)
-    run.write_evaluation(found.model_dump(mode="json"))
-    assert (found.episodes, found.planned) == (8, 12)
-    assert "(stopped by a requirement after 8 of 12 episodes)" in found.verdict
+    evaluation = evaluate(run, episodes=12, build=stand_in.build, until=lambda episodes: len(episodes) == 8)
+    run.write_evaluation(evaluation.model_dump(mode="json"))
+    assert (evaluation.episodes, evaluation.planned) == (8, 12)
+    assert "(stopped by a requirement after 8 of 12 episodes)" in evaluation.verdict
     assert "(stopped by a requirement after 8 of 12 episodes)" in run_verdict(run_copy, run.record).text
 
 
@@ -110,22 +112,24 @@ def test_a_run_that_is_not_solved_is_not_listed_with_the_steps_until_it_was(run_
     record["result"] |= {"solved_at": at, "confirmations": 1}
     (run_copy / "run.json").write_text(json.dumps(record))
     listed = read_listed(run_copy)
-    assert (listed.solved, listed.solved_after) == (True, 90)
+    assert listed.solved is True
+    assert listed.solved_after == 90
     # An evaluation of more episodes says otherwise.
     run.write_evaluation(
         evaluated.model_copy(update={"episodes": 300, "solved": False}).model_dump(mode="json")
     )
     listed = read_listed(run_copy)
-    assert (listed.solved, listed.solved_after) == (False, None)
+    assert listed.solved is False
+    assert listed.solved_after is None
 
 
 def test_equal_returns_are_not_shown_as_an_interval_around_them(
     run_copy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = Run.open(run_copy)
-    found = evaluate(run, episodes=3, build=stand_in.build)
+    evaluation = evaluate(run, episodes=3, build=stand_in.build)
     same = {"mean_return": 0.0, "std_return": 0.0, "least_return": 0.0, "greatest_return": 0.0}
-    equal = found.model_copy(update=same | {"return_interval": (-155.8, 155.8)})
+    equal = evaluation.model_copy(update=same | {"return_interval": (-155.8, 155.8)})
     text = evaluation_text(equal)
     assert "mean return         0.00 (95 %: -155.80 .. 155.80; all returns are equal)" in text
     assert scores(equal)["return_95 %"] == "all equal"

@@ -59,7 +59,7 @@ def test_a_policy_imitates_one_that_sees_more(teacher: TrainingResult, tmp_path:
     agreements = [float(value) for _, name, value in rows if name == "teacher/agreement"]
     assert max(agreements) > 0.8
     assert any(name == "teacher/mean_return" for _, name, _ in rows)
-    assert [seen.name for seen in load_policy(result.run).observation] == ["x"] + 3 * ["cart.pole_angle"]
+    assert [entry.name for entry in load_policy(result.run).observation] == ["x"] + 3 * ["cart.pole_angle"]
 
 
 @pytest.mark.slow

@@ -52,23 +52,27 @@ EVERYTHING = replace(
 
 def policy(training: Training = SHORT, **settings: Any) -> RslLearner:
     """A policy that does not learn."""
-    made = learner.create(Setup(training, RANGES, RANGES, **settings))
-    assert isinstance(made, RslLearner)
-    return made
+    untrained = learner.create(Setup(training, RANGES, RANGES, **settings))
+    assert isinstance(untrained, RslLearner)
+    return untrained
 
 
 def test_only_the_critic_sees_the_values_of_the_critic() -> None:
-    wide, columns = gym.spaces.Box(-1.0, 1.0, (5,), np.float32), (0, 3)
-    made = learner.create(Setup(SHORT, wide, RANGES, policy_columns=columns))
-    assert isinstance(made, RslLearner)
-    seen = np.random.default_rng(1).uniform(-1, 1, (4, 5)).astype(np.float32)
-    other = seen.copy()
-    other[:, [1, 2, 4]] += 0.5
-    actions = [made.predict(rows, deterministic=True)[0] for rows in (seen, other, seen[:, list(columns)])]
+    wide = gym.spaces.Box(-1.0, 1.0, (5,), np.float32)
+    columns = (0, 3)
+    untrained = learner.create(Setup(SHORT, wide, RANGES, policy_columns=columns))
+    assert isinstance(untrained, RslLearner)
+    observations = np.random.default_rng(1).uniform(-1, 1, (4, 5)).astype(np.float32)
+    changed = observations.copy()
+    changed[:, [1, 2, 4]] += 0.5
+    actions = [
+        untrained.predict(rows, deterministic=True)[0]
+        for rows in (observations, changed, observations[:, list(columns)])
+    ]
     np.testing.assert_array_equal(actions[0], actions[1])
     np.testing.assert_array_equal(actions[0], actions[2])
-    assert made.algorithm.critic.mlp[0].in_features == 5
-    assert made.network().layers[0].in_features == 2
+    assert untrained.algorithm.critic.mlp[0].in_features == 5
+    assert untrained.network().layers[0].in_features == 2
 
 
 def scalars_of(folder: Path) -> EventAccumulator:
@@ -127,35 +131,35 @@ def test_the_value_of_the_observation_at_a_time_limit_is_added_to_the_last_rewar
     program = stand_in.compiled(training=training, continuous=True, max_steps=5).program
     collector = LocalCollector(Worlds([stand_in.build(program)], [0]))
     spaces = collector.observation_space, collector.action_space
-    made = learner.create(Setup(training, *spaces, collector=collector))
-    assert isinstance(made, RslLearner)
-    made.log = Logger(None, [])  # type: ignore[assignment]
-    fragment = collector.collect(made.act, 16)
+    untrained = learner.create(Setup(training, *spaces, collector=collector))
+    assert isinstance(untrained, RslLearner)
+    untrained.log = Logger(None, [])  # type: ignore[assignment]
+    fragment = collector.collect(untrained.act, 16)
     assert fragment is not None
-    made.fragment = fragment
-    made.update()
-    stored = made.algorithm.storage.rewards[..., 0].numpy()
+    untrained.fragment = fragment
+    untrained.update()
+    stored = untrained.algorithm.storage.rewards[..., 0].numpy()
     assert [ending.timed_out for _, ending in fragment.endings] == [True] * 3
     expected = fragment.rewards.copy()
     for step, ending in fragment.endings:
-        values = made.values([ending.observation])
+        values = untrained.values([ending.observation])
         assert values is not None
-        expected[step, ending.row] += made.algorithm.gamma * values[0]
+        expected[step, ending.row] += untrained.algorithm.gamma * values[0]
     assert np.abs(stored - expected).max() < 1e-5
 
 
 def test_the_prediction_is_the_mean_of_the_distribution_in_the_range_of_the_agent() -> None:
-    made = policy(EVERYTHING)
-    actor = made.algorithm.actor
+    untrained = policy(EVERYTHING)
+    actor = untrained.algorithm.actor
     observations = np.random.default_rng(0).normal(0, 50, (100, 2)).astype(np.float32)
-    made.algorithm.actor.update_normalization(
+    untrained.algorithm.actor.update_normalization(
         TensorDict({"policy": torch.from_numpy(observations) / 7}, batch_size=[100])
     )
     with torch.no_grad():
         means = actor(TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[100])).numpy()
-    actions, _ = made.predict(observations, deterministic=True)
+    actions, _ = untrained.predict(observations, deterministic=True)
     assert (actions == means.clip(-1, 1)).all()
-    drawn, _ = made.predict(observations)
+    drawn, _ = untrained.predict(observations)
     assert (drawn != actions).any()
     assert np.abs(drawn).max() <= 1
 
@@ -265,13 +269,13 @@ def test_the_algorithm_of_the_library_gets_the_effective_hyperparameters() -> No
     training = replace(SHORT, hyperparameters=hyper(gamma=0.9, schedule="fixed"))
     program = stand_in.compiled(training=training, continuous=True).program
     algorithm = policy(training).algorithm
-    shown = {
+    effective = {
         entry.name: entry.value
         for entry in effective_hyperparameters(program, 2_000)
         if hasattr(algorithm, entry.name) and entry.name != "optimizer"
     }
-    assert shown.keys() >= {"learning_rate", "gamma", "schedule", "clip_param", "use_clipped_value_loss"}
-    assert {name: getattr(algorithm, name) for name in shown} == shown
+    assert effective.keys() >= {"learning_rate", "gamma", "schedule", "clip_param", "use_clipped_value_loss"}
+    assert {name: getattr(algorithm, name) for name in effective} == effective
 
 
 def test_our_defaults_of_networks_are_those_of_the_library() -> None:

@@ -20,7 +20,7 @@ RANGES = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
 GOALS = gym.spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), RANGES))
 
 
-def made(
+def learner_of(
     algorithm: str, observations: gym.Space[Any] = RANGES, actions: gym.Space[Any] = RANGES, **settings: Any
 ) -> Any:
     env: Any = VecNormalize(spaces_only(observations, actions), norm_obs=False)
@@ -28,8 +28,13 @@ def made(
 
 
 def test_the_library_has_each_private_member() -> None:
-    models = [made("PPO"), made("RecurrentPPO"), made("SAC"), made("DDPG", GOALS, replay=Hindsight())]
-    models.append(made("DQN", actions=gym.spaces.Discrete(2)))
+    models = [
+        learner_of("PPO"),
+        learner_of("RecurrentPPO"),
+        learner_of("SAC"),
+        learner_of("DDPG", GOALS, replay=Hindsight()),
+    ]
+    models.append(learner_of("DQN", actions=gym.spaces.Discrete(2)))
     parts: list[Any] = [*models, models[0].env, *(model.policy for model in models)]
     parts += [
         getattr(model, name)

@@ -29,7 +29,8 @@ def test_wilson_has_the_values_of_the_published_example():
 @given(trials=st.integers(1, 5_000), share=st.floats(0, 1))
 def test_the_wilson_bounds_are_where_the_score_test_just_rejects(trials: int, share: float) -> None:
     successes = round(share * trials)
-    observed, z = successes / trials, 1.959963984540054
+    observed = successes / trials
+    z = 1.959963984540054
     low, high = stats.wilson(successes, trials)
     assert 0 <= low <= observed <= high <= 1
     for bound in (low, high):
@@ -127,7 +128,7 @@ def simulate_gates(rate: float, required: float, gates: int, planned: int, seed:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", few([0.9, 0.91, 0.89], ["0.91", "0.89"]))
-def test_at_most_one_gate_in_twenty_decides_wrongly_before_its_last_episode(rate):
+def test_at_most_one_gate_in_twenty_is_wrong_before_its_last_episode(rate):
     assert simulate_gates(rate, 0.9, 2000, 100, seed=1) <= stats.ALPHA
 
 
@@ -147,8 +148,9 @@ MEANS = {
 
 @pytest.mark.parametrize("returns", few(RETURNS, ["mostly the largest return", "skewed"]))
 @pytest.mark.parametrize("off", [-0.5, 0.5])
-def test_at_most_one_gate_in_twenty_on_a_mean_decides_wrongly(returns, off):
-    generator, wrong = np.random.default_rng(2), 0
+def test_at_most_one_gate_in_twenty_on_a_mean_is_wrong(returns, off):
+    generator = np.random.default_rng(2)
+    wrong = 0
     for _ in range(200):
         done = RETURNS[returns](generator).tolist()
         verdicts = (
@@ -194,8 +196,8 @@ def test_an_interval_of_a_difference_covers_it_in_93_percent_of_comparisons(seed
     generator = np.random.default_rng(seeds)
     covered = 0
     for _ in range(2000):
-        found = stats.compare_seeds(generator.normal(100, 10, seeds), generator.normal(120, 20, seeds))
-        covered += found.interval[0] <= 20 <= found.interval[1]
+        comparison = stats.compare_seeds(generator.normal(100, 10, seeds), generator.normal(120, 20, seeds))
+        covered += comparison.interval[0] <= 20 <= comparison.interval[1]
     assert covered / 2000 >= 0.93
 
 
@@ -211,7 +213,8 @@ def test_the_probability_of_improvement_is_that_of_normal_scores():
 def test_pairing_by_start_finds_a_difference_that_the_spread_of_starts_hides():
     generator = np.random.default_rng(3)
     starts = generator.normal(0, 100, 60)
-    first, second = starts + generator.normal(0, 1, 60), starts + 2 + generator.normal(0, 1, 60)
+    first = starts + generator.normal(0, 1, 60)
+    second = starts + 2 + generator.normal(0, 1, 60)
     paired = stats.compare_episodes(list(first), list(second))
     assert paired.certain
     assert paired.mean == pytest.approx(fmean(second) - fmean(first))
@@ -219,8 +222,10 @@ def test_pairing_by_start_finds_a_difference_that_the_spread_of_starts_hides():
 
 
 def test_one_run_each_has_a_difference_without_an_interval():
-    found = stats.compare_seeds([1.0], [3.0])
-    assert (found.mean, found.interval, found.certain) == (2.0, None, False)
+    comparison = stats.compare_seeds([1.0], [3.0])
+    assert comparison.mean == 2.0
+    assert comparison.interval is None
+    assert comparison.certain is False
 
 
 @pytest.mark.parametrize("rate", [0.5, 0.9, 0.95])

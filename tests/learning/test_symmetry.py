@@ -78,21 +78,22 @@ def symmetry_of(program: Any) -> Symmetry:
 @pytest.mark.parametrize("text", [CART, DOG, CHOICES], ids=["cart", "dog", "choices"])
 def test_the_mirror_image_of_a_mirror_image_is_the_original(tmp_path: Path, text: str) -> None:
     program = compiled(tmp_path, text)
-    symmetry, space = symmetry_of(program), action_space(program.agent)
+    symmetry = symmetry_of(program)
+    space = action_space(program.agent)
     random = np.random.default_rng(1)
-    seen = random.uniform(-1.0, 1.0, (20, len(program.with_critic.agent.inputs)))
-    image = mirrored_observations(symmetry, seen)
-    np.testing.assert_allclose(mirrored_observations(symmetry, image), seen, atol=1e-12)
+    observations = random.uniform(-1.0, 1.0, (20, len(program.with_critic.agent.inputs)))
+    image = mirrored_observations(symmetry, observations)
+    np.testing.assert_allclose(mirrored_observations(symmetry, image), observations, atol=1e-12)
     space.seed(2)
-    acted = np.array([space.sample() for _ in range(20)]).reshape(20, -1)
-    once = mirrored_actions(symmetry, space, acted)
-    np.testing.assert_array_equal(mirrored_actions(symmetry, space, once), acted)
+    actions = np.array([space.sample() for _ in range(20)]).reshape(20, -1)
+    once = mirrored_actions(symmetry, space, actions)
+    np.testing.assert_array_equal(mirrored_actions(symmetry, space, once), actions)
 
 
 def test_sides_change_places_and_values_change_their_signs_in_their_units(tmp_path: Path) -> None:
     program = compiled(tmp_path, DOG)
     wide = program.with_critic.agent
-    places = {seen.name: place for place, seen in enumerate(wide.inputs)}
+    places = {observation.name: place for place, observation in enumerate(wide.inputs)}
     values = {
         "vx": 0.5,
         "wz": 0.3,
@@ -101,11 +102,11 @@ def test_sides_change_places_and_values_change_their_signs_in_their_units(tmp_pa
         "dog.q.RL_upper_joint": 0.4,
         "w.z": 2.0,
     }
-    seen = np.zeros(len(wide.inputs))
+    observation = np.zeros(len(wide.inputs))
     for name, value in values.items():
         entry = wide.inputs[places[name]]
-        seen[places[name]] = (value - (entry.low + entry.high) / 2) / ((entry.high - entry.low) / 2)
-    image = mirrored_observations(symmetry_of(program), seen)
+        observation[places[name]] = (value - (entry.low + entry.high) / 2) / ((entry.high - entry.low) / 2)
+    image = mirrored_observations(symmetry_of(program), observation)
 
     def value_of(name: str) -> float:
         entry = wide.inputs[places[name]]
@@ -127,8 +128,8 @@ def test_options_have_mirror_images(tmp_path: Path) -> None:
     program = compiled(tmp_path, CHOICES)
     forward, left, stay, right = 0, 2, 3, 4
     up_and_down, down_and_up = [0, 0], [1, 1]  # the options of the arms stand in another order
-    acted = np.array([[left, *up_and_down], [stay, *down_and_up], [right, 0, 1], [forward, 1, 0]])
-    image = mirrored_actions(symmetry_of(program), action_space(program.agent), acted)
+    actions = np.array([[left, *up_and_down], [stay, *down_and_up], [right, 0, 1], [forward, 1, 0]])
+    image = mirrored_actions(symmetry_of(program), action_space(program.agent), actions)
     np.testing.assert_array_equal(
         image, [[right, *down_and_up], [stay, *up_and_down], [left, 0, 1], [forward, 1, 0]]
     )
@@ -144,11 +145,11 @@ def test_a_mirrored_episode_is_the_mirror_image_of_the_episode(tmp_path: Path) -
             world.reset(seed=0)
             return np.array([world.step(act)[0] for act in acts])
 
-    seen = played(actions)
+    observations = played(actions)
     image = played(mirrored_actions(symmetry, action_space(program.agent), actions))
-    assert np.abs(seen).max() > 0.05
+    assert np.abs(observations).max() > 0.05
     np.testing.assert_allclose(
-        image, mirrored_observations(symmetry, seen), atol=0.01
+        image, mirrored_observations(symmetry, observations), atol=0.01
     )  # contacts are solved in another order
 
 
@@ -184,7 +185,7 @@ def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> N
 def test_the_previous_action_has_the_sign_of_the_action(tmp_path: Path) -> None:
     text = CART.replace("deepbots: 1\n", "deepbots: 1\nobservation: {previous_action: auto}\n", 1)
     program = compiled(tmp_path, text)
-    names = [seen.name for seen in program.agent.inputs]
+    names = [entry.name for entry in program.agent.inputs]
     symmetry = symmetry_of(program)
     assert symmetry.ranges.factors == (-1.0,)
     assert symmetry.observation.factors[names.index("previous_action.drive")] == -1.0

@@ -74,8 +74,8 @@ def test_a_term_that_pays_while_the_success_is_held_is_interrupted_just_in_time(
 def test_the_pay_of_a_step_that_a_finding_names_can_be_reached(
     name: str, rate: str, stays: bool, folder: Path
 ) -> None:
-    """A bonus of 4 at each entry was said to pay 9.99 per step, where a visit takes two; 4 per second, 80 per
-    step of 40 ms."""
+    """A finding once named 9.99 per step for a bonus of 4 at each entry, where a visit takes two steps, and
+    80 per step of 40 ms for 4 per second."""
     (finding,) = api.lint(write(folder, EXPLOITED[name]))
     assert f"earns up to {rate} per step" in finding.headline
     assert (" stays " in finding.notes[0]) is stays

@@ -1,4 +1,4 @@
-"""What is measured, and what is concluded from it."""
+"""The measurements of a simulation and the findings that follow from them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Probed = Callable[[str], list[Finding]]
 
 
 @pytest.fixture
-def probed(tmp_path: Path) -> Probed:
+def simulated_findings(tmp_path: Path) -> Probed:
     (tmp_path / "cartpole.yaml").write_text(CARTPOLE)
 
     def run(sections: str) -> list[Finding]:
@@ -40,24 +40,24 @@ def probed(tmp_path: Path) -> Probed:
     return run
 
 
-def test_findings_are_the_same_on_every_run(probed: Probed) -> None:
+def test_findings_are_the_same_on_every_run(simulated_findings: Probed) -> None:
     text = "augment: {height: position(cart.tip).z}\nobservation: {height: 0 .. 30 cm}\n"
-    first, second = probed(text), probed(text)
-    assert [(found.headline, found.notes) for found in first] == [
-        (found.headline, found.notes) for found in second
+    first, second = simulated_findings(text), simulated_findings(text)
+    assert [(finding.headline, finding.notes) for finding in first] == [
+        (finding.headline, finding.notes) for finding in second
     ]
     assert first
 
 
-def test_what_a_case_shows_is_no_constant(probed: Probed) -> None:
+def test_what_a_case_shows_is_no_constant(simulated_findings: Probed) -> None:
     still = "parameters: {lit: 1}\naugment: {shown: lit / 2}\nobservation: {shown: 0 .. 2}\n"
-    assert [found.code for found in probed(still)] == ["DB608"]
-    assert probed(still + "evaluation: {cases: {drawn: {set: {lit: uniform(1 .. 2)}}}}\n") == []
+    assert [finding.code for finding in simulated_findings(still)] == ["DB608"]
+    assert simulated_findings(still + "evaluation: {cases: {drawn: {set: {lit: uniform(1 .. 2)}}}}\n") == []
 
 
-def test_bodies_that_settle_are_looked_at_before_they_have(probed: Probed) -> None:
-    found = probed("reset: {place: {cart: {z: 1 cm}}, settle: 3.2 s}\n")
-    assert ("DB310", "cart") in [(finding.code, finding.span.text) for finding in found]
+def test_bodies_are_checked_before_they_settle(simulated_findings: Probed) -> None:
+    findings = simulated_findings("reset: {place: {cart: {z: 1 cm}}, settle: 3.2 s}\n")
+    assert ("DB310", "cart") in [(finding.code, finding.span.text) for finding in findings]
 
 
 @pytest.mark.slow
@@ -68,15 +68,17 @@ def test_a_pose_out_of_reach_is_reported_where_only_a_script_commands_it() -> No
         "scripts={away: {reach: 1, open: 0}, stay: {reach: 0, open: 1}}",
         "truncation.max_steps=5",
     ]
-    (found,) = simulate(api.load(str(ARM), overrides=far)).findings
-    assert found.code == "DB315"
-    assert "the script `away`" in found.notes[0]
+    (finding,) = simulate(api.load(str(ARM), overrides=far)).findings
+    assert finding.code == "DB315"
+    assert "the script `away`" in finding.notes[0]
 
 
-def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(probed: Probed) -> None:
+def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(
+    simulated_findings: Probed,
+) -> None:
     pytest.importorskip("pybullet_data")
     strong = "stiffness: 100_000 N*m/rad, damping: 100_000 N*m*s/rad"
-    found = probed(
+    findings = simulated_findings(
         "world: {engine: pybullet}\nrobots:\n  cart:\n    actuators:\n"
         f"      spring: {{type: position_motor, joint: pole_hinge, {strong}}}\n"
         "    apply: {spring: 5 deg}\n"
@@ -85,7 +87,7 @@ def test_a_pose_out_of_reach_is_reported_beside_the_error_that_it_may_explain(pr
         "    actuators: {hand: {type: cartesian, link: lbr_iiwa_link_7, joints: [lbr_iiwa_joint_*]}}\n"
         '    apply: {hand: "vector(5 m, 2 m, 0.4 m)"}\n'
     )
-    assert [finding.code for finding in found] == ["DB309", "DB315"]
+    assert [finding.code for finding in findings] == ["DB309", "DB315"]
 
 
 @pytest.mark.parametrize(
@@ -101,9 +103,9 @@ def test_a_robot_that_stands_on_its_skids_stays_although_its_wheels_turn(
 ) -> None:
     (tmp_path / "car.urdf").write_text(wheeled(skids, height))
     (tmp_path / "car.yaml").write_text(CAR)
-    found = list(simulate(api.load(tmp_path / "car.yaml")).findings)
-    assert [finding.code for finding in found] == ["DB322"] * bool(notes)
-    assert [note for finding in found for note in finding.notes[:-1]] == notes
+    findings = list(simulate(api.load(tmp_path / "car.yaml")).findings)
+    assert [finding.code for finding in findings] == ["DB322"] * bool(notes)
+    assert [note for finding in findings for note in finding.notes[:-1]] == notes
 
 
 def wheeled(skids: tuple[float, ...], height: float) -> str:
@@ -154,14 +156,18 @@ truncation: {max_steps: 100}
 """
 
 
-def test_of_a_group_one_pair_is_told(probed: Probed) -> None:
+def test_one_pair_of_a_group_is_reported(simulated_findings: Probed) -> None:
     crates = "  crate: {count: 3, shape: box, size: 10 10 10 cm, mass: 1 kg}\n"
-    (found,) = probed(f"objects:\n{crates}reset: {{place: {{crate: {{x: 0.3 m, spacing: 0 0.02 m}}}}}}\n")
-    assert found.code == "DB310"
-    assert found.headline.startswith("`crate#")
+    (finding,) = simulated_findings(
+        f"objects:\n{crates}reset: {{place: {{crate: {{x: 0.3 m, spacing: 0 0.02 m}}}}}}\n"
+    )
+    assert finding.code == "DB310"
+    assert finding.headline.startswith("`crate#")
 
 
-def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Probed, tmp_path: Path) -> None:
+def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(
+    simulated_findings: Probed, tmp_path: Path
+) -> None:
     pytest.importorskip("pybullet")
     links = "".join(
         f'<link name="l{number}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0"'
@@ -174,9 +180,9 @@ def test_a_robot_that_the_engine_cannot_hold_is_a_finding_at_its_name(probed: Pr
         for number in range(129)
     )
     (tmp_path / "long.urdf").write_text(f'<robot name="long">{links}{joints}</robot>')
-    (found,) = probed("world: {engine: pybullet}\nrobots: {snake: {urdf: long.urdf}}\n")
-    assert (found.code, found.span.text) == ("DB309", "snake")
-    assert "127" in found.headline
+    (finding,) = simulated_findings("world: {engine: pybullet}\nrobots: {snake: {urdf: long.urdf}}\n")
+    assert (finding.code, finding.span.text) == ("DB309", "snake")
+    assert "127" in finding.headline
 
 
 def test_doing_nothing_is_the_option_of_zeros_or_the_value_that_is_nearest_to_zero() -> None:
@@ -196,11 +202,13 @@ def test_costly_scenarios_are_given_fewer_steps() -> None:
     )
 
 
-def test_a_wall_of_one_piece_goes_by_its_own_name(probed: Probed) -> None:
-    (found,) = probed("world: {walls: {barrier: {points: [0 -0.3 m, 0 0.3 m], height: 15 cm}}}\n")
-    assert found.code == "DB310"
-    assert found.headline.startswith("`cart` and `barrier` overlap")
-    assert [label.span.text for label in found.labels] == ["barrier"]
+def test_a_wall_of_one_piece_goes_by_its_own_name(simulated_findings: Probed) -> None:
+    (finding,) = simulated_findings(
+        "world: {walls: {barrier: {points: [0 -0.3 m, 0 0.3 m], height: 15 cm}}}\n"
+    )
+    assert finding.code == "DB310"
+    assert finding.headline.startswith("`cart` and `barrier` overlap")
+    assert [label.span.text for label in finding.labels] == ["barrier"]
 
 
 # No false alarms: what comes with deepbots is silent under simulation, preview rules included
@@ -219,9 +227,9 @@ CHEAP = ("balancer", "quadrotor")
 )
 def test_a_shipped_scenario_is_silent_when_it_is_simulated(name: str) -> None:
     checked = api.load(name)
-    probed = simulate(checked, preview=True)
-    assert probed.incomplete is None
-    assert all_findings(checked, preview=True, measured=probed.findings) == []
+    result = simulate(checked, preview=True)
+    assert result.incomplete is None
+    assert all_findings(checked, preview=True, measured=result.findings) == []
 
 
 @pytest.mark.parametrize(

@@ -67,53 +67,54 @@ def checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     return make
 
 
-def only(probed: SimulationFindings) -> Finding:
-    (found,) = probed.findings
-    return found
+def only_finding(probed: SimulationFindings) -> Finding:
+    (finding,) = probed.findings
+    return finding
 
 
 def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None:
-    found = only(simulate(checked("crash"), limits=TIGHT))
-    assert (found.code, found.span.text) == ("DB309", "cart")
-    assert found.headline == "the physics engine crashes (SIGSEGV)"
-    assert "in step 1 (0.032 s) of the episode with seed 0 (random actions)" in found.notes
+    finding = only_finding(simulate(checked("crash"), limits=TIGHT))
+    assert (finding.code, finding.span.text) == ("DB309", "cart")
+    assert finding.headline == "the physics engine crashes (SIGSEGV)"
+    assert "in step 1 (0.032 s) of the episode with seed 0 (random actions)" in finding.notes
 
 
 def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
-    found = only(simulate(checked("hang"), limits=TIGHT))
-    assert found.headline == "a step does not return within 1 s of CPU time"
-    assert found.notes[0].startswith("in step 3 ")
+    finding = only_finding(simulate(checked("hang"), limits=TIGHT))
+    assert finding.headline == "a step does not return within 1 s of CPU time"
+    assert finding.notes[0].startswith("in step 3 ")
 
 
 @pytest.mark.slow
 def test_a_lack_of_memory_is_a_finding(checked) -> None:
-    found = only(simulate(checked("hoard"), limits=TIGHT))
-    assert (found.code, found.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
+    finding = only_finding(simulate(checked("hoard"), limits=TIGHT))
+    assert (finding.code, finding.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
 
 
 def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None:
     """So little that not even the libraries can be loaded."""
-    assert only(simulate(checked(), limits=Limits(memory=120))).code == "DB309"
+    assert only_finding(simulate(checked(), limits=Limits(memory=120))).code == "DB309"
 
 
 @pytest.mark.slow
-def test_a_scenario_that_is_merely_slow_is_left_alone_with_a_word(checked) -> None:
+def test_a_slow_scenario_has_no_finding_but_a_note(checked) -> None:
     """The system ends a process after whole seconds of CPU."""
     probed = simulate(checked("hang"), limits=Limits(cpu=1, step_seconds=60.0))
     assert probed.findings == []
     assert probed.incomplete is not None
     assert "after 1 s of CPU time" in probed.incomplete
     probed = simulate(checked(), limits=Limits(wall=0.01))
-    assert (probed.findings, probed.incomplete) == ([], "while the world was built, after 0.01 s")
+    assert probed.findings == []
+    assert probed.incomplete == "while the world was built, after 0.01 s"
 
 
 def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
-    found = only(simulate(checked("fail"), limits=TIGHT))
-    assert (found.code, found.span.text) == ("DB707", "hostile:fail")
-    assert "ZeroDivisionError" in found.notes[1]
+    finding = only_finding(simulate(checked("fail"), limits=TIGHT))
+    assert (finding.code, finding.span.text) == ("DB707", "hostile:fail")
+    assert "ZeroDivisionError" in finding.notes[1]
 
 
-def test_an_exception_of_deepbots_in_the_process_is_told_with_its_place(checked) -> None:
+def test_an_exception_of_deepbots_in_the_process_is_reported_with_its_place(checked) -> None:
     """Here the process is given an empty scenario, which does not compile."""
     inputs = checked().inputs
     report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
@@ -128,20 +129,21 @@ def test_what_a_scenario_prints_is_not_taken_for_what_was_measured(checked) -> N
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="children are found by way of /proc")
 @pytest.mark.parametrize(
-    ("number", "said"),
+    ("number", "message"),
     [(signal.SIGKILL, "another process ended the simulation (SIGKILL)"), (signal.SIGBUS, "crashes (SIGBUS)")],
 )
-def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, said: str) -> None:
+def test_a_process_that_is_killed_is_a_finding(checked, number: signal.Signals, message: str) -> None:
     """As the system does when memory runs out, or an engine that reads past its arrays."""
-    scenario, found = checked("hang"), []
-    task = threading.Thread(target=lambda: found.append(only(simulate(scenario, limits=Limits()))))
+    scenario = checked("hang")
+    findings = []
+    task = threading.Thread(target=lambda: findings.append(only_finding(simulate(scenario, limits=Limits()))))
     task.start()
     children = Path(f"/proc/self/task/{task.native_id}/children")
     while not (pids := children.read_text().split()):
         time.sleep(0.01)
     os.kill(int(pids[0]), number)
     task.join(60)
-    assert said in found[0].headline
+    assert message in findings[0].headline
 
 
 def test_the_linter_itself_imports_no_simulator(tmp_path: Path) -> None:

@@ -109,12 +109,12 @@ def test_the_message_of_a_slip_names_the_place_the_reason_and_the_line_to_write(
 ) -> None:
     monkeypatch.chdir(slip.write(tmp_path))
     code = main(list(slip.command))
-    said = "".join(capfd.readouterr())
-    assert code != 0, said
+    output = "".join(capfd.readouterr())
+    assert code != 0, output
     if slip.at:
-        assert slip.at in said
+        assert slip.at in output
     for part in slip.says:
-        assert part in said
+        assert part in output
 
 
 def test_a_slip_is_named_once() -> None:

@@ -1,4 +1,4 @@
-"""Springs on light joints: DB325 against what the engines compute."""
+"""Springs on light joints: DB325 against the motion in the engines."""
 
 from __future__ import annotations
 

@@ -103,7 +103,8 @@ class Client:
 
     def restore(self, path: Path) -> None:
         """Have an open document as it is on the disk, and looked at."""
-        uri, text = path.as_uri(), path.read_text(encoding="utf-8")
+        uri = path.as_uri()
+        text = path.read_text(encoding="utf-8")
         if self.texts[uri] != text:
             self.change(uri, text)
         self.findings(uri)
@@ -113,14 +114,14 @@ class Client:
         self.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
     def findings(self, uri: str, version: int | None = None) -> list[Message]:
-        """What is published of a document in its present version, or in the given one."""
+        """The published findings of a document in its present version, or in the given one."""
         wanted = self.versions[uri] if version is None else version
         while self.diagnostics.get(uri, {}).get("version") != wanted:
             self._published.get(timeout=PATIENCE)
         return self.diagnostics[uri]["diagnostics"]
 
     def published(self, uri: str) -> list[Message]:
-        """What is published next of a file, which need not be open."""
+        """The next published findings of a file, which need not be open."""
         while self._published.get(timeout=PATIENCE) != uri:
             pass
         return self.diagnostics[uri]["diagnostics"]
@@ -148,13 +149,13 @@ class Client:
         return [item["label"] for item in self.request("textDocument/completion", params)["items"]]
 
     def hover(self, uri: str, around: str) -> str:
-        found = self.ask("hover", uri, around)
-        return found["contents"]["value"] if found else ""
+        answer = self.ask("hover", uri, around)
+        return answer["contents"]["value"] if answer else ""
 
     def definition(self, uri: str, around: str) -> list[tuple[str, int, int]]:
         """The names of the files, with lines and columns."""
-        found = self.ask("definition", uri, around) or []
-        return [(Path(place["uri"]).name, *place["range"]["start"].values()) for place in found]
+        places = self.ask("definition", uri, around) or []
+        return [(Path(place["uri"]).name, *place["range"]["start"].values()) for place in places]
 
     def actions(self, uri: str, start: str, end: str | None = None, **context: Any) -> list[Message]:
         where = {"start": self.at(uri, start), "end": self.at(uri, end or start)}

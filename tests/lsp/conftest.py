@@ -26,12 +26,14 @@ def client(project: Path) -> Iterator[Client]:
     """Ends with the server leaving of its own, without a word on standard error."""
     with Client(project) as started:
         yield started
-    assert (started.code, started.errors, started.logged) == (0, "", [])
+    assert started.code == 0
+    assert started.errors == ""
+    assert started.logged == []
 
 
 @pytest.fixture
 def pit(client: Client, project: Path) -> Iterator[str]:
-    """The address of PitEscape, looked at; what a test makes of it is undone."""
+    """The address of PitEscape, opened and analyzed; changes of a test are undone."""
     yield from _shown(client, project / "scenarios" / "pit_escape.yaml")
 
 

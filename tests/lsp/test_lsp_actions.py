@@ -18,7 +18,7 @@ FIX_ALL = ["source.fixAll.deepbots"]
 
 @pytest.fixture
 def changed(client, pit):
-    """Makes changes to PitEscape, and waits for what is found."""
+    """Changes PitEscape, and waits for the findings."""
 
     def change(*changes: tuple[str, str]) -> list:
         text = client.texts[pit]
@@ -31,7 +31,7 @@ def changed(client, pit):
     return change
 
 
-def made(client, uri, action):
+def text_after(client, uri, action):
     """The text after an action."""
     changes = action["edit"]["changes"]
     assert set(changes) == {uri}
@@ -54,7 +54,7 @@ def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(
     changed((right, wrong.replace("¦", "")))
     (action,) = client.actions(pit, wrong)
     assert (action["title"], action["kind"], action.get("isPreferred", False)) == (title, "quickfix", safe)
-    assert made(client, pit, action) == original
+    assert text_after(client, pit, action) == original
     assert [finding["code"] for finding in action["diagnostics"]] == [
         finding["code"] for finding in client.diagnostics[pit]["diagnostics"]
     ]
@@ -64,37 +64,37 @@ def test_a_fix_is_offered_where_its_finding_is_and_puts_it_right(
 def test_a_fix_behind_an_emoji_replaces_just_its_word(client, pit, changed):
     changed(("gyro: {type: gyro, link: ball}", '"😀𝄞ü": {type: gyros, link: ball}'))
     (action,) = client.actions(pit, "type: gyr¦os")
-    assert made(client, pit, action) == client.texts[pit].replace("gyros", "gyro")
+    assert text_after(client, pit, action) == client.texts[pit].replace("gyros", "gyro")
 
 
 def test_a_warning_can_be_suppressed_on_its_line_and_is_gone_then(client, pit, changed):
     changed(("signals:\n", "signals:\n  spare: time  # not yet\n"))
     (action,) = [
-        found for found in client.actions(pit, "spa¦re: time") if found["title"].startswith("Suppress")
+        offer for offer in client.actions(pit, "spa¦re: time") if offer["title"].startswith("Suppress")
     ]
     assert action["title"] == "Suppress DB205 (unused-definition) on this line"
-    client.change(pit, made(client, pit, action))
+    client.change(pit, text_after(client, pit, action))
     assert "  spare: time  # not yet  # deepbots: ignore[DB205]\n" in client.texts[pit]
     assert client.findings(pit) == []
 
 
 def test_a_second_code_goes_into_the_comment_that_is_there(client, pit, changed):
     changed(("signals:\n", "signals:\n  spare: 1 / (time - 1 s)  # deepbots: ignore[DB405]\n"))
-    (action,) = [found for found in client.actions(pit, "spa¦re: 1") if found["title"].startswith("Suppress")]
-    assert "# deepbots: ignore[DB405, DB205]\n" in made(client, pit, action)
+    (action,) = [offer for offer in client.actions(pit, "spa¦re: 1") if offer["title"].startswith("Suppress")]
+    assert "# deepbots: ignore[DB405, DB205]\n" in text_after(client, pit, action)
 
 
 def test_an_error_cannot_be_suppressed(client, pit, changed):
     changed(("timestep: 32", "timestop: 32"))
     assert [
-        found["title"] for found in client.actions(pit, "time¦stop") if "Suppress" in found["title"]
+        offer["title"] for offer in client.actions(pit, "time¦stop") if "Suppress" in offer["title"]
     ] == []
 
 
 def test_a_suppression_that_would_become_part_of_a_text_is_not_offered(client, pit, changed):
     changed(("signals:\n", 'signals:\n  spare: "time\n    + 1 s"\n'))
-    assert [found["code"] for found in client.diagnostics[pit]["diagnostics"]] == ["DB205"]
-    assert [found for found in client.actions(pit, "spa¦re") if found["title"].startswith("Suppress")] == []
+    assert [entry["code"] for entry in client.diagnostics[pit]["diagnostics"]] == ["DB205"]
+    assert [entry for entry in client.actions(pit, "spa¦re") if entry["title"].startswith("Suppress")] == []
 
 
 def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed):
@@ -105,15 +105,13 @@ def test_all_safe_fixes_are_one_action_and_guesses_are_left(client, pit, changed
         ("delta(metric)", "delta(metrik)"),
     )
     (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
-    assert made(client, pit, action) == original.replace("delta(metric)", "delta(metrik)")
+    assert text_after(client, pit, action) == original.replace("delta(metric)", "delta(metrik)")
     (edit,) = action["edit"]["changes"][pit]
     first, last = (
         client.texts[pit].count("\n", 0, client.texts[pit].index(word)) for word in ("timestop", "gyros")
     )
-    assert (edit["range"]["start"]["line"], edit["range"]["end"]["line"]) == (
-        first,
-        last,
-    )  # the cursor elsewhere stays where it is
+    assert edit["range"]["start"]["line"] == first
+    assert edit["range"]["end"]["line"] == last  # the cursor elsewhere stays where it is
     assert client.actions(pit, "time¦stop", only=["refactor"]) == []
 
 
@@ -123,7 +121,7 @@ def test_all_safe_fixes_leave_line_ends_and_a_byte_order_mark_as_they_are(client
     client.change(pit, original.replace("timestep: 32", "timestop: 32"))
     client.findings(pit)
     (action,) = client.actions(pit, "time¦stop", only=FIX_ALL)
-    assert made(client, pit, action) == original
+    assert text_after(client, pit, action) == original
 
 
 @pytest.mark.slow
@@ -155,7 +153,7 @@ def test_a_fix_in_an_included_file_is_offered_there(client, ball, project):
     while not client.published(piece):
         pass
     (action,) = client.actions(piece, "infr¦ard")
-    assert made(client, piece, action) == path.read_text()
+    assert text_after(client, piece, action) == path.read_text()
     client.close(piece)
 
 

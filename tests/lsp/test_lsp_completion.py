@@ -29,10 +29,10 @@ def typing(client, pit, project):
     ("old", "new", "offered", "not_offered"),
     [row for part in ("keys", "words", "names", "expressions") for row in TABLES[part]],
 )
-def test_what_is_due_at_a_place_is_offered_and_nothing_else(typing, old, new, offered, not_offered):
-    found = set(typing(old, new))
-    assert {*offered} <= found
-    assert not found & {*not_offered}
+def test_a_place_is_offered_what_fits_and_nothing_else(typing, old, new, offered, not_offered):
+    completions = set(typing(old, new))
+    assert {*offered} <= completions
+    assert not completions & {*not_offered}
 
 
 @pytest.mark.parametrize(
@@ -51,10 +51,10 @@ def test_a_document_that_is_no_yaml_at_the_moment_is_completed_from_what_was_kno
 
 def test_a_name_that_was_never_compiled_is_not_offered_but_the_language_is(client, project):
     uri = client.open(project / "scenarios" / "new.yaml", "deepbots: 1\nworld: {")
-    found = client.request(
+    answer = client.request(
         "textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}}
     )
-    assert {"timestep", "gravity"} <= {item["label"] for item in found["items"]}
+    assert {"timestep", "gravity"} <= {item["label"] for item in answer["items"]}
     client.change(uri, "deepbots: 1\nparameters: {radius: 2 ")
     assert "m" in client.labels(uri, "radius: 2 ¦")
     client.close(uri)
@@ -114,9 +114,9 @@ def test_an_included_piece_is_completed_as_the_part_of_the_scenario_that_it_is(c
 
 
 def test_a_comment_that_suppresses_is_completed_with_the_warnings(typing):
-    found = typing("# one action every 256 ms", "# deepbots: ignore[DB2¦]")
-    assert "DB205" in found
-    assert "DB402" not in found
+    completions = typing("# one action every 256 ms", "# deepbots: ignore[DB2¦]")
+    assert "DB205" in completions
+    assert "DB402" not in completions
     assert typing("# one action every 256 ms", "# one ac¦") == []
 
 
@@ -133,8 +133,10 @@ def test_units_of_the_field_come_first(typing, old, new, first):
 
 
 def test_behind_a_unit_and_a_factor_names_come_and_no_units(typing):
-    found = typing("{roll: {backward: roller.gyro.y < 0 rad/s", "{roll: {backward: 5 rad/s * roller.gyro.¦")
-    assert {"roller.gyro.x", "roller.gyro.y", "roller.gyro.z"} <= set(found)
+    completions = typing(
+        "{roll: {backward: roller.gyro.y < 0 rad/s", "{roll: {backward: 5 rad/s * roller.gyro.¦"
+    )
+    assert {"roller.gyro.x", "roller.gyro.y", "roller.gyro.z"} <= set(completions)
     assert "m" not in typing("{roll: {backward: roller.gyro.y < 0 rad/s", "{roll: {backward: 5 rad/s * ¦")
 
 
@@ -177,7 +179,7 @@ def test_a_scenario_that_was_never_whole_offers_the_names_that_stand_in_it(clien
     client.close(uri)
 
 
-def test_where_a_name_of_ones_own_is_due_an_example_is_offered_and_nothing_else(client, pit):
+def test_where_a_new_name_is_expected_an_example_is_offered_and_nothing_else(client, pit):
     client.change(pit, client.texts[pit] + "disturbances:\n  ")
     (example,) = client.labels_at(pit, len(client.texts[pit]))
     assert example.startswith("{gust: {body:")
@@ -208,35 +210,35 @@ def test_names_written_since_the_last_analysis_are_offered_where_they_have_a_val
 ):
     path = tmp_path / "a.yaml"
     workspace = Workspace()
-    known = Document(uri_of(path), 1, WHOLE, path)
-    workspace.put(known)
-    workspace.record(analyze(known, workspace.drafts))
+    analyzed = Document(uri_of(path), 1, WHOLE, path)
+    workspace.put(analyzed)
+    workspace.record(analyze(analyzed, workspace.drafts))
     text = WHOLE
     for old, new in changes:
         assert text.count(old) == 1
         text = text.replace(old, new)
-    written = Document(known.uri, 2, text.replace("¦", ""), path)
-    position = written.lines.position(text.index("¦"))
-    workspace.put(written)
-    before = completion(workspace.view(known.uri, position))
+    latest = Document(analyzed.uri, 2, text.replace("¦", ""), path)
+    position = latest.lines.position(text.index("¦"))
+    workspace.put(latest)
+    before = completion(workspace.view(analyzed.uri, position))
     assert before.is_incomplete  # so that an editor asks again at the next letter
     assert {*offered} <= labels(before)
     assert not labels(before) & {*not_offered}
-    workspace.record(analyze(written, workspace.drafts))
-    after = completion(workspace.view(known.uri, position))
+    workspace.record(analyze(latest, workspace.drafts))
+    after = completion(workspace.view(analyzed.uri, position))
     assert not after.is_incomplete
     assert {*offered} <= labels(after)
     assert not labels(after) & {*not_offered}
 
 
-def labels(found):
-    return {item.label for item in found.items}
+def labels(completions):
+    return {item.label for item in completions.items}
 
 
-def test_a_script_is_offered_the_components_that_it_has_to_decide(client, project):
+def test_a_script_is_offered_the_components_of_its_action(client, project):
     text = WHOLE
     uri = client.open(project / "scenarios" / "begun.yaml", text)
-    assert [found["code"] for found in client.findings(uri) if found["severity"] == 1] == []
+    assert [finding["code"] for finding in client.findings(uri) if finding["severity"] == 1] == []
     client.change(uri, text.replace("{go: 0 rad/s}", "{go: {"))
     assert {"wheel_front_left", "wheel_rear_right"} <= set(client.labels(uri, "still: {go: {¦"))
     client.close(uri)

@@ -31,11 +31,11 @@ def world(client, project, tmp_path):
     return write
 
 
-def codes(found):
-    return [finding["code"] for finding in found]
+def codes_of(findings):
+    return [finding["code"] for finding in findings]
 
 
-def marked(client, uri, finding):
+def underlined_text(client, uri, finding):
     """The text that a finding underlines."""
     lines = client.texts[uri].split("\n")
     start, end = finding["range"]["start"], finding["range"]["end"]
@@ -57,7 +57,7 @@ def test_a_finding_has_its_code_its_severity_and_its_exact_place(client, world, 
     uri = client.open(world("pit_escape", (old, new)))
     (only,) = client.findings(uri)
     assert (only["code"], only["severity"], only["source"]) == (code, RED, "deepbots")
-    assert marked(client, uri, only) == underlined
+    assert underlined_text(client, uri, only) == underlined
     client.close(uri)
 
 
@@ -69,7 +69,7 @@ def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, wo
         )
     )
     (only,) = client.findings(uri)
-    assert marked(client, uri, only) == "ü😀"
+    assert underlined_text(client, uri, only) == "ü😀"
     assert only["range"]["end"] == {"line": 4, "character": 5}
     client.close(uri)
     assert position(summary, summary.index("parameters"))["character"] == summary.index("parameters") + 1
@@ -79,9 +79,12 @@ def test_a_finding_behind_an_emoji_of_its_line_is_where_the_editor_shows_it(clie
     uri = client.open(
         world("pit_escape", ("gyro: {type: gyro, link: ball}", 'gyro: {type: "😀😀", link: bal}'))
     )
-    found = client.findings(uri)
-    assert "DB104" in codes(found)
-    assert marked(client, uri, next(finding for finding in found if finding["code"] == "DB104")) == '"😀😀"'
+    findings = client.findings(uri)
+    assert "DB104" in codes_of(findings)
+    assert (
+        underlined_text(client, uri, next(finding for finding in findings if finding["code"] == "DB104"))
+        == '"😀😀"'
+    )
     client.close(uri)
 
 
@@ -93,13 +96,13 @@ def test_each_change_of_the_text_is_looked_at_and_the_last_word_is_about_the_las
         client.change(uri, text.replace("timestep", f"timestep{number}"))
     client.change(uri, text.replace("delta(metric)", "delta(metrics)"))
     (only,) = client.findings(uri)
-    assert marked(client, uri, only) == "metrics"
+    assert underlined_text(client, uri, only) == "metrics"
     client.change(uri, text)
     assert client.findings(uri) == []
     client.close(uri)
 
 
-def test_a_mistake_in_an_included_file_is_told_there_and_where_it_is_included_from(client, world):
+def test_a_mistake_in_an_included_file_is_reported_there_with_the_place_of_the_include(client, world):
     path = world("find_ball_random")
     piece = path.parents[1] / "robots" / "epuck.yaml"
     piece.write_text(piece.read_text().replace("link: base_link", "link: base_lin"))
@@ -113,7 +116,7 @@ def test_a_mistake_in_an_included_file_is_told_there_and_where_it_is_included_fr
     assert client.published(piece.as_uri()) == []
 
 
-def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_editor(client, world):
+def test_of_an_open_included_file_the_text_in_the_editor_counts(client, world):
     path = world("find_ball_random")
     uri = client.open(path)
     assert client.findings(uri) == []
@@ -122,7 +125,7 @@ def test_an_included_file_that_is_being_written_counts_as_it_stands_in_the_edito
     client.change(piece, client.texts[piece].replace("infrared", "infrarot"))
     for _ in range(3):  # whatever is published of a text is of that text
         (only,) = client.findings(piece)
-        assert (only["code"], marked(client, piece, only)) == ("DB104", "infrarot")
+        assert (only["code"], underlined_text(client, piece, only)) == ("DB104", "infrarot")
         client.change(piece, "# one line more\n" + client.texts[piece])
     client.close(piece)
     client.close(uri)
@@ -153,13 +156,15 @@ def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
     client.close(uri)
 
 
-def test_a_comment_suppresses_and_one_that_suppresses_nothing_is_told(client, world):
+def test_a_comment_suppresses_a_finding_and_without_it_the_finding_is_reported(client, world):
     unused = ("signals:\n", "signals:\n  spare: time  # deepbots: ignore[DB205]\n")
     uri = client.open(world("pit_escape", unused))
     assert client.findings(uri) == []
     client.change(uri, client.texts[uri].replace("spare: time  # deepbots: ignore[DB205]", "spare: time"))
     (only,) = client.findings(uri)
-    assert (only["code"], only["severity"], only["tags"]) == ("DB205", WARNING, [1])
+    assert only["code"] == "DB205"
+    assert only["severity"] == WARNING
+    assert only["tags"] == [1]
     client.close(uri)
 
 
@@ -171,19 +176,19 @@ def test_the_settings_of_the_project_of_the_file_count(client, world):
     assert client.findings(uri) == []
     settings.write_text("")
     client.notify("textDocument/didSave", {"textDocument": {"uri": uri}})
-    while not (found := client.published(uri)):
+    while not (findings := client.published(uri)):
         pass
-    assert codes(found) == ["DB205"]
+    assert codes_of(findings) == ["DB205"]
     client.close(uri)
 
 
 @pytest.mark.slow
-def test_settings_that_mean_nothing_are_told_once_and_the_file_is_linted_without(project, world):
+def test_invalid_settings_are_reported_once_and_the_file_is_linted_without_them(project, world):
     path = world("pit_escape", ("timestep:", "timestop:"))
     (path.parents[1] / "deepbots.toml").write_text("[lint]\nignore = 3\n")
     with Client(project) as own:
         uri = own.open(path)
-        assert codes(own.findings(uri)) == ["DB101"]
+        assert codes_of(own.findings(uri)) == ["DB101"]
         own.change(uri, own.texts[uri] + "\n")
         own.findings(uri)
         assert len(own.logged) == 1
@@ -202,7 +207,7 @@ def test_a_client_that_counts_in_bytes_is_answered_in_bytes(project, world):
         assert only["range"]["end"] == {"line": 4, "character": 2 + len("ü😀".encode())}
 
 
-def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
+def test_a_document_without_a_file_is_linted_in_the_folder_of_the_editor(client):
     uri = "untitled:Untitled-1"
     document = {
         "uri": uri,
@@ -212,7 +217,7 @@ def test_what_is_no_file_yet_is_linted_where_the_editor_stands(client):
     }
     client.notify("textDocument/didOpen", {"textDocument": document})
     client.versions[uri] = 1
-    assert "DB102" in codes(client.findings(uri))
+    assert "DB102" in codes_of(client.findings(uri))
     client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
 
@@ -223,11 +228,14 @@ def test_two_documents_that_are_no_files_yet_have_findings_of_their_own(client):
             "textDocument/didOpen",
             {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": text}},
         )
-        client.texts[uri], client.versions[uri] = text, 1
+        client.texts[uri] = text
+        client.versions[uri] = 1
     for uri, key in zip(texts, ("wrold", "robot"), strict=True):
-        assert [marked(client, uri, found) for found in client.findings(uri) if found["code"] == "DB101"] == [
-            key
-        ]
+        assert [
+            underlined_text(client, uri, finding)
+            for finding in client.findings(uri)
+            if finding["code"] == "DB101"
+        ] == [key]
     for uri in texts:
         client.close(uri)
 
@@ -242,13 +250,13 @@ def test_two_documents_that_are_no_files_yet_have_findings_of_their_own(client):
 )
 def test_a_scenario_whose_first_key_is_quoted_or_in_brackets_has_findings_too(client, project, text):
     uri = client.open(project / "scenarios" / "odd.yaml", text)
-    assert "DB101" in codes(client.findings(uri))
+    assert "DB101" in codes_of(client.findings(uri))
     client.close(uri)
 
 
 def test_findings_of_a_closed_document_are_taken_back(client, world):
     uri = client.open(world("pit_escape", ("timestep:", "timestop:")))
-    assert codes(client.findings(uri)) == ["DB101"]
+    assert codes_of(client.findings(uri)) == ["DB101"]
     client.close(uri)
     assert client.published(uri) == []
 
@@ -266,9 +274,9 @@ def test_a_robot_file_that_changes_on_the_disk_is_read_again(project, world):
         robot = path.parents[1] / "robots" / "urdf" / "roller.urdf"
         robot.write_text(robot.read_text().replace('<joint name="pitch"', '<joint name="nod"'))
         own.notify("workspace/didChangeWatchedFiles", {"changes": [{"uri": robot.as_uri(), "type": 2}]})
-        while not (found := own.published(uri)):
+        while not (findings := own.published(uri)):
             pass
-        assert codes(found) == ["DB302"]
+        assert codes_of(findings) == ["DB302"]
 
 
 def test_what_is_allowed_to_lint_is_allowed_to_the_server(client, project, world, tmp_path_factory):
@@ -277,7 +285,7 @@ def test_what_is_allowed_to_lint_is_allowed_to_the_server(client, project, world
     shutil.copy(path.parents[1] / "robots" / "urdf" / "roller.urdf", elsewhere)
     path.write_text(path.read_text().replace("../robots/urdf/roller.urdf", str(elsewhere)))
     uri = client.open(path)
-    assert codes(client.findings(uri)) == ["DB204"]
+    assert codes_of(client.findings(uri)) == ["DB204"]
     client.close(uri)
     with Client(project, command=(*OURS, "--allow-path", str(elsewhere.parent))) as own:
         assert own.findings(own.open(path)) == []

@@ -50,7 +50,9 @@ def answer_all(workspace: Workspace, document: Document, position: Position) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", few(SCENARIOS, LIGHT, lambda path: path.stem))
 def test_a_scenario_cut_off_anywhere_is_answered_for(path):
-    text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
+    text = path.read_text(encoding="utf-8")
+    uri = uri_of(path)
+    workspace = Workspace()
     whole = Document(uri, 1, text, path)
     workspace.put(whole)
     workspace.record(analyze(whole, workspace.drafts))
@@ -70,7 +72,9 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
 def test_a_scenario_with_random_slips_is_answered_for(seed):
     drawn = random.Random(seed)
     for path in drawn.sample(SCENARIOS, 5):
-        text, uri, workspace = path.read_text(encoding="utf-8"), uri_of(path), Workspace()
+        text = path.read_text(encoding="utf-8")
+        uri = uri_of(path)
+        workspace = Workspace()
         for version in range(1, 12):
             slips = list(text)
             for _ in range(version % 5):
@@ -140,13 +144,13 @@ def test_a_hostile_document_is_answered_for(client, project, name):
     client.close(uri)
 
 
-def test_what_lies_outside_of_the_project_is_told_and_not_opened(client, project):
+def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, project):
     uri = client.open(project / "scenarios" / "curious.yaml", HOSTILE["paths outside of the project"])
-    found = client.findings(uri)
+    findings = client.findings(uri)
     assert all(
-        "lies outside the project" in finding["message"] for finding in found if finding["code"] == "DB204"
+        "lies outside the project" in finding["message"] for finding in findings if finding["code"] == "DB204"
     )
-    assert [finding["code"] for finding in found][:1] == ["DB204"]
+    assert [finding["code"] for finding in findings][:1] == ["DB204"]
     assert client.definition(uri, "extends: /etc/pas¦swd") == []
     client.close(uri)
 
@@ -162,17 +166,17 @@ def test_what_lies_outside_of_the_project_is_told_and_not_opened(client, project
         "file:///proc/self/mem",
     ],
 )
-def test_an_odd_address_is_a_document_like_any_other(client, uri):
+def test_a_document_with_an_unusual_address_is_handled_like_any_other(client, uri):
     client.notify(
         "textDocument/didOpen",
         {"textDocument": {"uri": uri, "languageId": "yaml", "version": 1, "text": "deepbots: 1\nworld: {"}},
     )
     client.versions[uri] = 1
     client.findings(uri)
-    found = client.request(
+    answer = client.request(
         "textDocument/completion", {"textDocument": {"uri": uri}, "position": {"line": 1, "character": 8}}
     )
-    assert "timestep" in {item["label"] for item in found["items"]}
+    assert "timestep" in {item["label"] for item in answer["items"]}
     client.notify("textDocument/didClose", {"textDocument": {"uri": uri}})
 
 
@@ -225,7 +229,7 @@ def test_over_a_port_it_serves_this_machine_and_answers_the_same(project):
 
 
 @pytest.mark.slow
-def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(tmp_path):
+def test_a_port_in_use_and_a_missing_folder_are_errors_of_one_line(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         calls = [["lsp", "--tcp", str(port)], ["lsp", "--allow-path", "missing"]]
@@ -238,7 +242,8 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there_are_told_in_a_line(
         ran = subprocess.run(
             command, cwd=tmp_path, env=environment, input="", capture_output=True, text=True, check=False
         )
-    assert (ran.returncode, ran.stdout) == (0, "")
+    assert ran.returncode == 0
+    assert ran.stdout == ""
     busy, missing = ran.stderr.splitlines()
     assert busy == f"error: cannot listen on port {port}: address already in use"
     assert missing.startswith("error: missing is not a folder; --allow-path needs an existing folder")
@@ -262,6 +267,7 @@ def test_without_the_extra_one_line_says_what_to_install():
     ran = subprocess.run(
         [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
     )
-    assert (ran.returncode, ran.stdout) == (2, "")
+    assert ran.returncode == 2
+    assert ran.stdout == ""
     assert f"the language server needs the 'editor' extra; {install_hint('editor')}" in ran.stderr
     assert "Traceback" not in ran.stderr

@@ -1,4 +1,4 @@
-"""Hover and definitions: what stands under the cursor, and where it comes from."""
+"""Hover and definitions: the text under the cursor, and its origin."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ import pytest
 from tests.lsp.client import TABLES, offset, place_of
 
 
-@pytest.mark.parametrize(("around", "said"), TABLES["hover"])
-def test_expressions_keys_and_words_tell_what_they_are(client, pit, around, said):
-    found = client.hover(pit, around)
-    assert [words for words in said if words not in found] == []
+@pytest.mark.parametrize(("around", "expected"), TABLES["hover"])
+def test_the_hover_of_expressions_keys_and_words_says_what_they_are(client, pit, around, expected):
+    text = client.hover(pit, around)
+    assert [part for part in expected if part not in text] == []
 
 
 @pytest.mark.parametrize("around", ["running_m¦ax(norm", "no¦rm(position", "ho¦ld(0.5 * reach"])
-def test_functions_tell_their_signature_and_meaning(client, pit, around):
+def test_the_hover_of_a_function_shows_its_signature_and_meaning(client, pit, around):
     name = around.replace("¦", "").partition("(")[0]
-    found = client.hover(pit, around)
-    assert f"{name}(" in found
-    assert "For example" in found
-    assert "Here it is" in found
+    text = client.hover(pit, around)
+    assert f"{name}(" in text
+    assert "For example" in text
+    assert "Here it is" in text
 
 
-def test_a_code_in_a_comment_tells_its_page(client, pit):
+def test_the_hover_of_a_code_in_a_comment_is_its_page(client, pit):
     text = client.texts[pit]
     client.change(
         pit, text.replace("# one action every 256 ms", "# deepbots: ignore[DB205] one action every 256 ms")
@@ -45,9 +45,9 @@ def test_the_range_of_a_hover_is_the_piece_that_it_is_about_also_behind_an_emoji
         pit, text.replace("  metric: |\n", "  metric: |\n    # 😀 ü 𝄞\n").replace("inside\n", "😀 inside\n")
     )
     client.findings(pit)
-    found = client.ask("hover", pit, "0.5 * re¦ach / radius")["range"]
+    place = client.ask("hover", pit, "0.5 * re¦ach / radius")["range"]
     now = client.texts[pit]
-    assert now[offset(now, found["start"]) : offset(now, found["end"])] == "reach"
+    assert now[offset(now, place["start"]) : offset(now, place["end"])] == "reach"
 
 
 def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, pit):
@@ -97,7 +97,7 @@ def test_an_alias_leads_to_the_last_anchor_of_its_name_before_it(client, project
 def test_a_pattern_leads_to_all_that_it_fits(client, project):
     uri = client.open(project / "scenarios" / "cartpole_wireless.yaml")
     assert client.findings(uri) == []
-    found = client.definition(uri, '"¦*": {mass')
-    assert len(found) >= 2
-    assert {file for file, _, _ in found} == {"cartpole.urdf"}
+    places = client.definition(uri, '"¦*": {mass')
+    assert len(places) >= 2
+    assert {file for file, _, _ in places} == {"cartpole.urdf"}
     client.close(uri)

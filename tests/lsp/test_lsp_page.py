@@ -1,5 +1,4 @@
-"""What docs/editors.md says of the language server: each example does what its row says, and the settings can
-be read."""
+"""The examples of docs/editors.md about the language server are true, and its settings can be read."""
 
 from __future__ import annotations
 
@@ -45,18 +44,18 @@ def test_an_example_of_completion_is_what_the_page_says(client, pit, row):
 
 def test_the_example_of_a_finding_is_what_the_page_says(client, pit):
     client.change(pit, client.texts[pit].replace("world: {timestep", "world: {timestop"))
-    (found,) = client.findings(pit)
+    (finding,) = client.findings(pit)
     (action,) = client.actions(pit, "time¦stop")
-    said = dict(ROWS)["`world: {timestop: 32 ms`"]
-    assert found["code"] in said
-    assert f'"{action["title"]}"' in said
+    example = dict(ROWS)["`world: {timestop: 32 ms`"]
+    assert finding["code"] in example
+    assert f'"{action["title"]}"' in example
 
 
 @pytest.mark.parametrize("row", [row for row, _ in ROWS if row.endswith("hover")])
 def test_an_example_of_hover_is_what_the_page_says(client, pit, row):
-    said = client.hover(pit, quoted(row)[0])
+    text = client.hover(pit, quoted(row)[0])
     words = quoted(dict(ROWS)[row]) or dict(ROWS)[row].split(", ")
-    assert [word for word in words if word not in said] == []
+    assert [word for word in words if word not in text] == []
 
 
 @pytest.mark.parametrize("row", [row for row, _ in ROWS if row.endswith("definition")])
@@ -73,6 +72,6 @@ def test_the_settings_of_editors_can_be_read_and_start_the_server():
     settings = [
         json.loads(text) for text in re.findall(r"^```json\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     ]
-    (code,) = [found for found in settings if "glspc.serverCommand" in found]
+    (code,) = [editor for editor in settings if "glspc.serverCommand" in editor]
     assert [code["glspc.serverCommand"], *code["glspc.serverCommandArguments"]] == ["deepbots", "lsp"]
     assert 'cmd = { "deepbots", "lsp" }' in PAGE

@@ -32,7 +32,8 @@ ENCODINGS = {"utf-8": 1, "utf-16": 2, "utf-32": 4}
     st.sampled_from(sorted(ENCODINGS)),
 )
 def test_each_offset_has_a_position_that_leads_back_to_it(text, encoding):
-    lines, mark = Lines(text, PositionCodec(encoding)), text.startswith("\ufeff")
+    lines = Lines(text, PositionCodec(encoding))
+    mark = text.startswith("\ufeff")
     for index in range(mark, len(text) + 1):
         if text[index - 1 : index + 1] == "\r\n":
             continue  # between the two there is no place
@@ -64,20 +65,20 @@ def test_what_lies_inside_of_a_character_or_beyond_a_line_is_taken_to_the_neares
 def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     text = file.read_text(encoding="utf-8")
     root = parse(Source(file.name, text), Findings())
-    seen = set()
+    visited = set()
     for path, node in walk(root):
         if (
-            isinstance(node, ScalarNode) and node.span not in seen
+            isinstance(node, ScalarNode) and node.span not in visited
         ):  # what an alias repeats stands in one place
-            seen.add(node.span)
-            found = place_at(text, node.span.end)
-            assert found.path == path
-            assert found.role == "value" or isinstance(path[-1], int)
+            visited.add(node.span)
+            place = place_at(text, node.span.end)
+            assert place.path == path
+            assert place.role == "value" or isinstance(path[-1], int)
         for entry in node.entries.values() if isinstance(node, MappingNode) else ():
-            if entry.key.span not in seen:
-                seen.add(entry.key.span)
-                found = place_at(text, entry.key.span.end)
-                assert (found.path, found.role) == (path, "key")
+            if entry.key.span not in visited:
+                visited.add(entry.key.span)
+                place = place_at(text, entry.key.span.end)
+                assert (place.path, place.role) == (path, "key")
 
 
 @pytest.mark.parametrize(
@@ -101,14 +102,14 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     ],
 )
 def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
-    found = place_at(text, len(text))
-    assert (found.path, found.role) == (path, role)
+    place = place_at(text, len(text))
+    assert (place.path, place.role) == (path, role)
 
 
 @given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
 def test_any_text_whatever_has_a_path(text, offset):
-    found = place_at(text, min(offset, len(text)))
-    assert found.start <= max(len(text), 0)
+    place = place_at(text, min(offset, len(text)))
+    assert place.start <= max(len(text), 0)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The server as a process that runs all day: how it ends, what it keeps, whom it serves first."""
+"""The server as a process that runs all day: its end, its memory, and the order of its answers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _frozen() -> None:
     gc.freeze()
 
 
-def test_the_exit_code_tells_whether_the_client_has_taken_its_leave(project):
+def test_the_exit_code_says_whether_the_client_asked_for_a_shutdown(project):
     """It is 0 after `shutdown` and `exit`, as the fixture `client` sees of each server."""
     with Client(project) as own:
         own.findings(own.open(project / "scenarios" / "cartpole.yaml"))
@@ -71,26 +71,26 @@ class Process:
     def write(self, data: bytes) -> None:
         message = json.loads(data.partition(b"\r\n\r\n")[2])
         if message.get("method") == "textDocument/publishDiagnostics":
-            told = message["params"]
-            self.shown[told["uri"]] = (
-                told.get("version"),
-                {json.dumps(found, sort_keys=True) for found in told["diagnostics"]},
+            published = message["params"]
+            self.shown[published["uri"]] = (
+                published.get("version"),
+                {json.dumps(diagnostic, sort_keys=True) for diagnostic in published["diagnostics"]},
             )
 
     def close(self) -> None: ...
 
 
-def test_nothing_is_kept_of_changes_that_came_and_went():
-    def kept() -> int:
-        return sum(isinstance(known, Future) for known in gc.get_objects())
+def test_changes_leave_no_futures_behind():
+    def count_of_futures() -> int:
+        return sum(isinstance(entry, Future) for entry in gc.get_objects())
 
     async def counts() -> tuple[int, int]:
         process = Process()
         process.open("untitled:a", "deepbots: 1\n")
-        before = kept()
+        before = count_of_futures()
         for number in range(60):
             process.change("untitled:a", number + 2, f"deepbots: {number}\n")
-        after = kept()
+        after = count_of_futures()
         await process.rest()
         return before, after
 
@@ -104,18 +104,23 @@ def test_after_changes_in_any_order_each_file_shows_what_a_first_look_at_it_woul
     folder = tmp_path / "project"
     shutil.copytree(SEEDS, folder)
     (folder / "deepbots.toml").touch()
-    drawn, texts, versions = random.Random(seed), {}, {}
+    drawn = random.Random(seed)
+    texts = {}
+    versions = {}
 
     async def work() -> Process:
         process = Process()
         for _ in range(8):
             path = folder / drawn.choice(TOGETHER)
-            uri, text = path.as_uri(), damaged(path.read_text(encoding="utf-8"), drawn)
+            uri = path.as_uri()
+            text = damaged(path.read_text(encoding="utf-8"), drawn)
             if uri not in texts:
-                texts[uri], versions[uri] = text, 1
+                texts[uri] = text
+                versions[uri] = 1
                 process.open(uri, text)
             elif drawn.random() < 0.8:
-                texts[uri], versions[uri] = text, versions[uri] + 1
+                texts[uri] = text
+                versions[uri] = versions[uri] + 1
                 process.change(uri, versions[uri], text)
             else:
                 del texts[uri]
@@ -144,7 +149,8 @@ def damaged(text: str, drawn: random.Random) -> str:
 
 
 def test_what_is_written_in_is_looked_at_before_what_waits_already():
-    workspace, looked = Workspace(), []
+    workspace = Workspace()
+    looked = []
     documents = [
         Document(f"untitled:{name}", 1, "deepbots: 1\n", path_of(f"untitled:{name}")) for name in "abc"
     ]

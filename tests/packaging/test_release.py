@@ -1,4 +1,4 @@
-"""What goes to a package index, and what a container is made of."""
+"""The content of the package index and of the container."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
     if command is None:
         pytest.skip("hadolint is not installed here")
     done = subprocess.run([command, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "")
+    assert done.returncode == 0
+    assert done.stdout == ""
 
 
 # What `make` says on a machine that lacks what it needs; the workflows that call it

@@ -43,18 +43,18 @@ def metadata(wheel: zipfile.ZipFile) -> Any:
 
 def required(wheel: zipfile.ZipFile) -> dict[str, set[str]]:
     """The requirements by extra, without markers; those of every installation under an empty name."""
-    found: dict[str, set[str]] = {}
+    requirements: dict[str, set[str]] = {}
     for line in metadata(wheel).get_all("Requires-Dist"):
         extra = re.search(r"extra == '(\w+)'", line)
-        found.setdefault(extra[1] if extra else "", set()).add(line.partition(";")[0].strip())
-    return found
+        requirements.setdefault(extra[1] if extra else "", set()).add(line.partition(";")[0].strip())
+    return requirements
 
 
 def names(requirements: set[str]) -> set[str]:
     return {re.match(r"[\w.-]+", text)[0] for text in requirements}  # type: ignore[index]
 
 
-def test_the_wheel_of_the_robot_holds_its_package_and_no_build_file(
+def test_the_wheel_of_the_robot_contains_its_package_and_no_build_file(
     wheels: dict[str, zipfile.ZipFile],
 ) -> None:
     files = {name for name in wheels["deepbots-robot"].namelist() if ".dist-info/" not in name}
@@ -162,7 +162,7 @@ def test_make_and_the_workflow_install_both_from_the_clone() -> None:
     assert all("-e ./deepbots_robot " in line for line in installing)
 
 
-def test_the_language_knows_the_messages_of_ros_where_the_robot_is_not_installed() -> None:
+def test_the_language_has_the_messages_of_ros_where_the_robot_is_not_installed() -> None:
     assert tuple(PARTS) == ROS_TYPES
 
 

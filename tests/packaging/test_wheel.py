@@ -1,4 +1,4 @@
-"""The wheel holds what a user needs: it is built, unpacked elsewhere, and used from an empty folder."""
+"""The wheel contains what a user needs: it is built, unpacked elsewhere, and used from an empty folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def deepbots(installed: Path, folder: Path, *arguments: str) -> subprocess.Compl
     )
 
 
-def test_the_wheel_holds_scenarios_robots_and_the_schema(wheel: Path) -> None:
+def test_the_wheel_contains_scenarios_robots_and_the_schema(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for wanted in (
         "data/scenarios/cartpole.yaml",

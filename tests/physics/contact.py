@@ -15,10 +15,11 @@ G = 9.81
 
 
 def slides(angle: float, crate: float, ramp: float) -> bool:
-    """Whether a crate gets faster within a second on a ramp of so many degrees, given the friction of
+    """Whether a crate gets faster within a second on a ramp of a given angle (degrees), with the friction of
     both."""
     lean = radians(angle)
-    x, z = 0.15 * sin(lean), 3 + 0.15 * cos(lean)
+    x = 0.15 * sin(lean)
+    z = 3 + 0.15 * cos(lean)
     objects = (
         f"ramp: {{shape: box, size: 8 2 0.2 m, fixed: true, friction: {ramp}, pose: {{z: 3 m, pitch:"
         f" {angle!r} deg}}}},"
@@ -37,10 +38,10 @@ def friction() -> Iterator[Row]:
         while high - low > 0.05:
             middle = (low + high) / 2
             low, high = (low, middle) if slides(middle, crate, ramp) else (middle, high)
-        found = tan(radians((low + high) / 2))
+        coefficient = tan(radians((low + high) / 2))
         yield Row(
-            f"friction {crate:g} on {ramp:g}: a crate slides from {degrees(np.arctan(found)):.2f} deg on",
-            off(found, crate * ramp),
+            f"friction {crate:g} on {ramp:g}: a crate slides from {degrees(np.arctan(coefficient)):.2f} deg on",
+            off(coefficient, crate * ramp),
             "%",
             1.0,
         )

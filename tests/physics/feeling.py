@@ -44,11 +44,13 @@ def on_a_slope() -> Iterator[Row]:
     ramp."""
     angle = radians(20)
     ramp = "ramp: {shape: box, size: 4 4 0.2 m, fixed: true, friction: 1, pose: {z: 0.5 m, roll: -20 deg}}"
-    y, z = 0.25 * sin(angle), 0.5 + 0.25 * cos(angle)
+    y = 0.25 * sin(angle)
+    z = 0.5 + 0.25 * cos(angle)
     place = f"place: {{subject: {{y: {y!r} m, z: {z!r} m, roll: -20 deg}}}}"
     with trial(SEEN, objects=ramp, robot=f"urdf: brick.urdf, {INERTIAL}", reset=place, files=FILES) as world:
         rows = world.run(150)
-    accel, down = rows[100:, :3].mean(axis=0), rows[-1, 6:9]
+    accel = rows[100:, :3].mean(axis=0)
+    down = rows[-1, 6:9]
     upwards = np.array([0, -sin(angle), cos(angle)])
     yield Row(
         "accelerometer on a slope of 20 deg, of g", 100 * float(np.linalg.norm(accel / G - upwards)), "%", 1.0
@@ -130,8 +132,8 @@ def rays() -> Iterator[Row]:
             with trial(
                 {"subject.eye": ("", "m")}, objects=objects, robot=robot, reset=reset, files=FILES
             ) as world:
-                seen = world.run(1)[0]
-            yield Row(f"rays from {whence} to {what}", max(map(off, seen, expected)), "%", 0.1)
+                distances = world.run(1)[0]
+            yield Row(f"rays from {whence} to {what}", max(map(off, distances, expected)), "%", 0.1)
 
 
 def rays_while_turning() -> Iterator[Row]:
@@ -143,6 +145,7 @@ def rays_while_turning() -> Iterator[Row]:
     )
     start = "joints: {subject.hinge: {position: 0 deg, velocity: 1 rad/s}}"
     with trial({"subject.eye": ("", "m")}, objects=wall, robot=robot, reset=start, files=FILES) as world:
-        seen, time = world.run(50)[:, 0], world.times(50)
+        distances = world.run(50)[:, 0]
+        time = world.times(50)
     expected = 1 / np.cos(time) - 0.3
-    yield Row("a ray from an arm while it turns", max(map(off, seen, expected)), "%", 0.1)
+    yield Row("a ray from an arm while it turns", max(map(off, distances, expected)), "%", 0.1)

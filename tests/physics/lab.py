@@ -48,7 +48,7 @@ class Trial:
     timestep: float
 
     def run(self, ticks: int, push: float = 0.0, seed: int = 0) -> np.ndarray[Any, Any]:
-        """What is seen after the reset and after each of some ticks, float64[ticks + 1, columns]."""
+        """The observations after the reset and after each of some ticks, float64[ticks + 1, columns]."""
         action = np.array([push], np.float32)
         rows = [self.environment.reset(seed=seed)[0]]
         rows += [self.environment.step(action)[0] for _ in range(ticks)]

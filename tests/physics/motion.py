@@ -16,7 +16,8 @@ from tools.benchmarks.report import Row
 G = 9.81
 FLOATING = "ground: {}, gravity: 0 0 0 m/s^2"
 BRICK = "urdf: brick.urdf, pose: {z: 5 m}"
-MASS, SIDES = 2.0, (0.1, 0.2, 0.3)
+MASS = 2.0
+SIDES = (0.1, 0.2, 0.3)
 
 
 def free_fall() -> Iterator[Row]:
@@ -39,7 +40,8 @@ def period(amplitude: float, substeps: int) -> float:
         reset=f"joints: {{subject.hinge: {amplitude} deg}}",
         files={"pendulum.urdf": robots.PENDULUM},
     ) as world:
-        angle, time = world.run(1500)[:, 0], world.times(1500)
+        angle = world.run(1500)[:, 0]
+        time = world.times(1500)
     passages = np.flatnonzero((angle[:-1] > 0) & (angle[1:] <= 0))
     moments = time[passages] + 0.01 * angle[passages] / (angle[passages] - angle[passages + 1])
     return float(np.mean(np.diff(moments)))
@@ -49,7 +51,8 @@ def pendulum() -> Iterator[Row]:
     """A rod of length L swings with 2 pi sqrt(2 L / 3 g) / agm(1, cos(amplitude / 2)): the complete elliptic
     integral."""
     for amplitude in (5.0, 90.0, 150.0):
-        a, b = 1.0, cos(radians(amplitude) / 2)
+        a = 1.0
+        b = cos(radians(amplitude) / 2)
         while abs(a - b) > 1e-15:
             a, b = (a + b) / 2, sqrt(a * b)
         yield Row(
@@ -63,7 +66,8 @@ def pendulum() -> Iterator[Row]:
 def conical_pendulum() -> Iterator[Row]:
     """A rod of length L on a ball joint goes round at an angle a to the vertical, at w = sqrt(3 g / (2 L cos
     a)), in 2 pi / w."""
-    angle, tick = radians(30.0), 0.01
+    angle = radians(30.0)
+    tick = 0.01
     rate = sqrt(1.5 * G / cos(angle))
     subject = (
         "urdf: pendulum.urdf, base: fixed, pose: {z: 3 m}, sensors: {end: {type: position, link: rod,"
@@ -108,7 +112,8 @@ def circular_motion() -> Iterator[Row]:
         reset=f"joints: {{subject.hinge: {{position: 0 deg, velocity: {rate} rad/s}}}}",
         files={"arm.urdf": robots.ARM},
     ) as world:
-        rows, time = world.run(300), world.times(300)
+        rows = world.run(300)
+        time = world.times(300)
     circle = arm * np.array([np.cos(rate * time), np.sin(rate * time)]).T
     yield Row(
         "a turning arm: the way of a point on it, of its radius",
@@ -153,13 +158,14 @@ def lag() -> Iterator[Row]:
     with trial(
         {"v": ("joint_velocity(subject.slider)", "m/s")}, robot=subject, files={"cart.urdf": robots.CART}
     ) as world:
-        v, time = world.run(30, push=1.0)[:, 0], world.times(30)
+        v = world.run(30, push=1.0)[:, 0]
+        time = world.times(30)
     worst = np.abs(v - (1 - np.exp(-time / 0.1))).max()
     yield Row("a motor with a lag of 100 ms: step response, of the step", 100 * float(worst), "%", 0.1)
 
 
 def pushed(changes: str, disturbance: str, ticks: int = 30) -> tuple[float, float]:
-    """What a brick has gained in speed along x (m/s) and in turning about z (rad/s) from a push."""
+    """The gain of a brick in speed along x (m/s) and in turning about z (rad/s) from a push."""
     with trial(
         {"v": ("velocity(subject).x", "m/s"), "w": ("angular_velocity(subject).z", "rad/s")},
         world=FLOATING,

@@ -1,5 +1,5 @@
-"""PitEscape as shipped, in other pits and with finer physics: nobody drives out of them, and rocking leads
-out."""
+"""PitEscape as shipped, in other pits and with finer physics: driving ahead does not lead out, and rocking
+does."""
 
 from contextlib import closing
 from pathlib import Path
@@ -33,7 +33,8 @@ def test_rocking_leaves_every_pit_and_driving_forward_none(pit: str | Path) -> N
 
         def escapes(script: str, seed: int) -> bool:
             environment.reset(seed=seed)
-            ended, info = False, {}
+            ended = False
+            info = {}
             while not ended:
                 _, _, terminated, truncated, info = environment.step(environment.script(script))
                 ended = terminated or truncated

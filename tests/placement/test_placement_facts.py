@@ -1,4 +1,4 @@
-"""What the supervisor knows of surfaces: gaps, contacts, collisions."""
+"""Facts about surfaces for the supervisor: gaps, contacts, collisions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ def environment(make: Make) -> Supervisor:
 def test_gaps_are_between_surfaces(environment: Supervisor) -> None:
     observation, _ = environment.reset(seed=0)
     apart, between = (observation + 1.0) / 2.0 * 2.0
-    x, y, z = 0.5 - 0.05, 0.6 - 0.1, 0.05  # from the nearest edge of the block to the middle of the ball
+    x = 0.5 - 0.05
+    y = 0.6 - 0.1
+    z = 0.05  # from the nearest edge of the block to the middle of the ball
     assert between == pytest.approx(
         (x * x + y * y) ** 0.5 - 0.07, abs=1e-3
     )  # the engine rounds the edges of a box
@@ -55,16 +57,16 @@ def test_gaps_are_between_surfaces(environment: Supervisor) -> None:
     )
 
 
-def test_contacts_are_told_by_what_touches_what(environment: Supervisor) -> None:
+def test_contact_terms_name_what_touches_what(environment: Supervisor) -> None:
     environment.reset(seed=0)
-    seen = []
+    steps = []
     for _ in range(100):
         terms = environment.step(np.array([1.0]))[4]["reward_terms"]
-        seen.append(terms)
+        steps.append(terms)
         assert terms["bumped"] == terms["touches"], "the block is all that the cart can bump into"
-    landed = next(index for index, terms in enumerate(seen) if terms["landed"])
+    landed = next(index for index, terms in enumerate(steps) if terms["landed"])
     assert landed == pytest.approx((2 * (0.2 - 0.07) / 9.81) ** 0.5 / 0.02, abs=1.5)
-    assert seen[0]["wheels"] == 1.0
-    assert not seen[0]["touches"]
-    reached = next(index for index, terms in enumerate(seen) if terms["touches"])
+    assert steps[0]["wheels"] == 1.0
+    assert not steps[0]["touches"]
+    reached = next(index for index, terms in enumerate(steps) if terms["touches"])
     assert reached == pytest.approx((0.3 - 0.05 - 0.037) / (6 * 0.02) / 0.02, rel=0.15)

@@ -17,7 +17,7 @@ GROUPED = Path(__file__).with_name("grouped.yaml")
 NAMES = ("turned", "crates", "things", "nearest", "room", "some", "every")
 
 
-def seen(observation: Any) -> dict[str, float]:
+def in_units(observation: Any) -> dict[str, float]:
     """The observation in the units of the scenario."""
     scale = {"crates": 5.0, "things": 5.0, "nearest": 5.0, "room": 5.0}
     return {
@@ -36,7 +36,7 @@ def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
     counts = Counter()
     for _ in range(60):
         observation, _ = environment.reset()
-        there = seen(observation)
+        there = in_units(observation)
         number = round(there["crates"])
         cart = place(environment, "cart")
         away = [math.dist(cart, place(environment, f"crate#{index + 1}")) for index in range(number)]
@@ -51,7 +51,7 @@ def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
 def test_absent_copies_touch_nothing_and_are_no_gap(make: Make) -> None:
     environment = make(GROUPED, "reset.layout=row", "parameters.crates=2")
     observation, _ = environment.reset(seed=0)
-    assert seen(observation)["things"] == pytest.approx(0.0, abs=1e-6)
+    assert in_units(observation)["things"] == pytest.approx(0.0, abs=1e-6)
     assert environment.engine.clearance(("cart", None), ("thing#1", None))() == math.inf
     assert [place(environment, f"crate#{number}")[:2] for number in (1, 2)] == [
         pytest.approx((0.1, -0.5)),
@@ -117,17 +117,17 @@ def test_every_copy_draws_its_own_mass_and_kind(make: Make) -> None:
     environment = make(GROUPED, "reset.layout=scattered", "parameters.crates=4")
     masses: list[tuple[float, ...]] = []
     set_parameter = environment.engine.set_parameter
-    heard: list[float] = []
+    drawn_masses: list[float] = []
     environment.engine.set_parameter = lambda parameter, owner, mass: (
-        heard.append(mass),
+        drawn_masses.append(mass),
         set_parameter(parameter, owner, mass),
     )
     kinds: Counter[str] = Counter()
     environment.reset(seed=0)
     for _ in range(50):
-        heard.clear()
+        drawn_masses.clear()
         environment.reset()
-        masses.append(tuple(heard[-4:]))
+        masses.append(tuple(drawn_masses[-4:]))
         kinds.update(variant.name for variant in environment.bodies.forms.chosen.values())
     figures = np.array(masses)
     assert len({*figures.ravel().tolist()}) == figures.size
@@ -138,11 +138,11 @@ def test_every_copy_draws_its_own_mass_and_kind(make: Make) -> None:
 
 def test_the_same_seed_gives_the_same_episodes_whatever_was_before(make: Make) -> None:
     def episodes(environment: Supervisor) -> list[bytes]:
-        told = [environment.reset(seed=9)[0].tobytes()]
+        observations = [environment.reset(seed=9)[0].tobytes()]
         for _ in range(6):
-            told.append(environment.reset()[0].tobytes())
-            told += [environment.step(np.array([1.0]))[0].tobytes() for _ in range(5)]
-        return told
+            observations.append(environment.reset()[0].tobytes())
+            observations += [environment.step(np.array([1.0]))[0].tobytes() for _ in range(5)]
+        return observations
 
     fresh, used = make(GROUPED), make(GROUPED)
     used.reset(seed=3)

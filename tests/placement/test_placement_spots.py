@@ -1,4 +1,5 @@
-"""Bodies that look for a place: uniform over what is free, clear of the rest, the same for the same seed."""
+"""Bodies that search for a place: uniform over the free area, clear of the rest, the same for the same
+seed."""
 
 from __future__ import annotations
 
@@ -18,19 +19,19 @@ RADIUS = {"ball": 0.07, "mark": 0.05}
 HALF = (0.75, 0.6)
 
 
-def poses(environment: Supervisor, *bodies: str) -> list[tuple[Triple, float]]:
+def poses_of(environment: Supervisor, *bodies: str) -> list[tuple[Triple, float]]:
     """Position and yaw of each body, as the engine has them."""
-    found = []
+    poses = []
     for body in bodies:
         position, (x, y, z, w) = environment.engine.pose(body)()
-        found.append((position, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
-    return found
+        poses.append((position, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+    return poses
 
 
 def patches(environment: Supervisor) -> dict[str, Patch]:
     laid = {}
     for name in ("ball", "plank", "hunter", "prey", "mark"):
-        ((x, y, _), yaw) = poses(environment, name)[0]
+        ((x, y, _), yaw) = poses_of(environment, name)[0]
         radius = RADIUS.get(name, 0.037)
         laid[name] = (
             Footprint((0, 0), math.hypot(0.05, 0.25), (0.05, 0.25))
@@ -49,17 +50,19 @@ def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_wa
     for _ in range(40):
         environment.reset()
         laid = patches(environment)
-        for one, patch in laid.items():
-            for other, clearance in clearances.items():
-                if one < other:
-                    assert patch_distance(patch, laid[other]) >= max(clearance, clearances[one]) - 1e-6, (
-                        one,
-                        other,
+        for name, patch in laid.items():
+            for other_name, clearance in clearances.items():
+                if name < other_name:
+                    assert (
+                        patch_distance(patch, laid[other_name]) >= max(clearance, clearances[name]) - 1e-6
+                    ), (
+                        name,
+                        other_name,
                     )
             for at, reach, half in zip((patch.x, patch.y), patch.half_extents, HALF, strict=True):
                 assert (
-                    abs(at) + reach + (clearances[one] if one in ("hunter", "prey") else 0.0) <= half + 1e-6
-                ), one
+                    abs(at) + reach + (clearances[name] if name in ("hunter", "prey") else 0.0) <= half + 1e-6
+                ), name
 
 
 def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
@@ -67,7 +70,7 @@ def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
 ) -> None:
     environment = make(PLACED)
     environment.reset(seed=0)
-    heights = [position[2] for position, _ in poses(environment, "ball", "plank", "mark", "hunter")]
+    heights = [position[2] for position, _ in poses_of(environment, "ball", "plank", "mark", "hunter")]
     assert heights == pytest.approx([0.07, 0.15, 0.005, 0.0], abs=1e-9)
 
 
@@ -76,7 +79,7 @@ def test_a_grid_gives_the_middles_of_its_cells(make: Make) -> None:
     environment.reset(seed=0)
     for _ in range(20):
         environment.reset()
-        (x, y, _), _ = poses(environment, "mark")[0]
+        (x, y, _), _ = poses_of(environment, "mark")[0]
         assert round((x + 0.6) / 0.2, 6) in range(7)
         assert round((y + 0.5) / 0.2, 6) in range(6)
 
@@ -86,21 +89,21 @@ def test_what_is_required_holds_in_every_episode(make: Make) -> None:
     environment.reset(seed=1)
     for _ in range(50):
         environment.reset()
-        (hunter, _), (prey, _) = poses(environment, "hunter", "prey")
+        (hunter, _), (prey, _) = poses_of(environment, "hunter", "prey")
         assert math.dist(hunter[:2], prey[:2]) > 0.5
 
 
 def test_the_same_seed_gives_the_same_places_and_another_seed_others(make: Make) -> None:
-    one, other = make(PLACED), make(PLACED)
+    fresh, used = make(PLACED), make(PLACED)
     bodies = ("ball", "plank", "hunter", "prey", "mark")
-    one.reset(seed=5)
-    other.reset(seed=4)
-    first = poses(one, *bodies)
-    assert poses(other, *bodies) != first
+    fresh.reset(seed=5)
+    used.reset(seed=4)
+    first = poses_of(fresh, *bodies)
+    assert poses_of(used, *bodies) != first
     for _ in range(3):
-        other.step(np.array([1.0]))
-    other.reset(seed=5)
-    assert poses(other, *bodies) == first
+        used.step(np.array([1.0]))
+    used.reset(seed=5)
+    assert poses_of(used, *bodies) == first
 
 
 ALONE = """\
@@ -121,15 +124,17 @@ def test_spots_are_uniform_over_what_is_free(make: Make) -> None:
     """Counts in 16 cells of equal size against the free area of each, known in closed form by symmetry."""
     environment = make(ALONE)
     environment.reset(seed=0)
-    count, cells = 4000, np.zeros((4, 4))
+    count = 4000
+    cells = np.zeros((4, 4))
     place = environment._begin
     for _ in range(count):
         place()
-        (x, y, _), _ = poses(environment, "disc")[0]
+        (x, y, _), _ = poses_of(environment, "disc")[0]
         cells[int((x + 0.9) // 0.45), int((y + 0.9) // 0.45)] += 1
     # The disc's middle keeps out of the post grown by a radius: of each inner cell a quarter of that, its
     # corner being round.
-    cell, grown = 0.45**2, 0.2 * 0.2 + 2 * 0.2 * 0.1 + math.pi * 0.1**2 / 4
+    cell = 0.45**2
+    grown = 0.2 * 0.2 + 2 * 0.2 * 0.1 + math.pi * 0.1**2 / 4
     free = np.full((4, 4), cell)
     free[1:3, 1:3] -= grown
     corner = cells[3, 3]

@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_places_on_a_top(make: Make) -> None:
     assert [environment.engine.pose(body)() for body in ("block", "mug", "crate", "coin#2")] == first
 
 
-def test_a_picture_holds_what_stands_on_a_table(make: Make) -> None:
+def test_a_picture_contains_the_bodies_on_a_table(make: Make) -> None:
     """The scene reaches up to the top of the mug."""
     scene = extent(make(TABLE, "objects.mug.height=2 m").scenario)
     assert max(high[2] for _, high in scene) == pytest.approx(0.4 + 2.0, abs=0.01)

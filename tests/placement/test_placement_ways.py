@@ -29,7 +29,7 @@ def test_where_nothing_is_in_the_way_it_is_the_straight_line() -> None:
         assert field.reaches(x, y)
 
 
-def around(
+def length_around(
     start: tuple[float, float], end: tuple[float, float], corner: tuple[float, float], radius: float
 ) -> float:
     """The length of a taut string from `start` to `end` around a disc at `corner`, above which it goes."""
@@ -54,17 +54,17 @@ def test_around_a_disc_it_is_a_taut_string() -> None:
     field = DistanceField(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
     for x in (-0.45, -0.4, -0.3, -0.25):
         assert field.length(x, 0.0) == pytest.approx(
-            around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03
+            length_around((x, 0.0), (0.4, 0.0), (0.0, 0.0), 0.15 + RADIUS), rel=0.03
         )
 
 
-def test_the_points_of_a_path_go_around_a_disc_and_are_as_long_as_it_is_said_to_be() -> None:
+def test_the_points_of_a_path_go_around_a_disc_and_add_up_to_its_length() -> None:
     disc = Footprint((0.0, 0.0), 0.15).at(0.0, 0.0, 0.0)
     field = DistanceField(ARENA, RADIUS, [disc], (0.4, 0.0), 0.0)
     points = field.path(-0.4, 0.0)
     assert points[-1] == (0.4, 0.0)
     assert min(math.hypot(x, y) for x, y in points) > 0.15 + RADIUS - 0.01
-    length = sum(math.dist(one, other) for one, other in pairwise(points))
+    length = sum(math.dist(point, next_point) for point, next_point in pairwise(points))
     assert length == pytest.approx(field.length(-0.4, 0.0), rel=0.03)
     assert field.path(0.0, 0.0) == [(0.0, 0.0)]
 
@@ -78,7 +78,7 @@ def test_around_a_box_it_is_a_taut_string_about_its_rounded_corners(yaw: float) 
     field = DistanceField(ARENA, RADIUS, [solid], (0.35, 0.1 - 0.4 * math.cos(yaw)), 0.0)
     if yaw == 0.0:
         assert field.length(-0.35, -0.3) == pytest.approx(
-            around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03
+            length_around((-0.35, -0.3), (0.35, -0.3), (0.0, 0.0), RADIUS), rel=0.03
         )
     for x, y in np.random.default_rng(1).uniform(-0.45, 0.45, (300, 2)):
         assert field.length(x, y) >= 0.98 * math.dist((x, y), (0.35, 0.1 - 0.4 * math.cos(yaw))) - 0.003

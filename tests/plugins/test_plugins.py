@@ -124,14 +124,14 @@ ACTUATOR_MISTAKES = [
 
 @pytest.mark.parametrize(("change", "code", "headline"), MISTAKES)
 def test_mistakes_in_what_a_plugin_adds_are_found_at_their_place(answers, change, code, headline):
-    found = json.loads(answers[lint("acme_spin", change)][1])["findings"]
-    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found)
+    findings = json.loads(answers[lint("acme_spin", change)][1])["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in findings)
 
 
 @pytest.mark.parametrize(("change", "code", "headline"), ACTUATOR_MISTAKES)
 def test_mistakes_in_an_actuator_of_a_plugin_are_found_at_their_place(answers, change, code, headline):
-    found = json.loads(answers[lint("acme_throttle", change)][1])["findings"]
-    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in found)
+    findings = json.loads(answers[lint("acme_throttle", change)][1])["findings"]
+    assert any(finding["code"] == code and headline in json.dumps(finding) for finding in findings)
 
 
 IGNORED = ("lint", "acme_spin", "--set", "truncation.max_steps=5", "--ignore", "ACME1")
@@ -142,7 +142,7 @@ def test_a_finding_of_a_plugin_is_explained_and_can_be_ignored(answers):
     assert answers[IGNORED][1].startswith("acme_spin: no findings")
 
 
-def test_the_schema_knows_the_kinds_and_their_parameters(site):
+def test_the_schema_has_the_kinds_and_their_parameters(site):
     schema = json.loads(
         python(
             site, "-c", "from deepbots_cli.scenario.json_schema import schema_text; print(schema_text())"
@@ -173,9 +173,9 @@ WORDS = {
 }
 
 
-@pytest.mark.parametrize(("word", "told"), WORDS.items())
-def test_explain_knows_the_words(answers, word, told):
-    assert told in answers["explain", word][1]
+@pytest.mark.parametrize(("word", "text"), WORDS.items())
+def test_explain_explains_the_words_of_plugins(answers, word, text):
+    assert text in answers["explain", word][1]
 
 
 def test_editors_are_offered_kinds_and_parameters(site):
@@ -190,12 +190,12 @@ for section, name, kind, key in (("sensors", "s", "tachometer", "spacing"), ("ac
     print(kind in kinds.names, section_description(kinds.models[kind]))
     print(hover_text(shape_at(Scenario, data, path), key))
 """
-    told = python(site, "-c", script).stdout
-    assert told.startswith("True Counts the pulses")
-    assert "True A DC motor whose torque falls" in told
-    assert "**stall_torque**: a torque or a force" in told
-    assert "**spacing**: an angle or a length" in told
-    assert "**Default:** `1 deg`" in told
+    output = python(site, "-c", script).stdout
+    assert output.startswith("True Counts the pulses")
+    assert "True A DC motor whose torque falls" in output
+    assert "**stall_torque**: a torque or a force" in output
+    assert "**spacing**: an angle or a length" in output
+    assert "**Default:** `1 deg`" in output
 
 
 def test_an_environment_runs_with_sensor_format_function_and_engine(site):
@@ -209,9 +209,9 @@ for _ in range(50):
 print(json.dumps([float(seen[0]), type(env.engine).__name__]))
 """
     done = python(site, "-c", script)
-    seen, engine = json.loads(done.stdout)
+    observation, engine = json.loads(done.stdout)
     # 10 rad/s, halved, in pulses of half a degree: 5 / 0.00873 = 573 of 1000.
-    assert seen == pytest.approx(0.573, abs=0.01), done.stderr
+    assert observation == pytest.approx(0.573, abs=0.01), done.stderr
     assert engine == "Counting"
 
 
@@ -406,14 +406,14 @@ def test_each_broken_plugin_has_one_warning(warnings):
 
 
 @pytest.mark.parametrize(("group", "entry", "reason"), BROKEN)
-def test_a_broken_plugin_is_told_in_one_line_and_left_out(warnings, group, entry, reason):
+def test_a_broken_plugin_is_left_out_with_one_warning(warnings, group, entry, reason):
     key, _, value = entry.partition(" = ")
     start = f"warning: the {group.partition('.')[2]} '{key}' ({value}) are not available: "
-    (told,) = [line for line in warnings if line.startswith(start)]
-    assert reason in told
+    (warning,) = [line for line in warnings if line.startswith(start)]
+    assert reason in warning
 
 
-def test_a_broken_engine_is_told_in_one_line(tmp_path):
+def test_a_broken_engine_is_an_error_of_one_line(tmp_path):
     installed(tmp_path, {"deepbots.engines": {"odd": "no_such_module:Odd"}})
     done = python(
         tmp_path,

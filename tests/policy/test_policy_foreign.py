@@ -48,28 +48,28 @@ def package(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
 
 
 @pytest.fixture
-def written(make: Maker) -> Callable[[str], Path]:
+def write_scenario(make: Maker) -> Callable[[str], Path]:
     return lambda sections: make.written(CART + sections)
 
 
-def test_a_term_in_python_is_refused_at_its_place(written: Callable[[str], Path]) -> None:
-    file = written(TERMS)
-    found = [finding for finding in api.lint(file) if finding.code == "DB409"]
-    assert [finding.span.text for finding in found] == ["students.terms:height", "students.terms:late"]
+def test_a_term_in_python_is_refused_at_its_place(write_scenario: Callable[[str], Path]) -> None:
+    file = write_scenario(TERMS)
+    findings = [finding for finding in api.lint(file) if finding.code == "DB409"]
+    assert [finding.span.text for finding in findings] == ["students.terms:height", "students.terms:late"]
     with pytest.raises(ScenarioError, match="DB409"):
         api.compile(file)
 
 
 def test_with_permission_it_is_a_warning_and_nothing_is_imported_to_compile(
-    written: Callable[[str], Path],
+    write_scenario: Callable[[str], Path],
 ) -> None:
-    compiled = api.compile(written(TERMS), permissions=Permissions(code=True))
+    compiled = api.compile(write_scenario(TERMS), permissions=Permissions(code=True))
     assert {finding.code for finding in compiled.findings} >= {"DB410"}
     assert not [name for name in sys.modules if name.startswith("students")]
 
 
-def test_terms_in_python_are_called_with_the_supervisor(written: Callable[[str], Path]) -> None:
-    environment = api.make(written(TERMS), permissions=Permissions(code=True), engine="exact")
+def test_terms_in_python_are_called_with_the_supervisor(write_scenario: Callable[[str], Path]) -> None:
+    environment = api.make(write_scenario(TERMS), permissions=Permissions(code=True), engine="exact")
     environment.reset(seed=0)
     _, reward, terminated, _, info = environment.step(np.array([0.5], np.float32))
     truth = environment.engine.pose("cart", "cart")()[0][0]
@@ -81,8 +81,8 @@ def test_terms_in_python_are_called_with_the_supervisor(written: Callable[[str],
     environment.close()
 
 
-def test_a_compiled_scenario_runs_no_code_unless_allowed(written: Callable[[str], Path]) -> None:
-    program = api.compile(written(TERMS), permissions=Permissions(code=True)).program
+def test_a_compiled_scenario_runs_no_code_unless_allowed(write_scenario: Callable[[str], Path]) -> None:
+    program = api.compile(write_scenario(TERMS), permissions=Permissions(code=True)).program
     with pytest.raises(UsageError, match="--allow-code"):
         api.build(program, engine="exact")
     assert not [name for name in sys.modules if name.startswith("students")]
@@ -92,18 +92,20 @@ def test_a_compiled_scenario_runs_no_code_unless_allowed(written: Callable[[str]
 @pytest.mark.parametrize(
     "place", ["students.none:height", "students.terms:none", "students.terms:thing", "students.bad:x"]
 )
-def test_a_function_that_is_not_there_is_told_by_its_name(written: Callable[[str], Path], place: str) -> None:
+def test_the_error_of_a_missing_function_names_it(write_scenario: Callable[[str], Path], place: str) -> None:
     compiled = api.compile(
-        written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True)
+        write_scenario(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True)
     )
     with pytest.raises(UsageError, match=f"reward term 'tall' in Python .{place}"):
         api.make(compiled, engine="exact")
 
 
 @pytest.mark.parametrize("function", ["word", "truth", "broken"])
-def test_what_goes_wrong_in_a_function_names_the_term(written: Callable[[str], Path], function: str) -> None:
+def test_what_goes_wrong_in_a_function_names_the_term(
+    write_scenario: Callable[[str], Path], function: str
+) -> None:
     environment = api.make(
-        written(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"),
+        write_scenario(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"),
         permissions=Permissions(code=True),
         engine="exact",
     )
@@ -116,6 +118,8 @@ def test_what_goes_wrong_in_a_function_names_the_term(written: Callable[[str], P
 
 
 @pytest.mark.parametrize("place", ["os.system", "os:system(1)", "../x:y", "a.b:c.d", ":f", "a:", "a b:c"])
-def test_only_dotted_names_are_places_of_functions(written: Callable[[str], Path], place: str) -> None:
+def test_only_dotted_names_are_places_of_functions(write_scenario: Callable[[str], Path], place: str) -> None:
     with pytest.raises(ScenarioError):
-        api.compile(written(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True))
+        api.compile(
+            write_scenario(f"reward: {{tall: {{python: '{place}'}}}}\n"), permissions=Permissions(code=True)
+        )

@@ -1,4 +1,4 @@
-"""A task told by its goal: the observation, the reward for other goals, success."""
+"""A task that is defined by its goal: the observation, the reward for other goals, success."""
 
 from __future__ import annotations
 
@@ -174,10 +174,12 @@ def test_reaching_the_goal_may_end_the_task(small: Make) -> None:
         _, reward, terminated, _, info = environment.step(np.array([-1], np.float32))
         if terminated:
             break
-    assert (reward, info["is_success"], info["ended_by"]) == (0.0, True, "there")
+    assert reward == 0.0
+    assert info["is_success"] is True
+    assert info["ended_by"] == "there"
 
 
-def test_what_lies_beyond_the_range_counts_as_its_end(small: Make) -> None:
+def test_a_value_beyond_the_range_counts_as_its_end(small: Make) -> None:
     environment = small(GOAL + "reward: {at: achieved / m}\n", "reset.joints={cart.slider: 2 m}")
     observation, _ = environment.reset(seed=0)
     assert observation["achieved_goal"].item() == 1.0

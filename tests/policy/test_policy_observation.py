@@ -1,4 +1,4 @@
-"""What the policy sees of a cart on a rail: histories, its own action, accounts, noise."""
+"""The observation of a cart on a rail: histories, the previous action, accounts, noise."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ def observe(
 ) -> Any:
     """The observations of the reset and of one step per action, as lists."""
     environment = small(sections, f"observation={observation}", *overrides)
-    seen = [environment.reset(seed=1)[0]]
+    observations = [environment.reset(seed=1)[0]]
     for step in steps:
         action = np.array([step], np.float32) if isinstance(step, float) else step
-        seen.append(environment.step(action)[0])
-        assert environment.observation_space.contains(seen[-1])
-    return [[round(float(number), 6) for number in row] for row in seen]
+        observations.append(environment.step(action)[0])
+        assert environment.observation_space.contains(observations[-1])
+    return [[round(float(number), 6) for number in row] for row in observations]
 
 
 def test_a_history_begins_with_the_first_value_and_ends_with_the_newest(small: Make) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    seen = observe(small, "{at: {range: 0 .. 10, history: 3}}", sections=sections)
-    assert seen == [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]]
+    observations = observe(small, "{at: {range: 0 .. 10, history: 3}}", sections=sections)
+    assert observations == [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]]
 
 
 def test_a_history_of_a_vector_keeps_its_components_together(small: Make) -> None:
     sections = "signals:\n  at: vector(step, 10 - step, 0)\naugment: [at]\nreward: {pay: drive}\n"
-    seen = observe(small, "{at: {range: 0 .. 10, history: 2}}", sections=sections)
-    assert seen[1] == [-1, 1, -1, -0.8, 0.8, -1]
+    observations = observe(small, "{at: {range: 0 .. 10, history: 2}}", sections=sections)
+    assert observations[1] == [-1, 1, -1, -0.8, 0.8, -1]
 
 
 def test_a_stack_repeats_whole_frames_oldest_first(small: Make) -> None:
     sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    seen = observe(
+    observations = observe(
         small,
         "{at: {range: 0 .. 10, history: 2}, previous_action: auto}",
         "agent={frame_stack: 2}",
         sections=sections,
     )
-    assert seen[0] == [-1, -1, 0, -1, -1, 0]
-    assert seen[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
+    assert observations[0] == [-1, -1, 0, -1, -1, 0]
+    assert observations[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
 
 
 def test_histories_do_not_reach_over_a_reset(small: Make) -> None:
@@ -70,22 +70,22 @@ def test_histories_do_not_reach_over_a_reset(small: Make) -> None:
 
 
 def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Make) -> None:
-    seen = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
-    assert seen == [[0], [1], [-0.5], [1]]
+    observations = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
+    assert observations == [[0], [1], [-0.5], [1]]
 
 
 def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Make) -> None:
-    seen = observe(small, "{previous_action: auto}", *CHOICES, steps=(0, 2, np.int64(1)))
-    assert seen == [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    observations = observe(small, "{previous_action: auto}", *CHOICES, steps=(0, 2, np.int64(1)))
+    assert observations == [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]]
 
 
 def test_several_choices_are_one_hots_in_a_row(small: Make) -> None:
     pair = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
     sections = "reward: {pay: drive + lamp}\n"
-    seen = observe(
+    observations = observe(
         small, "{previous_action: auto}", pair, sections=sections, steps=(np.array([0, 1]), np.array([1, 0]))
     )
-    assert seen == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
+    assert observations == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
 
 
 def test_one_option_of_the_previous_action_can_be_seen_alone(small: Make) -> None:
@@ -103,8 +103,8 @@ def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_t
     small: Make,
 ) -> None:
     sections = "signals: {last: previous_reward}\naugment: [last]\nreward: {pay: drive}\n"
-    seen = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
-    assert seen == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
+    observations = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
+    assert observations == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
 
 
 def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Make) -> None:
@@ -136,9 +136,9 @@ def noisy(small: Make, noise: str, count: int = 4000, seed: int = 1) -> Any:
 
 
 def test_noise_has_the_deviation_that_is_given(small: Make) -> None:
-    found = noisy(small, "0.02 m")
-    assert found.mean() == pytest.approx(0.5, abs=4 * 0.02 / len(found) ** 0.5)
-    assert found.std() == pytest.approx(0.02, rel=0.05)
+    errors = noisy(small, "0.02 m")
+    assert errors.mean() == pytest.approx(0.5, abs=4 * 0.02 / len(errors) ** 0.5)
+    assert errors.std() == pytest.approx(0.02, rel=0.05)
 
 
 @pytest.mark.slow
@@ -213,8 +213,10 @@ def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Mak
         "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact:"
         " position(cart.cart).x\nreward: {pay: drive}\n"
     )
-    seen = observe(small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections)
-    assert all(place == exact != at for place, exact, at in seen)
+    observations = observe(
+        small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections
+    )
+    assert all(place == exact != at for place, exact, at in observations)
 
 
 def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: Make) -> None:
@@ -240,14 +242,15 @@ def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(sm
 
 def test_a_goal_policy_observes_without_an_environment_what_the_environment_observes() -> None:
     observer = Observer(api.compile("panda_reach").program)
-    joints, axes = [f"panda.joints.panda_joint{number}" for number in range(1, 8)], "xyz"
+    joints = [f"panda.joints.panda_joint{number}" for number in range(1, 8)]
+    axes = "xyz"
     assert set(observer.values) == {
         *joints,
         *(f"miss.{axis}" for axis in axes),
         *(f"panda.tip.{axis}" for axis in axes),
     }
     with closing(api.make("panda_reach")) as env:
-        seen, info = env.reset(seed=2)
+        observation, info = env.reset(seed=2)
         desired = [info["drawn"][f"target.{axis}"] for axis in axes]
         read_joints = env.engine.joint_states("panda", tuple(name.rpartition(".")[2] for name in joints))
         read_tip = env.engine.pose("panda", "panda_grasptarget")
@@ -258,18 +261,18 @@ def test_a_goal_policy_observes_without_an_environment_what_the_environment_obse
                 f"miss.{axis}": wanted - at for axis, wanted, at in zip(axes, desired, tip, strict=True)
             }
             values |= {f"panda.tip.{axis}": at for axis, at in zip(axes, tip, strict=True)}
-            made = observer.observe(values, desired)
-            assert {key: part.tobytes() for key, part in made.items()} == {
-                key: part.tobytes() for key, part in seen.items()
+            observed = observer.observe(values, desired)
+            assert {key: part.tobytes() for key, part in observed.items()} == {
+                key: part.tobytes() for key, part in observation.items()
             }
             if env.truncated:
                 break
-            seen = env.step(env.action_space.sample())[0]
+            observation = env.step(env.action_space.sample())[0]
         assert env.step_count == 50
 
 
 @pytest.mark.parametrize(
-    ("name", "lacking", "desired", "said"),
+    ("name", "lacking", "desired", "message"),
     [
         (
             "panda_reach",
@@ -302,10 +305,10 @@ def test_a_goal_policy_observes_without_an_environment_what_the_environment_obse
     ],
 )
 def test_an_observation_that_cannot_be_made_names_what_is_lacking(
-    name: str, lacking: str | None, desired: tuple[float, ...] | None, said: str
+    name: str, lacking: str | None, desired: tuple[float, ...] | None, message: str
 ) -> None:
     observer = Observer(api.compile(name).program)
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=message):
         observer.observe(
             dict.fromkeys((value for value in observer.values if value != lacking), 0.0), desired
         )

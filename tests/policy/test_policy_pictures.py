@@ -1,4 +1,4 @@
-"""Pictures of a camera as part of what the policy sees."""
+"""Pictures of a camera as part of the observation."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ def test_a_history_of_pictures_stands_side_by_side_the_newest_last(small: Make) 
     assert len({picture.tobytes() for picture in pictures}) > 2
     several = look(small, "{cart.eye: {range: auto, history: 3}, cart.place: -2 .. 2 m}")
     for _ in range(2):
-        seen = [several.reset(seed=0)[0]["cart_eye"]]
-        seen += [several.step(np.ones(1, np.float32))[0]["cart_eye"] for _ in range(5)]
-        for index, picture in enumerate(seen):
+        histories = [several.reset(seed=0)[0]["cart_eye"]]
+        histories += [several.step(np.ones(1, np.float32))[0]["cart_eye"] for _ in range(5)]
+        for index, picture in enumerate(histories):
             expected = [pictures[max(0, index - ago)] for ago in (2, 1, 0)]
             np.testing.assert_array_equal(picture, np.concatenate(expected, axis=2))
 
 
-def test_a_stack_holds_for_pictures_too(small: Make) -> None:
+def test_a_stack_applies_to_pictures_too(small: Make) -> None:
     environment = look(
         small, "{cart.eye: auto, cart.place: -2 .. 2 m}", "agent={frame_stack: 2, action_repeat: 2}"
     )
@@ -83,14 +83,18 @@ def test_what_is_no_use_for_a_picture_is_a_finding(small: Make, entry: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("seen", "shade"),
+    ("depth_range", "shade"),
     [("0.5 m .. 2.5 m", 64), ("0 m .. 4 m", 64), ("1.2 m .. 2 m", 0), ("0.1 m .. 0.8 m", 255)],
 )
 def test_a_picture_of_depth_grows_evenly_from_the_near_end_of_its_range_to_the_far_end(
-    small: Make, seen: str, shade: int
+    small: Make, depth_range: str, shade: int
 ) -> None:
     box = "objects.box={shape: box, size: 20 40 400 cm, fixed: true, pose: {x: 1.4 m, z: 2 m}}"
-    overrides = (box, "robots.cart.sensors.eye.channels=depth", f"robots.cart.sensors.eye.range={seen}")
+    overrides = (
+        box,
+        "robots.cart.sensors.eye.channels=depth",
+        f"robots.cart.sensors.eye.range={depth_range}",
+    )
     environment = look(small, "{cart.eye: auto}", *overrides)
     picture = environment.reset(seed=0)[0]["cart_eye"]
     assert picture.shape == (16, 24, 1)
@@ -107,7 +111,7 @@ TURNING = Path(__file__).parent / "turning.yaml"
 def test_a_goal_sees_the_ball_until_the_robot_has_turned_away() -> None:
     with closing(api.make(TURNING)) as environment:
         environment.reset(seed=0)
-        seen = [environment.step(np.ones(1, np.float32))[1] for _ in range(10)]
-    assert seen[0] == 1.0
-    assert seen[-1] == 0.0
-    assert seen == sorted(seen, reverse=True)
+        rewards = [environment.step(np.ones(1, np.float32))[1] for _ in range(10)]
+    assert rewards[0] == 1.0
+    assert rewards[-1] == 0.0
+    assert rewards == sorted(rewards, reverse=True)

@@ -1,4 +1,5 @@
-"""Policies that are written by hand: what they see, what they give, and that asking them changes nothing."""
+"""Policies that are written by hand: their inputs, their actions, and that evaluating them changes
+nothing."""
 
 from __future__ import annotations
 
@@ -19,13 +20,13 @@ REWARD = "reward: {pay: drive}\n"
 CHOICE = "action.drive={choices: {ahead: 1, back: -1, stay: 0}}"
 
 
-def followed(environment: Supervisor, name: str, steps: int) -> list[Any]:
-    """What a script says over so many steps."""
-    said = []
+def actions_of_script(environment: Supervisor, name: str, steps: int) -> list[Any]:
+    """The actions of a script over some steps."""
+    actions = []
     for _ in range(steps):
-        said.append(environment.script(name))
-        environment.step(said[-1])
-    return said
+        actions.append(environment.script(name))
+        environment.step(actions[-1])
+    return actions
 
 
 # What a script gives
@@ -34,14 +35,14 @@ def followed(environment: Supervisor, name: str, steps: int) -> list[Any]:
 def test_an_option_that_is_named_is_taken_always(small: Make) -> None:
     environment = small(REWARD + "scripts: {rest: {drive: stay}}\n", CHOICE)
     environment.reset(seed=0)
-    assert followed(environment, "rest", 3) == [2, 2, 2]
+    assert actions_of_script(environment, "rest", 3) == [2, 2, 2]
 
 
 def test_the_first_option_whose_condition_holds_is_taken(small: Make) -> None:
     rules = "scripts: {turns: {drive: {back: step >= 2 and step < 4, ahead: step >= 3, stay: true}}}\n"
     environment = small(REWARD + rules, CHOICE)
     environment.reset(seed=0)
-    assert followed(environment, "turns", 6) == [2, 2, 1, 1, 0, 0]
+    assert actions_of_script(environment, "turns", 6) == [2, 2, 1, 1, 0, 0]
 
 
 def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Make) -> None:
@@ -78,7 +79,7 @@ def test_several_choices_are_an_array_and_stand_in_the_order_of_the_action() -> 
     overrides = ["scripts={go: {hurry: {fast: time > 20 ms, slow: true}, both: apart}}"]
     with closing(api.make(SCENARIOS / "pair.yaml", overrides=overrides, engine="exact")) as environment:
         environment.reset(seed=0)
-        assert [said.tolist() for said in followed(environment, "go", 2)] == [[1, 0], [1, 1]]
+        assert [action.tolist() for action in actions_of_script(environment, "go", 2)] == [[1, 0], [1, 1]]
         assert environment.action_space.contains(environment.script("go"))
 
 
@@ -94,11 +95,11 @@ def test_every_copy_of_a_robot_follows_the_script_by_what_it_sees_itself() -> No
     overrides = ["scripts={catch: {drive: {forward: cart.lean > 0 rad, backward: true}}}"]
     with closing(api.make(TEAM, overrides=overrides, engine="exact")) as environment:
         leans = environment.reset(seed=4)[0][:, 2]
-        said = environment.script("catch")
-        assert environment.action_space.contains(said)
-        assert said.tolist() == [0 if lean > 0 else 1 for lean in leans]
-        assert len(set(said.tolist())) == 2  # or the seed shows nothing
-        environment.step(said)
+        actions = environment.script("catch")
+        assert environment.action_space.contains(actions)
+        assert actions.tolist() == [0 if lean > 0 else 1 for lean in leans]
+        assert len(set(actions.tolist())) == 2  # or the seed shows nothing
+        environment.step(actions)
 
 
 # What a script sees
@@ -112,9 +113,9 @@ def test_a_script_sees_what_arrived_and_what_is_true(small: Make) -> None:
     environment.reset(seed=0)
     for _ in range(3):
         environment.step(np.array([1.0], np.float32))
-    told, truth = environment.script("told").item(), environment.script("truth").item()
-    assert told == pytest.approx(2.4 * environment.get_observations()[0], abs=1e-7)
-    assert truth > told + 1e-5  # what the robot sends is one tick old
+    received, truth = environment.script("told").item(), environment.script("truth").item()
+    assert received == pytest.approx(2.4 * environment.get_observations()[0], abs=1e-7)
+    assert truth > received + 1e-5  # what the robot sends is one tick old
 
 
 def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Make) -> None:
@@ -123,16 +124,18 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Make
     sections += "by_variable: {drive: drive + 0.25}}\n"
     environment = small(sections)
     environment.reset(seed=0)
-    assert np.concatenate(followed(environment, "by_signal", 4)).tolist() == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert np.concatenate(actions_of_script(environment, "by_signal", 4)).tolist() == pytest.approx(
+        [0, 0.1, 0.2, 0.3]
+    )
     for name in ("by_action", "by_variable"):
         environment.reset(seed=0)
-        assert np.concatenate(followed(environment, name, 4)).tolist() == pytest.approx(
+        assert np.concatenate(actions_of_script(environment, name, 4)).tolist() == pytest.approx(
             [0.25, 0.5, 0.75, 1.0]
         )
 
 
 @pytest.mark.parametrize("repeat", [1, 3])
-def test_a_script_knows_the_reward_of_the_step_that_has_just_been(small: Make, repeat: int) -> None:
+def test_a_script_reads_the_reward_of_the_last_step(small: Make, repeat: int) -> None:
     sections = (
         "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive:"
         " episode_return}}\n"
@@ -172,7 +175,7 @@ def test_the_age_of_a_reading_is_known_to_a_script(small: Make) -> None:
     sensor = "robots.cart.sensors.rate={type: joint_velocity, joint: slider, latency: 60 ms}"
     environment = small(REWARD + "scripts: {old: {drive: age(cart.rate) / s}}\n", sensor)
     environment.reset(seed=0)
-    assert np.concatenate(followed(environment, "old", 6)).tolist()[-1] == pytest.approx(0.06)
+    assert np.concatenate(actions_of_script(environment, "old", 6)).tolist()[-1] == pytest.approx(0.06)
 
 
 def test_a_case_may_have_a_script_of_its_own(small: Make) -> None:
@@ -180,8 +183,8 @@ def test_a_case_may_have_a_script_of_its_own(small: Make) -> None:
         REWARD + "scripts: {go: {drive: 1}}\nevaluation: {cases: {back: {set: {scripts.go.drive: -1}}}}\n"
     )
     environment = small(sections)
-    with closing(api.build(environment.scenario.case("back").program, engine="exact")) as other:
-        for world, expected in ((environment, [1.0]), (other, [-1.0])):
+    with closing(api.build(environment.scenario.case("back").program, engine="exact")) as case:
+        for world, expected in ((environment, [1.0]), (case, [-1.0])):
             world.reset(seed=0)
             assert world.script("go").tolist() == expected
 

@@ -46,9 +46,9 @@ def test_no_value_was_chosen_by_the_seeds():
 
 
 @EACH_TASK
-def test_each_algorithm_is_trained_or_it_is_said_why_not(task: Task):
-    found = {cell.algorithm: cell for cell in task.cells}
-    assert {"PPO", "SAC", "TD3", "TQC", own_algorithm(task)} <= set(found)
+def test_each_algorithm_is_trained_or_has_a_reason_why_not(task: Task):
+    cells = {cell.algorithm: cell for cell in task.cells}
+    assert {"PPO", "SAC", "TD3", "TQC", own_algorithm(task)} <= set(cells)
     for cell in task.cells:
         assert (cell.training is None) == bool(cell.reason)
         if cell.training:
@@ -77,16 +77,16 @@ def test_a_task_runs_on_the_engine_that_steps_it_fastest(task: Task):
 
 
 @EACH_TASK
-def test_a_scenario_recommends_what_is_first_or_it_is_said_why_not(task: Task):
-    found = rows(task, record_of(task))
-    best = first(found)
-    whole = all(len(row.entries) == len(SEEDS) for row in found if row.cell.training)
+def test_a_scenario_recommends_the_first_or_has_a_reason_why_not(task: Task):
+    ranking = rows(task, record_of(task))
+    best = first(ranking)
+    whole = all(len(row.entries) == len(SEEDS) for row in ranking if row.cell.training)
     if best is None or not whole:
         pytest.skip("not all of its cells are trained with all seeds")
     assert best.is_own or task.advice
 
 
-def held(*rates: float) -> list[dict[str, Any]]:
+def evaluations_with(*rates: float) -> list[dict[str, Any]]:
     outcomes = ((round(100 * rate), rate) for rate in rates)
     return [
         {
@@ -101,16 +101,20 @@ def held(*rates: float) -> list[dict[str, Any]]:
 
 
 def test_an_interval_is_over_seeds_and_over_episodes():
-    assert success_interval(held(1, 1, 1)) == wilson(300, 300)
-    low, high = success_interval(held(0.7, 0.8, 0.9))
+    assert success_interval(evaluations_with(1, 1, 1)) == wilson(300, 300)
+    low, high = success_interval(evaluations_with(0.7, 0.8, 0.9))
     assert (low, high) == pytest.approx(
         (0.8 - 4.302653 * 0.1 / 3**0.5, 1.0)
     )  # Student's t for two degrees of freedom, cut at 1
-    assert return_interval(held(0.5, 0.5)) == pytest.approx((0.5 - 0.03 / 2**0.5, 0.5 + 0.04 / 2**0.5))
-    assert return_interval(held(0.4, 0.6)) == pytest.approx((0.5 - 12.706205 * 0.1, 0.5 + 12.706205 * 0.1))
+    assert return_interval(evaluations_with(0.5, 0.5)) == pytest.approx(
+        (0.5 - 0.03 / 2**0.5, 0.5 + 0.04 / 2**0.5)
+    )
+    assert return_interval(evaluations_with(0.4, 0.6)) == pytest.approx(
+        (0.5 - 12.706205 * 0.1, 0.5 + 12.706205 * 0.1)
+    )
     assert (
-        return_interval(held(0.5, 0.5), (0.49, 0.51))
-        == return_interval(held(0.4, 0.6), (0.49, 0.51))
+        return_interval(evaluations_with(0.5, 0.5), (0.49, 0.51))
+        == return_interval(evaluations_with(0.4, 0.6), (0.49, 0.51))
         == (0.49, 0.51)
     )
 

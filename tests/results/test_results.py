@@ -79,10 +79,10 @@ def test_readme_figures_equal_the_cards():
         re.MULTILINE,
     )
     assert [name for name, _, _ in rows] == ["CartPole", "PitEscape", "FindBall"]
-    for _, name, told in rows:
+    for _, name, row in rows:
         standing = Standing.of(experiments()[name], measure.read(PLACES.record(name)))
         numbers = " ".join(verdict.measured for verdict in standing.verdicts())
-        figures = re.findall(r"[\d.]+(?: %| h\b| s\b|)", told.replace("200 of 200", "200"))
+        figures = re.findall(r"[\d.]+(?: %| h\b| s\b|)", row.replace("200 of 200", "200"))
         assert figures
         assert [figure for figure in figures if figure not in numbers] == []
 
@@ -137,7 +137,7 @@ def test_the_pictures_show_the_records_and_are_small():
         assert not path.exists() or path.stat().st_size < 100_000
 
 
-def test_every_shipped_scenario_is_measured_or_it_is_said_why_not():
+def test_every_shipped_scenario_is_measured_or_has_a_reason_why_not():
     assert set(shipped.scenario_names()) == {*experiments(), *REASONS}
 
 
@@ -152,8 +152,8 @@ def test_bars_and_baselines_refer_to_parts_of_their_experiment():
                     evaluation.name: evaluation
                     for evaluation in experiment.training(figure.training).evaluations
                 }
-                found = measure.compiled(held[figure.evaluation].scenario or experiment.scenario)
-                assert figure.case is None or figure.case in {case.name for case in found.cases}
+                compiled = measure.compiled(held[figure.evaluation].scenario or experiment.scenario)
+                assert figure.case is None or figure.case in {case.name for case in compiled.cases}
             assert figure.training is None or figure.training in {
                 training.name for training in experiment.trainings
             }
@@ -171,7 +171,7 @@ def test_no_reported_seed_was_used_for_tuning():
         assert all(seed >= FIRST_SEED for training in experiment.trainings for seed in training.seeds)
 
 
-def test_a_name_that_is_neither_a_scenario_nor_a_part_is_told_with_those_there_are(
+def test_an_unknown_name_is_refused_with_the_names_that_exist(
     capsys: pytest.CaptureFixture[str],
 ):
     assert main(["cartpoel"]) == 2
@@ -203,8 +203,8 @@ def verdict(bar: Bar, *hours: float | None, seeds: int = 3) -> tuple[str, str]:
         for i, value in enumerate(hours)
     }
     chosen = Experiment("cartpole", "", "", (Training(tuple(range(101, 101 + seeds))),), (bar,))
-    found = judge(chosen, bar, {"trainings": {"main": entries}})
-    return found.word, found.measured
+    judged = judge(chosen, bar, {"trainings": {"main": entries}})
+    return judged.word, judged.measured
 
 
 HOURS = Bar(Solved("simulated_hours"), at_most=0.5)
@@ -275,12 +275,14 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
     def asked() -> tuple[object, object]:
-        training, name = Training(), "find_ball_random"
+        training = Training()
+        name = "find_ball_random"
         return measure.asked_training(name, training, 101), measure.asked_evaluation(
             name, training, Evaluation()
         )
 
-    program, before = measure.compiled("find_ball_random"), asked()
+    program = measure.compiled("find_ball_random")
+    before = asked()
     monkeypatch.setattr(
         measure, "compiled", lambda scenario, sets=(): replace(program, cases=program.cases[:-1])
     )
@@ -327,7 +329,7 @@ def test_a_curve_in_a_record_is_thin_and_ends_where_the_training_does(tmp_path: 
     assert thinned["simulated_hours"][-1] == 12.34
 
 
-def test_crossings_are_told_with_their_threshold_as_it_is():
+def test_crossings_are_described_with_their_exact_threshold():
     assert Crossed(0.9, "simulated_hours").key == "return 0.9"
     assert Crossed(0.987, "steps", metric="success").words == "steps until 98.7 % successes over 100 episodes"
 

@@ -87,17 +87,18 @@ def flood_message(info: model.BundleInfo, kind: str) -> bytes:
 
 def flood(address: str, info: model.BundleInfo, kind: str, seconds: float) -> None:
     """Send as fast as possible; a connection that ends is opened again."""
-    content, until = flood_message(info, kind), time.monotonic() + seconds
+    content = flood_message(info, kind)
+    until = time.monotonic() + seconds
     if address.startswith("tcp://"):
         import zmq
 
-        made = zmq.Context.instance().socket(zmq.DEALER)
-        made.setsockopt(zmq.LINGER, 0)
-        made.setsockopt(zmq.SNDTIMEO, 1000)
-        made.connect(address)
+        dealer = zmq.Context.instance().socket(zmq.DEALER)
+        dealer.setsockopt(zmq.LINGER, 0)
+        dealer.setsockopt(zmq.SNDTIMEO, 1000)
+        dealer.connect(address)
         while time.monotonic() < until:
             with suppress(zmq.Again):
-                made.send(content)
+                dealer.send(content)
         return
     from websockets.exceptions import WebSocketException
     from websockets.sync.client import connect
@@ -114,7 +115,8 @@ def flood(address: str, info: model.BundleInfo, kind: str, seconds: float) -> No
 def open_and_wait(address: str, seconds: float) -> None:
     """Open connections that never say anything, as many as there may be."""
     host, _, port = address.removeprefix("ws://").partition(":")
-    until, kept = time.monotonic() + seconds, list[socket.socket]()
+    until = time.monotonic() + seconds
+    kept = list[socket.socket]()
     while time.monotonic() < until:
         with suppress(OSError):
             kept.append(socket.create_connection((host, int(port)), timeout=1))
@@ -128,7 +130,8 @@ def drive(transport: Transport, info: model.BundleInfo, seconds: float) -> Serve
     period = 1.0 / info.rate_hz
     receives, sends = [field_of(entry) for entry in info.outputs], [field_of(entry) for entry in info.inputs]
     values = {entry.name: np.zeros(entry.shape, entry.dtype) for entry in info.inputs}
-    answers, sent = list[float](), 0
+    answers = list[float]()
+    sent = 0
     with closing(
         transport.open([(field, None) for field in receives], [(field, None) for field in sends], robot=True)
     ) as link:  # type: ignore[misc]
@@ -247,18 +250,19 @@ def _during(
 ) -> tuple[Served, float]:
     """A robot that acts before the flood begins, and goes on: its share of answers, and the CPU of the
     server."""
-    found: list[Served] = []
+    results: list[Served] = []
 
     def act() -> None:
-        found.append(drive(transport, info, seconds))
+        results.append(drive(transport, info, seconds))
 
     robot = threading.Thread(target=act)
     robot.start()
     time.sleep(0.5)
-    cpu, begun = cpu_of(server), time.monotonic()
+    cpu = cpu_of(server)
+    begun = time.monotonic()
     with flooding(bundle, address, seconds, clients):
         robot.join()
-    return found[0], (cpu_of(server) - cpu) / (time.monotonic() - begun)
+    return results[0], (cpu_of(server) - cpu) / (time.monotonic() - begun)
 
 
 def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
@@ -269,20 +273,20 @@ def main(measure: Callable[..., Iterator[Row]] = measured) -> None:
     parser.add_argument("--clients", type=int, default=3, help="that send, by default 3")
     parser.add_argument("--bundle", type=Path, help="by default one of the CartPole without a training")
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        bundle = given.bundle or Path(place) / "bundle"
-        if given.bundle is None:
+        bundle = options.bundle or Path(place) / "bundle"
+        if options.bundle is None:
             code = (
-                "from pathlib import Path; from tests.bundle.untrained import written;"
-                f" written(Path({str(bundle)!r}), 'cartpole')"
+                "from pathlib import Path; from tests.bundle.untrained import write_bundle;"
+                f" write_bundle(Path({str(bundle)!r}), 'cartpole')"
             )
             subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
         rows: list[Any] = [Row("load of the machine over the last minute, before", os.getloadavg()[0], "")]
         for number, kind in enumerate(("ZeroMQ", "WebSocket")):
-            rows += measure(bundle.resolve(), kind, 58_761 + number, given.seconds, given.clients)
+            rows += measure(bundle.resolve(), kind, 58_761 + number, options.seconds, options.clients)
         rows.append(Row("load of the machine over the last minute, after", os.getloadavg()[0], ""))
-        show(rows, as_json=given.json)
+        show(rows, as_json=options.json)
 
 
 if __name__ == "__main__":

@@ -58,13 +58,14 @@ def until(holds: Callable[[], object], seconds: float = 10.0) -> None:
         time.sleep(0.005)
 
 
-def taken(policy: Link, seconds: float = 0.3) -> list[float]:
+def angles_taken(policy: Link, seconds: float = 0.3) -> list[float]:
     """The angles that arrive in a time."""
-    found, end = list[float](), time.monotonic() + seconds
+    angles = list[float]()
+    end = time.monotonic() + seconds
     while time.monotonic() < end:
         policy.wait(0.02)
-        found += [float(arrival.fields["cart.angle"][0]) for arrival in policy.take() if arrival.fields]
-    return found
+        angles += [float(arrival.fields["cart.angle"][0]) for arrival in policy.take() if arrival.fields]
+    return angles
 
 
 @pytest.mark.parametrize("kind", LINKS)
@@ -74,12 +75,12 @@ def test_a_second_sender_neither_changes_what_the_policy_takes_nor_gets_its_comm
     with connected(LINKS[kind]) as (policy, robot):
         first = robot()
         first.send({"cart.angle": np.array([0.1])}, 1.0)
-        assert taken(policy) == [0.1]
+        assert angles_taken(policy) == [0.1]
         second = robot()
         for _ in range(20):
             second.send({"cart.angle": np.array([0.9])}, 1.0)
         first.send({"cart.angle": np.array([0.2])}, 1.1)
-        assert taken(policy) == [0.2]
+        assert angles_taken(policy) == [0.2]
         assert [remark.text for remark in policy.remarks()] == [
             "another program sends to this policy, which takes only what the first one sends; start a policy"
             " for each robot"
@@ -98,11 +99,11 @@ def test_after_a_silence_another_robot_is_taken(kind: str, monkeypatch: pytest.M
     monkeypatch.setattr(messages, "HELD", 0.3)
     with connected(LINKS[kind]) as (policy, robot):
         robot().send({"cart.angle": np.array([0.1])}, 1.0)
-        assert taken(policy) == [0.1]
+        assert angles_taken(policy) == [0.1]
         second = robot()
         time.sleep(0.4)
         second.send({"cart.angle": np.array([0.5])}, 1.0)
-        assert taken(policy) == [0.5]
+        assert angles_taken(policy) == [0.5]
 
 
 def test_messages_that_wait_have_a_limit_in_bytes(tmp_path: Path) -> None:
@@ -130,11 +131,11 @@ def test_connections_that_say_nothing_are_few_and_do_not_keep_a_robot_out() -> N
             assert len(link._open) <= websocket.MOST_CONNECTIONS
             first = robot()
             first.send({"cart.angle": np.array([0.1])}, 1.0)
-            assert taken(policy, 1.0) == [0.1]
+            assert angles_taken(policy, 1.0) == [0.1]
             for _ in range(40):  # the one that is answered stays
                 silent.append(socket.create_connection(("127.0.0.1", PORT + 1), timeout=5))
             first.send({"cart.angle": np.array([0.2])}, 1.1)
-            assert taken(policy, 1.0) == [0.2]
+            assert angles_taken(policy, 1.0) == [0.2]
             assert len(link._open) <= websocket.MOST_CONNECTIONS
         finally:
             for each in silent:
@@ -143,10 +144,10 @@ def test_connections_that_say_nothing_are_few_and_do_not_keep_a_robot_out() -> N
 
 def test_a_flood_of_refused_messages_does_not_fill_the_log(tmp_path: Path) -> None:
     writer = LogWriter(tmp_path / "a.mcap", {"scenario": "CartPole"})
-    said: list[str] = []
-    notes = Notes(writer, said.append)
+    lines: list[str] = []
+    notes = Notes(writer, lines.append)
     for number in range(5_000):
         notes.event(float(number), "refused", "a message: it cannot be read")
     writer.close()
     assert len(list(read_log(tmp_path / "a.mcap"))) <= 3 * serving._MOST_EVENTS
-    assert len(said) <= 3
+    assert len(lines) <= 3

@@ -34,7 +34,7 @@ from deepbots_robot import zeromq
 from deepbots_robot.link import Arrival
 from deepbots_robot.log import LogWriter, read_log
 from deepbots_robot.server import Output
-from tests.bundle.untrained import written
+from tests.bundle.untrained import write_bundle
 from tests.robot.test_flood import LINKS, PORT, opened, until
 from tests.robot.test_server import DRIVE, RATE, SAFE, World
 
@@ -53,7 +53,7 @@ def message(stamp: float, **changes: Any) -> bytes:
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("hostile") / "bundle", "cartpole")
+    return write_bundle(tmp_path_factory.mktemp("hostile") / "bundle", "cartpole")
 
 
 @contextmanager
@@ -82,15 +82,15 @@ def serving(
         process.communicate()
 
 
-def said(process: subprocess.Popen[str]) -> str:
-    """All that the server printed, once it is told to end."""
+def output_of(process: subprocess.Popen[str]) -> str:
+    """End the server and return all that it printed."""
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 0, err
     return out + err
 
 
-def answered(end: Any) -> None:
+def await_answer(end: Any) -> None:
     assert end.poll(20_000), "no answer"
     end.recv()
 
@@ -108,23 +108,23 @@ def test_a_message_writes_no_control_characters_to_the_terminal(
 ) -> None:
     with serving(bundle, tmp_path) as (end, process):
         end.send(message(1.0))
-        answered(end)
+        await_answer(end)
         end.send(message(1.04, **changes))
         time.sleep(0.2)
-        text = said(process)
+        text = output_of(process)
     assert "refused" in text
     assert text.replace("\n", "").isprintable()
 
 
-def test_a_time_of_the_robot_that_no_log_can_hold_does_not_end_the_server(
+def test_a_time_of_the_robot_beyond_the_range_of_logs_does_not_end_the_server(
     bundle: Path, tmp_path: Path
 ) -> None:
     log = tmp_path / "a.mcap"
     with serving(bundle, tmp_path, "--lockstep", "--log", log) as (end, process):
         for stamp in (1.0, 1e300, 1.7e308):
             end.send(message(stamp))
-            answered(end)
-        assert "Traceback" not in said(process)
+            await_answer(end)
+        assert "Traceback" not in output_of(process)
     assert sum(topic == "/step" for topic, _, _ in read_log(log)) >= 3
 
 
@@ -134,8 +134,8 @@ def test_a_full_disk_ends_the_log_and_not_the_policy(bundle: Path, tmp_path: Pat
     with serving(bundle, tmp_path, "--lockstep", "--log", tmp_path / "a.mcap", **limits) as (end, process):
         for number in range(150):
             end.send(message(number / 30.0))
-            answered(end)
-        text = said(process)
+            await_answer(end)
+        text = output_of(process)
     assert text.count("nothing more is written to the log") == 1
     assert "Traceback" not in text
 
@@ -150,16 +150,16 @@ def test_a_time_to_serve_that_never_passes_is_refused(bundle: Path, tmp_path: Pa
 
 @pytest.mark.slow
 def test_a_robot_that_did_not_fit_does_not_keep_out_the_next_one(bundle: Path, tmp_path: Path) -> None:
-    other = {"role": "robot", "scenario": "Other", "digest": "", "pace": ""}
+    other_scenario = {"role": "robot", "scenario": "Other", "digest": "", "pace": ""}
     with serving(bundle, tmp_path) as (end, process):
         with closing(zmq.Context.instance().socket(zmq.DEALER)) as wrong:
             wrong.connect(f"ipc://{tmp_path}/link")
-            wrong.send(message(1.0, about=other))
-            answered(wrong)  # the policy says what it is
+            wrong.send(message(1.0, about=other_scenario))
+            await_answer(wrong)  # the policy says what it is
         time.sleep(1.2)
         end.send(message(2.0))
-        answered(end)
-        assert "does not fit" in said(process)
+        await_answer(end)
+        assert "does not fit" in output_of(process)
 
 
 def test_resets_do_not_make_commands_change_faster() -> None:
@@ -171,11 +171,11 @@ def test_resets_do_not_make_commands_change_faster() -> None:
         world.line.put(
             at, -0.4 if number < 50 else 0.4, stamp=at + 1e-6
         )  # a turn, because the first command has no limit of its rate
-    found = world.run(100.2)
-    assert len(found) > 50
-    assert found[-1][1][0] > found[0][1][0]
-    for (one, before), (other, after) in itertools.combinations(found, 2):
-        assert abs(after[0] - before[0]) <= rate * (other - one) + rate / RATE
+    commands = world.run(100.2)
+    assert len(commands) > 50
+    assert commands[-1][1][0] > commands[0][1][0]
+    for (earlier, before), (later, after) in itertools.combinations(commands, 2):
+        assert abs(after[0] - before[0]) <= rate * (later - earlier) + rate / RATE
 
 
 def test_a_websocket_message_of_endless_empty_parts_is_ended() -> None:

@@ -1,4 +1,4 @@
-"""What does not fit at the other end of a link is said in a sentence, on both sides."""
+"""A misfit at the other end of a link is reported in a sentence, on both sides."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ def robot_end(
     return transport.open([(DRIVE, COMMANDS)], [(sends, topic)], robot=True, about=about)
 
 
-def said(link: Link, until: Callable[[list[str]], bool] = bool) -> list[str]:
-    """What a link remarks, as soon as it is enough, or after 5 s."""
+def remarks_of(link: Link, until: Callable[[list[str]], bool] = bool) -> list[str]:
+    """The remarks of a link, as soon as they satisfy `until`, or after 5 s."""
     ending = time.monotonic() + 5.0
     while time.monotonic() < ending:
         link.take()
-        found = [remark.text for remark in link.remarks()]
-        if until(found):
+        texts = [remark.text for remark in link.remarks()]
+        if until(texts):
             break
         time.sleep(0.02)
-    return found
+    return texts
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def test_fields_that_differ_are_named(sends: tuple[Field, ...], problem: str) ->
     ],
 )
 def test_ends_that_work_together_but_differ_are_named(other: About, problem: str) -> None:
-    (found,) = differences(POLICY, other)
-    assert problem in found
+    (difference,) = differences(POLICY, other)
+    assert problem in difference
 
 
 def test_rates_that_differ_are_named_on_both_sides() -> None:
@@ -116,12 +116,15 @@ def test_over_zeromq_nothing_of_another_scenario_is_used_and_both_ends_say_so(tm
         while not robot.connected():
             time.sleep(0.01)
         robot.reset(0, 1.0)
-        assert said(policy) == [
+        assert remarks_of(policy) == [
             "the robot of Slider at the other end does not fit this policy of CartPole:"
             " the policy needs cart.angle (1 number in rad), which the robot does not send"
         ]
         robot.send({"cart.place": [0.5]}, 1.0)  # type: ignore[dict-item]
-        assert "the policy of CartPole at the other end does not fit this robot of Slider" in said(robot)[0]
+        assert (
+            "the policy of CartPole at the other end does not fit this robot of Slider"
+            in remarks_of(robot)[0]
+        )
         policy.wait(1.0)
         assert list(policy.take()) == []
 
@@ -158,18 +161,18 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
     plain = Topic(STATES.name, "std_msgs/Float64MultiArray")
     with closing(policy_end(transport)) as policy, closing(robot_end(transport, topic=plain)) as robot:
         types = "/cart/joint_states has messages of the type {} at the other end, and {} here"
-        assert types.format("std_msgs/Float64MultiArray", "sensor_msgs/JointState") in said(policy)
-        assert said(robot) == [types.format("sensor_msgs/JointState", "std_msgs/Float64MultiArray")]
+        assert types.format("std_msgs/Float64MultiArray", "sensor_msgs/JointState") in remarks_of(policy)
+        assert remarks_of(robot) == [types.format("sensor_msgs/JointState", "std_msgs/Float64MultiArray")]
         assert all(remark.is_misfit for remark in robot.remarks())
         with closing(robot_end(transport)):
-            twice = " ".join(said(policy, lambda found: "programs send" in " ".join(found)))
+            twice = " ".join(remarks_of(policy, lambda texts: "programs send" in " ".join(texts)))
             assert "2 programs send on /cart/joint_states" in twice
             assert "(a program that was killed counts for 10 s)" in twice
             assert "2 programs send on /deepbots/episode" in " ".join(
-                said(robot, lambda found: "episode" in " ".join(found))
+                remarks_of(robot, lambda texts: "episode" in " ".join(texts))
             )
         assert "programs send" not in " ".join(
-            said(policy, lambda found: "programs send" not in " ".join(found))
+            remarks_of(policy, lambda texts: "programs send" not in " ".join(texts))
         )
 
 
@@ -188,7 +191,7 @@ def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
             while not second.connected():
                 assert time.monotonic() < until
             settled = time.monotonic() + 0.5
-            assert said(policy, lambda found: time.monotonic() > settled) == []
+            assert remarks_of(policy, lambda texts: time.monotonic() > settled) == []
         del first  # an ended link may live on in a variable
 
 
@@ -208,16 +211,16 @@ def test_over_ros_another_scenario_in_the_domain_is_named_unless_the_own_one_is_
             )
             assert (
                 f"the robot of Dog at the other end does not fit this policy of CartPole: {problem}"
-                in said(policy)[0]
+                in remarks_of(policy)[0]
             )
             assert (
                 f"the policy of CartPole at the other end does not fit this robot of Dog: {problem}"
-                in said(robot)[0]
+                in remarks_of(robot)[0]
             )
             assert [remark.is_misfit for remark in robot.remarks()] == [True]
             with closing(robot_end(transport, About("robot", "CartPole", "aa", "in lockstep"))):
                 assert "the robot runs in lockstep" in " ".join(
-                    said(policy, lambda found: "lockstep" in " ".join(found))
+                    remarks_of(policy, lambda texts: "lockstep" in " ".join(texts))
                 )
                 assert "Dog" not in " ".join(remark.text for remark in policy.remarks())
 
@@ -230,7 +233,7 @@ def test_over_ros_a_scenario_of_another_name_fits_if_its_fields_do() -> None:
         closing(policy_end(transport)),
         closing(robot_end(transport, About("robot", "Cart", "bb", "at speed 1"))) as robot,
     ):
-        assert said(robot) == [
+        assert remarks_of(robot) == [
             "the policy of CartPole at the other end is of another scenario than this robot of Cart"
         ]
         assert not robot.remarks()[0].is_misfit
@@ -250,7 +253,7 @@ def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:
         listener = DataReader(
             participant, DdsTopic(participant, "rt/cart/joint_states", idl.JointState), qos=dds.COMMANDS
         )
-        assert said(robot) == [
+        assert remarks_of(robot) == [
             "another program asks for reliable messages on /cart/joint_states, which is sent with best"
             " effort: none arrives there"
         ]

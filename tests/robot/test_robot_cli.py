@@ -14,12 +14,12 @@ import pytest
 from deepbots_cli.cli import main
 from deepbots_robot import bundle, signature
 from deepbots_robot.__main__ import main as robot
-from tests.bundle.untrained import written
+from tests.bundle.untrained import write_bundle
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
+    return write_bundle(tmp_path_factory.mktemp("bundle") / "cartpole", "cartpole")
 
 
 def test_a_check_says_what_the_bundle_is_and_whether_it_is_signed(
@@ -52,7 +52,8 @@ def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: 
     if not script.exists():
         pytest.skip("the package is not installed")
     done = subprocess.run([script, "check", "."], cwd=place, capture_output=True, text=True, timeout=60)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert done.stderr == ""
 
 
 def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
@@ -64,7 +65,9 @@ def test_a_terminal_of_another_encoding_gets_escapes(folder: Path) -> None:
     environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
     words = [sys.executable, "-P", "-c", code, "check", str(folder)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, env=environment)
-    assert (done.returncode, done.stdout.splitlines()[-1], done.stderr) == (0, "\\u03bb", "")
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1] == "\\u03bb"
+    assert done.stderr == ""
 
 
 @pytest.mark.slow

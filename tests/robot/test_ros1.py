@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
-from tests.bundle.untrained import written
+from tests.bundle.untrained import write_bundle
 
 ROOT = Path(__file__).parents[2]
 SYSTEM = "/usr/lib/python3/dist-packages"
@@ -89,7 +89,7 @@ def started(environment: dict[str, str], *words: object) -> subprocess.Popen[str
 def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
     master: dict[str, str], tmp_path: Path
 ) -> None:
-    bundle = written(tmp_path / "bundle", "cartpole")
+    bundle = write_bundle(tmp_path / "bundle", "cartpole")
     serve = ("deepbots_robot", bundle, "--ros1", "--lockstep", "--json")
     policy = started(master, *serve)
     robot = started(
@@ -106,7 +106,7 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
     )
     out, err = robot.communicate(timeout=200)
     assert robot.returncode == 0, err
-    found = json.loads(out)
+    driven = json.loads(out)
     second = started(master, *serve, "--seconds", 5)
     assert (
         "another program sends commands on /cart/joint_commands in ROS 1"
@@ -116,8 +116,8 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
     policy.send_signal(2)
     out, err = policy.communicate(timeout=30)
     served = json.loads(out)
-    assert served["steps"] == found["steps"]
-    assert served["episodes"] == found["episodes"] == 20
+    assert served["steps"] == driven["steps"]
+    assert served["episodes"] == driven["episodes"] == 20
     assert served["refused"] == {}
     over_zmq = tmp_path / "link"
     policy = started(master, "deepbots_robot", bundle, "--zmq", f"ipc://{over_zmq}", "--lockstep")
@@ -137,7 +137,7 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
     again = json.loads(robot.communicate(timeout=200)[0])
     policy.kill()
     policy.communicate()
-    assert (again["steps"], again["mean_return"]) == (found["steps"], found["mean_return"])
+    assert (again["steps"], again["mean_return"]) == (driven["steps"], driven["mean_return"])
 
 
 @needs_ros
@@ -145,7 +145,7 @@ def test_a_policy_acts_for_a_robot_over_ros_1_and_a_second_one_is_refused(
 def test_after_the_table_the_process_ends_at_once_and_a_further_interrupt_prints_nothing(
     master: dict[str, str], tmp_path: Path
 ) -> None:
-    bundle = written(tmp_path / "bundle", "cartpole")
+    bundle = write_bundle(tmp_path / "bundle", "cartpole")
     for further in (False, True):
         policy = started(master, "deepbots_cli", "serve", bundle, "--ros1", "--seconds", 60)
         assert policy.stderr is not None
@@ -192,7 +192,7 @@ print("done")
 
 @needs_ros
 def test_without_a_master_it_says_so(tmp_path: Path) -> None:
-    bundle = written(tmp_path / "bundle", "cartpole")
+    bundle = write_bundle(tmp_path / "bundle", "cartpole")
     server = started(
         {**os.environ, "ROS_MASTER_URI": "http://127.0.0.1:9"}, "deepbots_robot", bundle, "--ros1"
     )

@@ -29,7 +29,8 @@ def _values(name: str) -> st.SearchStrategy[Any]:
 
 
 def _value(kind: Any) -> st.SearchStrategy[Any]:
-    node, (inner, *rest) = int(kind[0]), kind[1] if isinstance(kind[1], tuple) else (kind[1],)
+    node = int(kind[0])
+    (inner, *rest) = kind[1] if isinstance(kind[1], tuple) else (kind[1],)
     if node == 2:
         return _values(inner)
     if node == 1:
@@ -106,8 +107,8 @@ FIELDS = (
 
 
 def test_first_mapping_has_types_of_ros_where_they_fit() -> None:
-    found = {name: (topic.name, topic.type) for name, topic in first_mapping(FIELDS).items()}
-    assert found == {
+    topics = {name: (topic.name, topic.type) for name, topic in first_mapping(FIELDS).items()}
+    assert topics == {
         "dog.q": ("/dog/joint_states", "sensor_msgs/JointState"),
         "dog.dq": ("/dog/joint_states", "sensor_msgs/JointState"),
         "dog.first": ("/dog/first", "std_msgs/Float64MultiArray"),  # the position of this joint is taken
@@ -226,8 +227,8 @@ def test_what_does_not_fit_is_refused_with_its_units(field: Field, topic: Topic,
 
 
 def test_each_part_has_its_attribute() -> None:
-    for type, known in PARTS.items():
+    for type, parts in PARTS.items():
         message = idl.empty(type, 0.0, "")
-        for part in known.values():
+        for part in parts.values():
             holder, name = ros._holder(message, part.path)
             assert hasattr(holder, name)

@@ -21,7 +21,7 @@ def test_what_inspect_prints_is_a_section_without_findings(
     assert main(["inspect", scenario, "--ros"]) == 0
     printed = capfd.readouterr().out
     Path("mine.yaml").write_text(f"deepbots: 1\nextends: {scenario}\n{printed}")
-    assert not [found for found in api.lint("mine.yaml") if found.severity == "error"]
+    assert not [finding for finding in api.lint("mine.yaml") if finding.severity == "error"]
     compiled = api.compile("mine.yaml")
     assert len(compiled.program.ros) == len(printed.splitlines()) - 1
     assert compiled.digest == api.compile(scenario).digest  # topics do not change a policy
@@ -32,7 +32,7 @@ def test_a_topic_of_no_agent_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
     topics = "ros:\n  blue.left_wheel: {topic: /b, type: sensor_msgs/JointState}\n"
     wrong = topics + "  blue.left_whel: {topic: /c, type: sensor_msgs/JointState}\n"
     Path("mine.yaml").write_text(f"deepbots: 1\nextends: sumo\n{wrong}")
-    (finding,) = [found for found in api.lint("mine.yaml") if found.severity == "error"]
+    (finding,) = [finding for finding in api.lint("mine.yaml") if finding.severity == "error"]
     assert finding.headline == "there is no sensor, reading or actuator `blue.left_whel`"
 
 
@@ -44,11 +44,11 @@ def test_a_bundle_has_the_topics_of_its_scenario() -> None:
         "cartpole",
         overrides=["ros={cart.pole_angle: {topic: /pole, type: sensor_msgs/JointState, part: position}}"],
     ).program
-    found = {
+    topics = {
         name: Topic(topic.topic, topic.type, topic.part)
         for name, topic in _topics(program, {"cart.pole_angle", "position(cart)"}).items()
     }
-    assert found == {
+    assert topics == {
         "cart.pole_angle": Topic("/pole", "sensor_msgs/JointState", "position"),
         "position(cart)": Topic("/supervisor/position_cart", "geometry_msgs/PoseStamped"),
     }

@@ -1,5 +1,5 @@
-"""`deepbots serve` and `deepbots-robot serve` as processes: what they import, how much memory they take, and
-what a kill leaves."""
+"""`deepbots serve` and `deepbots-robot serve` as processes: their imports, their memory, and their log after
+a kill."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytest.importorskip("mcap")
 
 from deepbots_cli.cli import main
 from deepbots_robot.log import read_log
-from tests.bundle.untrained import written
+from tests.bundle.untrained import write_bundle
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("torch", "pybullet", "mujoco", "scipy", "gymnasium", "onnx", "matplotlib", "pandas")
@@ -31,7 +31,7 @@ MAX_MEMORY = 100  # MB
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("serve") / "bundle", "cartpole")
+    return write_bundle(tmp_path_factory.mktemp("serve") / "bundle", "cartpole")
 
 
 @contextmanager
@@ -73,17 +73,18 @@ def test_a_server_imports_no_simulator_and_takes_little_memory(
     words = ["serve", bundle, *link, "--seconds", 0.3, "--log", tmp_path / "a.mcap"]
     with running("-c", PROGRAM.format(module=module), *words) as process:
         out, err = process.communicate(timeout=60)
-    found = json.loads(out.splitlines()[-1])
+    report = json.loads(out.splitlines()[-1])
     assert "messages     0 received, 0 refused" in out, err
-    assert not set(HEAVY) & set(found["modules"])
-    assert ("deepbots_cli" in found["modules"]) == (module == "deepbots_cli")
-    assert found["memory"] <= MAX_MEMORY
+    assert not set(HEAVY) & set(report["modules"])
+    assert ("deepbots_cli" in report["modules"]) == (module == "deepbots_cli")
+    assert report["memory"] <= MAX_MEMORY
 
 
 def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_log(
     bundle: Path, tmp_path: Path
 ) -> None:
-    link, log = f"ipc://{tmp_path}/link", tmp_path / "a.mcap"
+    link = f"ipc://{tmp_path}/link"
+    log = tmp_path / "a.mcap"
     serve = (*("-m", "deepbots_robot", "serve", bundle, "--zmq", link, "--log", log),)
     with (
         running(*serve) as server,
@@ -96,9 +97,9 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
         killed = time.time()
         server.send_signal(signal.SIGKILL)
         server.wait(10)
-    found = list(read_log(log))
-    assert killed - found[-1][1] <= 1.0
-    last = found[-1][2]
+    entries = list(read_log(log))
+    assert killed - entries[-1][1] <= 1.0
+    last = entries[-1][2]
     assert {**last, "ages": {}} == {
         "inputs": {},
         "ages": {},
@@ -109,7 +110,7 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
     assert min(last["ages"].values()) > 0.096  # beyond the age limit
     assert any(
         content["kind"] == "safe" and "no new value" in content["text"]
-        for topic, _, content in found
+        for topic, _, content in entries
         if topic == "/event"
     )
 
@@ -124,7 +125,7 @@ def _until(holds: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["nothing"], "nothing is not a bundle of `deepbots export`: there is no such folder"),
         (
@@ -157,19 +158,19 @@ def _until(holds: object) -> None:
         (["multi_cartpole", "--as-robot"], "has copies of a robot"),
     ],
 )
-def test_what_cannot_be_served_is_said_in_a_sentence(
+def test_a_bundle_that_cannot_be_served_is_refused_in_a_sentence(
     bundle: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
     words: list[str],
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["serve", *(str(bundle) if word == "BUNDLE" else word for word in words)]) != 0
-    told = " ".join(capfd.readouterr().err.split())
-    assert said in told
-    assert "Traceback" not in told
+    error = " ".join(capfd.readouterr().err.split())
+    assert message in error
+    assert "Traceback" not in error
     assert os.listdir(tmp_path) == []
 
 

@@ -1,4 +1,5 @@
-"""The server of a policy: what it obeys, what it refuses, and what it commands when the robot is silent."""
+"""The server of a policy: messages that it accepts, messages that it refuses, and its commands when the robot
+is silent."""
 
 from __future__ import annotations
 
@@ -103,7 +104,8 @@ class World:
         free = np.full(2, np.inf)
         self.events: list[tuple[str, str]] = []
         self.logged: list[tuple[str, float]] = []
-        self.line, self.policy = Line(), Doubles()
+        self.line = Line()
+        self.policy = Doubles()
         output = output or Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), free, np.array(SAFE))
         self.server = Server(
             self.policy, INPUTS, [output], self.line, RATE, clock=lambda: self.line.now, log=self, **settings
@@ -125,21 +127,21 @@ class World:
 
     def run(self, until: float) -> list[tuple[float, list[float]]]:
         """Let time pass; the commands of this time."""
-        known = len(self.line.sent)
+        sent_before = len(self.line.sent)
         while self.line.now < until:
             self.line.wait(min(self.server._patience(), until - self.line.now))
             self.server.turn()
-        return self.line.sent[known:]
+        return self.line.sent[sent_before:]
 
 
 def test_it_answers_values_at_once_and_at_the_rate_of_the_bundle() -> None:
     world = World()
     for step in range(100):  # twice as often as the policy acts
         world.line.put(100.0 + 0.01 * step, 0.001 * step)
-    found = world.run(101.0)
-    assert 49 <= len(found) <= 51
-    assert found[0] == (100.0, [0.0, 0.0])
-    for at, command in found[1:]:
+    answers = world.run(101.0)
+    assert 49 <= len(answers) <= 51
+    assert answers[0] == (100.0, [0.0, 0.0])
+    for at, command in answers[1:]:
         assert command == pytest.approx(
             [round((at - 100.0) * 100) * 0.01] * 2, abs=0.0101
         )  # at most one message old
@@ -166,9 +168,9 @@ def test_a_silent_robot_costs_a_wait_for_each_period() -> None:
 def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_one_period() -> None:
     world = World()
     world.line.put(100.0, 0.1)
-    found = world.run(101.0)
-    acted = [at for at, command in found if command != SAFE]
-    safe = [at for at, command in found if command == SAFE]
+    answers = world.run(101.0)
+    acted = [at for at, command in answers if command != SAFE]
+    safe = [at for at, command in answers if command == SAFE]
     assert max(acted) <= 100.0 + AGE
     assert 100.0 + AGE <= min(safe) <= 100.0 + AGE + 1 / RATE
     assert len(safe) == pytest.approx((1.0 - AGE) * RATE, abs=15)  # again and again
@@ -196,9 +198,9 @@ def test_a_wrong_message_is_answered_with_the_safe_posture(name: str, value: lis
         world.line.put(100.0 + step / RATE, 0.1)
     world.line.coming.append((100.06, Arrival("x", {name: np.array(value)}, 100.06)))
     world.line.put(100.08, 0.2)
-    found = world.run(100.09)
-    assert next(at for at, command in found if command == SAFE) <= 100.06 + 1 / RATE
-    assert found[-1][1] == [2.0, 2.0]  # it goes on with the next good values
+    answers = world.run(100.09)
+    assert next(at for at, command in answers if command == SAFE) <= 100.06 + 1 / RATE
+    assert answers[-1][1] == [2.0, 2.0]  # it goes on with the next good values
     assert world.server.report()["refused"][kind]["count"] == 1
     assert math.nan not in world.policy.seen
 
@@ -232,8 +234,8 @@ def test_messages_that_were_long_under_way_are_ignored() -> None:
     for step in range(10):
         world.line.put(100.0 + step / RATE, 0.1, 500.0 + step / RATE)  # the clock of the robot is another one
     world.line.put(100.5, 0.9, 500.2)
-    found = world.run(100.51)
-    assert found[-1][1] == SAFE
+    answers = world.run(100.51)
+    assert answers[-1][1] == SAFE
     assert 0.9 not in world.policy.seen
     assert world.server.report()["refused"]["late"]["count"] == 2
     for late in range(20):  # a network that was held up delivers all at once
@@ -250,8 +252,8 @@ def test_commands_stay_within_value_and_rate() -> None:
     world = World(output=output)
     for step, angle in enumerate([0.0, 1.0, 1.0, 1.0, -1.0]):
         world.line.put(100.0 + step / RATE, angle)
-    found = [command for _, command in world.run(100.085)]
-    np.testing.assert_allclose(found, [[0.0, 0.0], [0.4, 2.0], [0.8, 2.0], [1.2, 2.0], [0.8, -2.0]])
+    commands = [command for _, command in world.run(100.085)]
+    np.testing.assert_allclose(commands, [[0.0, 0.0], [0.4, 2.0], [0.8, 2.0], [1.2, 2.0], [0.8, -2.0]])
     assert world.server.commands.limited == 4
 
 
@@ -289,9 +291,9 @@ def test_a_robot_that_is_silent_after_a_reset_gets_the_safe_posture() -> None:
     world.line.put(100.0, 0.3)
     world.run(100.01)
     world.line.coming.append((100.02, Arrival("e", stamp=100.02, kind="reset", number=1)))
-    found = world.run(101.5)
-    assert {tuple(command) for _, command in found} == {(0.0, 0.0)}
-    assert found[0][0] <= 101.2
+    answers = world.run(101.5)
+    assert {tuple(command) for _, command in answers} == {(0.0, 0.0)}
+    assert answers[0][0] <= 101.2
 
 
 def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes() -> None:
@@ -312,13 +314,13 @@ def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes()
 def _damages(rng: random.Random) -> list[Callable[[dict[str, Any]], Any]]:
     """Each turns a message into one that must not be used."""
     missing = rng.choice(["robot", "stamp", "fields"])
-    odd = [math.nan, math.inf, -math.inf, 1e300, -7.0]
+    bad_numbers = [math.nan, math.inf, -math.inf, 1e300, -7.0]
 
     def into(value: Any) -> Callable[[dict[str, Any]], Any]:
         return lambda message: {**message, "fields": {**message["fields"], "cart.angle": value}}
 
     return [
-        into([rng.choice(odd)]),
+        into([rng.choice(bad_numbers)]),
         into([0.1] * rng.choice([0, 2, 3, 1000])),
         into(rng.choice(["0.1", None, {"x": 1}, [[0.1]], b"\x00" * 8, True])),
         lambda message: {**message, "fields": {f"cart.{rng.randrange(9)}": [0.9]}},
@@ -337,7 +339,8 @@ def _damages(rng: random.Random) -> list[Callable[[dict[str, Any]], Any]]:
 
 
 def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> None:
-    world, rng = World(), random.Random(36)
+    world = World()
+    rng = random.Random(36)
     fields = {each.field.name: each.field for each in INPUTS}
     moment = 0
     for number in range(10_000):
@@ -386,7 +389,7 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
         arrival = dds._arrival("/s", codec, message)
         world.line.coming.append((100.0 + number / RATE, arrival))
         world.run(100.0 + number / RATE)
-    assert all(math.isfinite(seen) and abs(seen) <= 1.02 for seen in world.policy.seen)
+    assert all(math.isfinite(value) and abs(value) <= 1.02 for value in world.policy.seen)
 
 
 def test_the_log_has_the_answer_times_of_the_report() -> None:
@@ -405,10 +408,10 @@ def test_the_log_has_the_answer_times_of_the_report() -> None:
     world.run(101.0)
     report = world.server.report()
     assert report["held_steps"] > 1
-    found = [answer for posture, answer in world.logged if posture == "policy"]
-    assert len(found) == report["steps"]
-    assert found.count(0.0) == report["held_steps"]
-    assert max(found) == report["answer_max"]
+    answer_times = [answer for posture, answer in world.logged if posture == "policy"]
+    assert len(answer_times) == report["steps"]
+    assert answer_times.count(0.0) == report["held_steps"]
+    assert max(answer_times) == report["answer_max"]
 
 
 def test_in_lockstep_a_robot_that_is_quiet_is_remarked_on_once_each_time() -> None:
@@ -441,9 +444,9 @@ def test_a_log_without_an_end_can_be_read(tmp_path: Path) -> None:
         )
     content = (tmp_path / "a.mcap").read_bytes()  # as a killed process leaves it
     (tmp_path / "b.mcap").write_bytes(content[:-3])
-    found = list(read_log(tmp_path / "b.mcap"))
-    assert found[-1][1] >= 3.98 - 1.0
-    assert found[5][2] == {
+    entries = list(read_log(tmp_path / "b.mcap"))
+    assert entries[-1][1] >= 3.98 - 1.0
+    assert entries[5][2] == {
         "inputs": {"cart.angle": [0.1]},
         "commands": {"cart.drive": [1.0, 1.0]},
         "answer": 0.001,

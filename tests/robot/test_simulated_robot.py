@@ -28,7 +28,7 @@ from deepbots_cli.rollout.policies import PolicyDriver
 from deepbots_robot.server import Server
 from deepbots_robot.serving import Transport, field_of, inputs_of, mapped, outputs_of
 from deepbots_robot.topics import Field, Topic, action_field
-from tests.bundle.untrained import made
+from tests.bundle.untrained import untrained_bundle
 from tests.few import WORLDS, few
 
 STEPS = 40
@@ -41,11 +41,12 @@ SINGLE = [name for name in shipped.scenario_names() if name != "multi_cartpole"]
 @contextmanager
 def served(scenario: str, transport: Transport, *, lockstep: bool = True) -> Iterator[Server]:
     """The untrained policy of a scenario, served in a thread."""
-    step, _, bundle = made(scenario)
-    given = mapping(step.program)
-    inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)
-    receives = mapped([each.field for each in inputs], given)
-    sends = [_action(step.program), *mapped([each.field for each in outputs], given, commands=True)]
+    step, _, bundle = untrained_bundle(scenario)
+    topics = mapping(step.program)
+    inputs = inputs_of(bundle.info)
+    outputs = outputs_of(bundle.info)
+    receives = mapped([each.field for each in inputs], topics)
+    sends = [_action(step.program), *mapped([each.field for each in outputs], topics, commands=True)]
     link = transport.open(receives, sends, robot=False)
     server = Server(bundle.start(), inputs, outputs, link, bundle.info.rate_hz, lockstep=lockstep)
     done = threading.Event()
@@ -75,7 +76,7 @@ def without_noise(program: Program) -> Program:
     return replace(program, signals=tuple(replace(signal, noise=None) for signal in program.signals))
 
 
-def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
+def arrays_of(observation: Any) -> list[np.ndarray[Any, Any]]:
     """The arrays of an observation."""
     parts = observation.values() if isinstance(observation, dict) else [observation]
     return [np.asarray(part, float) for part in parts]
@@ -83,7 +84,7 @@ def seen(observation: Any) -> list[np.ndarray[Any, Any]]:
 
 @pytest.mark.parametrize("scenario", few(SINGLE, WORLDS))
 def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_path: Path) -> None:
-    step, learner, _ = made(scenario)
+    step, learner, _ = untrained_bundle(scenario)
     count = SENSITIVE_AFTER.get(scenario, STEPS)
     program = without_noise(robot_program(step.program))
     with closing(api.build(program)) as world:
@@ -101,20 +102,22 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
             robot = SimulatedRobot(world, readings, outputs, link, lockstep=True, patience=10)
             over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), count))
     assert [each.is_last for each in over_link] == [each.is_last for each in alone]
-    for one, other in zip(alone, over_link, strict=True):
-        assert other.reward == pytest.approx(one.reward, abs=1e-3)
-        for expected, found in zip(seen(one.observation), seen(other.observation), strict=True):
-            np.testing.assert_allclose(found, expected, atol=2e-3, err_msg=f"step {one.number}")
+    for expected_step, actual_step in zip(alone, over_link, strict=True):
+        assert actual_step.reward == pytest.approx(expected_step.reward, abs=1e-3)
+        for expected, actual in zip(
+            arrays_of(expected_step.observation), arrays_of(actual_step.observation), strict=True
+        ):
+            np.testing.assert_allclose(actual, expected, atol=2e-3, err_msg=f"step {expected_step.number}")
     assert robot.steps == len(alone) - 1
 
 
 def test_episodes_over_ros_topics(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
-    program = made("cartpole")[0].program
+    program = untrained_bundle("cartpole")[0].program
     transport = Transport(domain=71)
     with served("cartpole", transport) as server:
-        found = list(serve_robot(program, transport, episodes=3, lockstep=True, patience=10))
-    lengths = [episode.length for episode, _ in found]
+        played = list(serve_robot(program, transport, episodes=3, lockstep=True, patience=10))
+    lengths = [episode.length for episode, _ in played]
     assert server.episodes == 3
     assert server.steps == sum(lengths)
     with served("cartpole", Transport(zmq=f"ipc://{tmp_path}/link")):
@@ -128,14 +131,15 @@ def test_episodes_over_ros_topics(tmp_path: Path) -> None:
 
 def test_episodes_over_websocket() -> None:
     pytest.importorskip("websockets")
-    program, transport = made("cartpole")[0].program, Transport(websocket="58745")
+    program = untrained_bundle("cartpole")[0].program
+    transport = Transport(websocket="58745")
     with served("cartpole", transport) as server:
-        found = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))
+        played = list(serve_robot(program, transport, episodes=2, lockstep=True, patience=10))
         again = list(
             serve_robot(program, transport, episodes=2, lockstep=True, patience=10)
         )  # a robot that comes back
-    assert server.steps == 2 * sum(episode.length for episode, _ in found)
-    assert [episode.length for episode, _ in again] == [episode.length for episode, _ in found]
+    assert server.steps == 2 * sum(episode.length for episode, _ in played)
+    assert [episode.length for episode, _ in again] == [episode.length for episode, _ in played]
 
 
 def test_a_robot_without_a_policy_says_so(tmp_path: Path) -> None:

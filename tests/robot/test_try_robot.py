@@ -1,4 +1,4 @@
-"""`deepbots try --robot`: what a robot measures is scored as the simulation would score it."""
+"""`deepbots try --robot`: the measurements of a robot are scored as the simulation would score them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_an_episode_on_a_robot_is_scored_as_in_the_simulation(
     assert report["steps"] >= here.length
 
 
-def test_what_nothing_measures_is_named_and_left_out() -> None:
+def test_a_value_that_nothing_measures_is_named_and_left_out() -> None:
     bare = robot_program(api.compile("find_ball").program)
     kept, notes = scored(bare, sent_readings(bare))
     assert [term.name for term in kept.agent.reward] == ["time", "found"]
@@ -112,15 +112,16 @@ def test_the_command_plays_further_episodes_when_the_robot_begins_them(
             )
             == 0
         )
-    found = json.loads(capsys.readouterr().out)
-    assert [each["length"] for each in found["episodes"]] == [each.length for each in there]
-    assert {each["ended_by"] for each in found["episodes"]} == {"fallen"}
-    assert found["link"]["refused"] == {}
+    report = json.loads(capsys.readouterr().out)
+    assert [episode["length"] for episode in report["episodes"]] == [episode.length for episode in there]
+    assert {episode["ended_by"] for episode in report["episodes"]} == {"fallen"}
+    assert report["link"]["refused"] == {}
 
 
 @pytest.mark.slow
 def test_a_robot_that_falls_silent_ends_the_episode(tmp_path: Path) -> None:
-    transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
+    transport = Transport(zmq=f"ipc://{tmp_path}/link")
+    program = api.compile("pit_escape").program
     with simulated("pit_escape", transport):  # it ends when it is out of the pit, which it does not measure
         (here,), _ = try_robot(
             program, transport, lambda world: named_driver(world, "rocking"), lockstep=True, seconds=1
@@ -135,7 +136,8 @@ def test_a_robot_that_is_not_there_is_named_after_a_while(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving, "QUIET", 0.25)
-    transport, program = Transport(zmq=f"ipc://{tmp_path}/link"), api.compile("pit_escape").program
+    transport = Transport(zmq=f"ipc://{tmp_path}/link")
+    program = api.compile("pit_escape").program
     notes: list[str] = []
     with pytest.raises(UsageError, match="no value of"):
         try_robot(
@@ -145,7 +147,7 @@ def test_a_robot_that_is_not_there_is_named_after_a_while(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--robot", "tcp://127.0.0.1:58751"], "--robot needs --driver NAME"),
         (
@@ -161,12 +163,12 @@ def test_a_robot_that_is_not_there_is_named_after_a_while(
         (["--lockstep"], "--lockstep and --speed need --robot"),
     ],
 )
-def test_what_cannot_be_tried_is_said_in_a_sentence(
-    capsys: pytest.CaptureFixture[str], words: list[str], said: str
+def test_options_that_do_not_fit_are_refused_in_a_sentence(
+    capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
     pytest.importorskip("cyclonedds")
     assert main(["try", "cartpole", *words]) == 2
-    assert said in " ".join(capsys.readouterr().err.split())
+    assert message in " ".join(capsys.readouterr().err.split())
 
 
 def test_over_another_scenario_it_ends_with_a_sentence(tmp_path: Path) -> None:

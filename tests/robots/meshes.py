@@ -27,7 +27,8 @@ def ball(radius: float, rings: int) -> bytes:
     sectors = 2 * rings
     points: list[Point] = [(0.0, 0.0, radius)]
     for ring in range(1, rings):
-        down, around = math.pi * ring / rings, [2 * math.pi * sector / sectors for sector in range(sectors)]
+        down = math.pi * ring / rings
+        around = [2 * math.pi * sector / sectors for sector in range(sectors)]
         points += [
             (
                 radius * math.sin(down) * math.cos(a),

@@ -58,31 +58,33 @@ def moments(inertial: Inertial) -> list[float]:
 def test_a_block_of_triangles_weighs_what_a_box_does(
     tmp_path: Path, name: str, scale: tuple[float, float, float]
 ) -> None:
-    found = weighed(robot(mesh(tmp_path, name, block(name, (0.1, 0.2, 0.3)), scale), Pose((1.0, 2.0, 3.0))))
+    inertial = weighed(
+        robot(mesh(tmp_path, name, block(name, (0.1, 0.2, 0.3)), scale), Pose((1.0, 2.0, 3.0)))
+    )
     size = (0.1 * scale[0], 0.2 * scale[1], 0.3 * abs(scale[2]))
     expected = homogeneous_inertial(Box(size), DENSITY * math.prod(size))
-    assert moments(found) == pytest.approx(
+    assert moments(inertial) == pytest.approx(
         moments(expected), rel=1e-6, abs=1e-9
     )  # an STL file has 32-bit floats
-    assert found.origin.xyz == pytest.approx((1.0, 2.0, 3.0))
+    assert inertial.origin.xyz == pytest.approx((1.0, 2.0, 3.0))
 
 
 def test_a_ball_of_triangles_weighs_nearly_what_a_sphere_does(tmp_path: Path) -> None:
-    found = weighed(robot(mesh(tmp_path, "ball.obj", ball(0.5, 120))))
+    inertial = weighed(robot(mesh(tmp_path, "ball.obj", ball(0.5, 120))))
     expected = homogeneous_inertial(Sphere(0.5), DENSITY * 4 / 3 * math.pi * 0.5**3)
-    assert moments(found) == pytest.approx(moments(expected), rel=2e-3, abs=1e-9)
-    assert found.origin.xyz == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+    assert moments(inertial) == pytest.approx(moments(expected), rel=2e-3, abs=1e-9)
+    assert inertial.origin.xyz == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_a_turned_block_has_the_inertia_of_a_turned_box(tmp_path: Path) -> None:
-    found = weighed(
+    inertial = weighed(
         robot(
             mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))),
             Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
         )
     )
     expected = homogeneous_inertial(Box((0.2, 0.1, 0.3)), DENSITY * 0.006)
-    assert moments(found) == pytest.approx(moments(expected), abs=1e-12)
+    assert moments(inertial) == pytest.approx(moments(expected), abs=1e-12)
 
 
 def test_a_mesh_that_is_inside_out_weighs_the_same(tmp_path: Path) -> None:
@@ -106,7 +108,7 @@ def test_shapes_in_closed_form_are_weighed_at_once() -> None:
     assert dense.link("a").density is None
 
 
-def test_what_has_no_volume_is_told_from_what_has(tmp_path: Path) -> None:
+def test_a_link_without_a_volume_is_an_error_that_says_why(tmp_path: Path) -> None:
     assert "has 0 shapes" in str(with_density(RobotModel("r", (Link("a"),), (), "a"), "a", DENSITY))
     assert "is a COLLADA file" in str(with_density(robot(Mesh("/m.DAE", "")), "a", DENSITY))
 

@@ -87,7 +87,7 @@ def test_a_hostile_file_is_refused_in_time(case):
     assert expected in headline_of(data)
 
 
-def test_a_hundred_thousand_findings_are_not_all_told():
+def test_of_a_hundred_thousand_findings_only_some_are_reported():
     findings = Findings()
     joints = b"<joint/>" * 99_000
     assert (

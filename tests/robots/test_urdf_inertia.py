@@ -166,11 +166,9 @@ def test_joint_and_friction_overrides_change_only_what_is_named():
     model = with_joint(
         with_joint(robot(Sphere(1.0)), "j", damping=0.5), "j", friction=0.1, limit=Limit(effort=2.0)
     )
-    assert (model.joint("j").damping, model.joint("j").friction, model.joint("j").limit.effort) == (
-        0.5,
-        0.1,
-        2.0,
-    )
+    assert model.joint("j").damping == 0.5
+    assert model.joint("j").friction == 0.1
+    assert model.joint("j").limit.effort == 2.0
     model = with_friction(with_friction(model, "a", lateral=0.3), "a", rolling=0.0)
     assert model.link("a").friction == Friction(lateral=0.3, rolling=0.0)
     assert model.link("b") == robot(Sphere(1.0)).link("b")

@@ -44,24 +44,27 @@ def test_a_mesh_is_kept_by_its_real_path_and_digest(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot, headlines = robot_with(tmp_path, "m.obj")
     assert headlines == []
-    path, digest = os.path.realpath(tmp_path / "m.obj"), hashlib.sha256(TETRAHEDRON).hexdigest()
+    path = os.path.realpath(tmp_path / "m.obj")
+    digest = hashlib.sha256(TETRAHEDRON).hexdigest()
     assert robot.model.links[0].visuals[0].shape == Mesh(path, digest, (1.0, 2.0, 3.0))
     assert robot.meshes == {path: digest}
 
 
 def test_a_mesh_is_checked_once_until_its_content_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    checked, check = [], meshes.mesh_problem
+    checked = []
+    check = meshes.mesh_problem
     monkeypatch.setattr(
         meshes, "mesh_problem", lambda suffix, data: checked.append(data) or check(suffix, data)
     )
-    sound, broken = TETRAHEDRON + b"# read twice\n", b"v 0 0 0\nv 1 0 0\nf 1 2 3\n"
-    said = []
+    sound = TETRAHEDRON + b"# read twice\n"
+    broken = b"v 0 0 0\nv 1 0 0\nf 1 2 3\n"
+    problems = []
     for content in (sound, sound, broken, broken):
         (tmp_path / "m.obj").write_bytes(content)
-        said.append(robot_with(tmp_path, "m.obj")[1])
+        problems.append(robot_with(tmp_path, "m.obj")[1])
     assert checked == [sound, broken]
-    assert said[:2] == [[], []]
-    assert said[2] == said[3] != []
+    assert problems[:2] == [[], []]
+    assert problems[2] == problems[3] != []
 
 
 def test_the_normalized_robot_finds_its_meshes_from_anywhere(tmp_path: Path):
@@ -298,7 +301,7 @@ def test_a_package_is_an_installed_one_else_a_folder_above_else_beside_the_robot
     )
 
 
-def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
+def test_a_resolver_limits_which_files_are_read(tmp_path: Path):
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON)
     robot_with(tmp_path, "m.obj")
     findings = Findings()
@@ -316,7 +319,8 @@ def test_a_resolver_decides_what_may_be_read(tmp_path: Path):
 
 @pytest.mark.parametrize("name", ["m.stl", "m.obj", "m.dae"])
 def test_a_damaged_mesh_of_many_triangles_gives_findings_and_no_error_of_python(tmp_path: Path, name):
-    random, whole = Random(0), sheets(name, 150)
+    random = Random(0)
+    whole = sheets(name, 150)
     for _ in range(150):
         data = bytearray(whole)
         for _ in range(random.randint(1, 20)):

@@ -1,4 +1,4 @@
-"""What the reader makes of a robot file, and what it says about a wrong one."""
+"""The robots that the reader makes of files, and its findings about wrong ones."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def broken(old: str, new: str, text: str = ARM) -> str:
 
 
 @pytest.mark.parametrize("mistake", mistakes("robot"), ids=lambda row: row[0])
-def test_an_error_is_said_once_and_at_its_place(read_text, mistake):
+def test_an_error_is_reported_once_and_at_its_place(read_text, mistake):
     case, changes, headline, place = mistake
     text = changes if isinstance(changes, str) else ARM
     for old, new in () if isinstance(changes, str) else changes:
@@ -182,7 +182,8 @@ def test_a_duplicate_shows_the_first_place(read_text):
         )
     )
     label = findings[0].labels[0]
-    assert (label.text, label.span.start_position) == ("first defined here", (13, 16))
+    assert label.text == "first defined here"
+    assert label.span.start_position == (13, 16)
 
 
 def test_two_parents_and_a_circle_are_named(read_text):
@@ -216,7 +217,7 @@ def warning(read_text, text: str) -> Finding:
     return finding
 
 
-def test_an_odd_xml_version_is_a_warning(read_text):
+def test_an_unusual_xml_version_is_a_warning(read_text):
     finding = warning(read_text, broken('version="1.0"', 'version="0.0" '))
     assert (finding.code, finding.span.text) == ("DB311", '<?xml version="0.0" ?>')
 
@@ -287,7 +288,8 @@ def test_links_without_inertia_that_do_not_move_share_one_warning(read_text):
 )
 def test_an_inertia_that_no_body_can_have_is_warned_about(read_text, moments):
     finding = warning(read_text, broken('ixx="1" iyy="1" izz="1"', moments))
-    assert (finding.code, finding.span.start_position.line) == ("DB306", 5)
+    assert finding.code == "DB306"
+    assert finding.span.start_position.line == 5
 
 
 def test_a_mass_of_zero_is_warned_about(read_text):

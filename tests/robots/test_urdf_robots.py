@@ -45,9 +45,12 @@ def shipped(name: str) -> RobotFile:
 
 
 def moments(link, shape, origin):
-    """What the file says, beside the closed form."""
-    said, right = link.inertial, homogeneous_inertial(shape, link.inertial.mass, origin)
-    return [said.ixx, said.iyy, said.izz], pytest.approx([right.ixx, right.iyy, right.izz], rel=1e-9)
+    """The moments of the file, and those of the closed form."""
+    inertial = link.inertial
+    expected = homogeneous_inertial(shape, link.inertial.mass, origin)
+    return [inertial.ixx, inertial.iyy, inertial.izz], pytest.approx(
+        [expected.ixx, expected.iyy, expected.izz], rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.urdf")), ids=lambda path: path.stem)
@@ -64,13 +67,13 @@ def test_the_cart_of_the_paper_has_the_names_that_scenarios_use():
     wheels = matching_names((joint.name for joint in model.moving_joints), "wheel_*")
     assert wheels == ("wheel_front_left", "wheel_front_right", "wheel_rear_left", "wheel_rear_right")
     hinge = model.joint("pole_hinge")
-    assert (hinge.limit.lower, hinge.limit.upper, hinge.limit.effort) == (-1.3, 1.3, None)
-    assert (hinge.axis, hinge.origin.xyz, hinge.damping, hinge.friction) == (
-        (0.0, 1.0, 0.0),
-        (0.0, 0.0, 0.03),
-        0.0,
-        0.0,
-    )
+    assert hinge.limit.lower == -1.3
+    assert hinge.limit.upper == 1.3
+    assert hinge.limit.effort is None
+    assert hinge.axis == (0.0, 1.0, 0.0)
+    assert hinge.origin.xyz == (0.0, 0.0, 0.03)
+    assert hinge.damping == 0.0
+    assert hinge.friction == 0.0
 
 
 def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
@@ -78,13 +81,13 @@ def test_the_cart_of_the_paper_weighs_and_resists_turning_as_its_shapes_do():
     assert sum(link.inertial.mass for link in model.links) == pytest.approx(2 + 4 * 0.1005 + 0.2 + 0.02)
     for name in ("body", "pole", "tip"):
         link = model.link(name)
-        said, right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
-        assert said == right
+        actual, expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert actual == expected
         assert link.inertial.origin == link.visuals[0].origin
     for name in matching_names((link.name for link in model.links), "wheel_*"):
         link = model.link(name)
-        (across, along, other), right = moments(link, link.visuals[0].shape, link.visuals[0].origin)
-        assert [across, other, along] == right  # the cylinder lies along y
+        (across, along, third), expected = moments(link, link.visuals[0].shape, link.visuals[0].origin)
+        assert [across, third, along] == expected  # the cylinder lies along y
     assert isinstance(model.link("body").visuals[0].shape, Box)
     assert model.link("tip").visuals[0].shape == Sphere(0.01)
 
@@ -96,14 +99,19 @@ def test_the_cart_stands_on_its_wheels_and_on_nothing_else():
     for joint in model.joints[:4]:
         wheel = model.link(joint.child).collisions[0].shape
         assert isinstance(wheel, Cylinder)
-        assert (wheel.radius, joint.origin.xyz[2], joint.axis) == (0.04, 0.0, (0.0, 1.0, 0.0))
+        assert wheel.radius == 0.04
+        assert joint.origin.xyz[2] == 0.0
+        assert joint.axis == (0.0, 1.0, 0.0)
 
 
 def test_the_cart_on_a_rail_is_that_of_the_textbooks():
     model = shipped("cartpole_rail.urdf").model
-    assert (model.root, [joint.name for joint in model.moving_joints]) == ("rail", ["slider", "hinge"])
+    assert model.root == "rail"
+    assert [joint.name for joint in model.moving_joints] == ["slider", "hinge"]
     cart, pole = model.link("cart").inertial, model.link("pole").inertial
-    assert (cart.mass, pole.mass, pole.origin.xyz) == (1.0, 0.1, (0.0, 0.0, 0.5))
+    assert cart.mass == 1.0
+    assert pole.mass == 0.1
+    assert pole.origin.xyz == (0.0, 0.0, 0.5)
     assert pole.iyy == pytest.approx(0.1 * 1.0**2 / 12)
     assert model.joint("slider").limit.effort == 10.0
     assert not any(link.collisions for link in model.links)

@@ -1,4 +1,4 @@
-"""What is written is read again as the same robot."""
+"""A written robot file is read again as the same robot."""
 
 from __future__ import annotations
 
@@ -153,11 +153,11 @@ def test_another_reader_finds_the_same_joints_in_the_normalized_file(
     model = model_of(name)
     file = tmp_path / "robot.urdf"
     file.write_text(to_urdf(model), encoding="utf-8")
-    other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
-    assert other.base_link == model.root
-    assert list(other.joint_map) == [joint.name for joint in model.joints]
+    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+    assert read_by_yourdfpy.base_link == model.root
+    assert list(read_by_yourdfpy.joint_map) == [joint.name for joint in model.joints]
     for joint in model.moving_joints:
-        theirs = other.joint_map[joint.name]
+        theirs = read_by_yourdfpy.joint_map[joint.name]
         assert theirs.type == joint.type
         np.testing.assert_allclose(theirs.axis, joint.axis)
         if joint.limit.upper is not None:
@@ -168,9 +168,9 @@ def test_the_tip_of_the_leaning_pole_is_where_another_reader_has_it(yourdfpy: An
     model = model_of("cartpole")
     file = tmp_path / "robot.urdf"
     file.write_text(to_urdf(model), encoding="utf-8")
-    other = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
+    read_by_yourdfpy = yourdfpy.URDF.load(str(file), load_meshes=False, build_scene_graph=True)
     angle = 0.3
-    other.update_cfg({"pole_hinge": angle})
-    tip = other.get_transform("tip", model.root)[:3, 3]
+    read_by_yourdfpy.update_cfg({"pole_hinge": angle})
+    tip = read_by_yourdfpy.get_transform("tip", model.root)[:3, 3]
     # The hinge is 0.03 m above the body's center; a pole that leans to +x has a positive angle.
     np.testing.assert_allclose(tip, [np.sin(angle), 0.0, 0.03 + np.cos(angle)], atol=1e-12)

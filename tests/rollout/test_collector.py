@@ -42,7 +42,8 @@ def shard(number: int, kind: str, worlds: int = 2) -> LocalCollector:
 
 
 def act(observations: Any, starts: Any, masks: Any) -> Decision:
-    """Drives to where the pole leans; `lean` is what a policy would return beside the action."""
+    """Drives to the side to which the pole leans; `lean` is a further column, as a policy may return it
+    beside the action."""
     lean = observations[:, 2] + observations[:, 3]
     return Decision((lean > 0).astype(int), {"lean": lean})
 
@@ -53,13 +54,14 @@ def collected(collector: LocalCollector, steps: int) -> Fragment:
     return fragment
 
 
-def equal(one: Fragment, other: Fragment) -> bool:
+def is_equal(first: Fragment, second: Fragment) -> bool:
     arrays = ("observations", "actions", "rewards", "starts", "following", "following_starts")
-    same = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+    same = all(np.array_equal(getattr(first, name), getattr(second, name)) for name in arrays)
     endings = [
-        [(step, ending.row, ending.episode) for step, ending in fragment.endings] for fragment in (one, other)
+        [(step, ending.row, ending.episode) for step, ending in fragment.endings]
+        for fragment in (first, second)
     ]
-    return same and np.array_equal(one.columns["lean"], other.columns["lean"]) and endings[0] == endings[1]
+    return same and np.array_equal(first.columns["lean"], second.columns["lean"]) and endings[0] == endings[1]
 
 
 @pytest.mark.parametrize("kind", ["single", "batch"])
@@ -81,18 +83,19 @@ def test_a_fragment_has_rows_by_step_and_the_episodes_that_ended(kind: str) -> N
 @pytest.mark.parametrize("kind", ["single", "batch"])
 def test_a_shard_goes_on_elsewhere_to_the_bit(kind: str) -> None:
     """From its state, which JSON can hold, in fresh worlds; the first shard meanwhile runs on."""
-    one, other = shard(0, kind), shard(1, kind)
-    with closing(one.worlds), closing(other.worlds):
-        collected(one, 70)
-        start = [(episode.start, np.array(episode.actions).tolist()) for episode in one.state().episodes]
+    original, restored = shard(0, kind), shard(1, kind)
+    with closing(original.worlds), closing(restored.worlds):
+        collected(original, 70)
+        start = [(episode.start, np.array(episode.actions).tolist()) for episode in original.state().episodes]
         kept = json.loads(json.dumps(start))
         state = ShardState(
-            [EpisodeHistory(begun, list(np.array(actions))) for begun, actions in kept], one.state().observed
+            [EpisodeHistory(begun, list(np.array(actions))) for begun, actions in kept],
+            original.state().observed,
         )
-        assert other.restore(state, [0, 0])
-        assert equal(collected(one, 60), collected(other, 60))
-        assert not other.restore(state._replace(observed="of another world"), [3, 4])
-        assert [episode.start for episode in other.state().episodes] == [3, 4]
+        assert restored.restore(state, [0, 0])
+        assert is_equal(collected(original, 60), collected(restored, 60))
+        assert not restored.restore(state._replace(observed="of another world"), [3, 4])
+        assert [episode.start for episode in restored.state().episodes] == [3, 4]
 
 
 def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
@@ -101,22 +104,23 @@ def test_fragments_are_joined_by_the_number_of_their_shard() -> None:
     whole = LocalCollector(Worlds([api.build(PROGRAM) for _ in range(4)], [10, 11, 20, 21]))
     with closing(whole.worlds), closing(shards[0].worlds), closing(shards[1].worlds):
         arrived = {number: collected(shards[number], 50) for number in (1, 0)}
-        assert equal(join([arrived[0], arrived[1]]), collected(whole, 50))
+        assert is_equal(join([arrived[0], arrived[1]]), collected(whole, 50))
 
 
 def test_a_fragment_may_be_ended_before_its_last_step() -> None:
     collector = shard(0, "single")
     with closing(collector.worlds):
-        seen: list[int] = []
-        assert collector.collect(act, 10, lambda step: seen.append(0) or len(seen) < 4) is None
-        assert len(seen) == 4
+        steps: list[int] = []
+        assert collector.collect(act, 10, lambda step: steps.append(0) or len(steps) < 4) is None
+        assert len(steps) == 4
 
 
 class Shards:
     """Two shards as one collector, asked in the order of their numbers."""
 
     def __init__(self, *shards: LocalCollector) -> None:
-        self.shards, self.rows = shards, sum(shard.rows for shard in shards)
+        self.shards = shards
+        self.rows = sum(shard.rows for shard in shards)
         self.observation_space, self.action_space = shards[0].observation_space, shards[0].action_space
 
     def collect(
@@ -128,11 +132,11 @@ class Shards:
         with_masks: bool = False,
         lesson: Lesson | None = None,
     ) -> Fragment | None:
-        found = [
+        fragments = [
             shard.collect(actor, steps, on_step, with_masks=with_masks, lesson=lesson)
             for shard in self.shards
         ]
-        return join([fragment for fragment in found if fragment is not None])
+        return join([fragment for fragment in fragments if fragment is not None])
 
     def state(self) -> ShardState:
         states = [shard.state() for shard in self.shards]
@@ -150,18 +154,18 @@ def test_an_on_policy_learner_learns_from_any_collector_and_others_refuse_one() 
     spaces = shards.observation_space, shards.action_space
     with closing(shards.shards[0].worlds), closing(shards.shards[1].worlds):
         settings = tuple(Hyperparameter(name, 32) for name in ("n_steps", "batch_size"))
-        made = learner.create(
+        ppo = learner.create(
             Setup(Training("PPO", 1000, environments=4, hyperparameters=settings), *spaces, collector=shards)
         )
-        made.log = Logger(None, [])  # type: ignore[assignment]  # writes nothing
-        made.begin(1000, Monitor())  # type: ignore[arg-type]  # what a learner calls of it
-        made.start()
-        before = made.digest()
-        assert made.collect()
-        assert made.steps == 4 * 32
-        assert made.recent()[1].shape[:2] == (32, 4)
-        made.update()
-        assert made.digest() != before
+        ppo.log = Logger(None, [])  # type: ignore[assignment]  # writes nothing
+        ppo.begin(1000, Monitor())  # type: ignore[arg-type]  # what a learner calls of it
+        ppo.start()
+        before = ppo.digest()
+        assert ppo.collect()
+        assert ppo.steps == 4 * 32
+        assert ppo.recent()[1].shape[:2] == (32, 4)
+        ppo.update()
+        assert ppo.digest() != before
         with pytest.raises(UsageError, match="DQN needs its worlds in the training process"):
             learner.create(Setup(Training("DQN", 1000, environments=4), *spaces, collector=shards))
 

@@ -38,33 +38,33 @@ def _stepping(path: Path) -> Iterator[int]:
 
 @pytest.mark.slow
 def test_an_environment_is_stepped_in_few_places() -> None:
-    """A place that steps an environment itself decides anew what begins an episode, who acts and when it
-    ends."""
+    """Each place that steps an environment needs its own rules for the start and end of an episode and for
+    the driver."""
     packages = [
         folder
         for folder in PACKAGE.iterdir()
         if folder.is_dir() and folder.name not in ("runtime", "engines", "codegen")
     ]
-    found = {
+    modules = {
         path.relative_to(PACKAGE).as_posix()
         for package in packages
         for path in package.rglob("*.py")
         if any(_stepping(path))
     }
-    assert found == STEPPING
+    assert modules == STEPPING
 
 
 def test_steps_are_those_of_gymnasium() -> None:
-    with closing(deepbots_cli.make("cartpole")) as one, closing(deepbots_cli.make("cartpole")) as other:
-        observation, _ = one.reset(seed=3)
+    with closing(deepbots_cli.make("cartpole")) as plain, closing(deepbots_cli.make("cartpole")) as driven:
+        observation, _ = plain.reset(seed=3)
         returned = 0.0
-        for step in steps(other, random_driver(other), Start(3)):
+        for step in steps(driven, random_driver(driven), Start(3)):
             if step.number:
-                observation, reward, terminated, truncated, _ = one.step(one.action_space.sample())
+                observation, reward, terminated, truncated, _ = plain.step(plain.action_space.sample())
                 returned += float(reward)
                 assert (step.reward, step.is_last) == (reward, terminated or truncated)
             assert np.array_equal(step.observation, observation)
-        episode = play(other, random_driver(other), Start(3))
+        episode = play(driven, random_driver(driven), Start(3))
         assert (episode.length, episode.total_return, episode.seed) == (step.number, returned, 3)
 
 
@@ -77,11 +77,13 @@ def test_an_episode_may_be_cut_and_begin_from_the_state_of_its_generators() -> N
             return result_of(islice(steps(world, named_driver(world, "zero"), Start(state=state)), 4))
 
         first = cut()
-        assert (first.length, first.ended_by, first.seed) == (3, None, None)
+        assert first.length == 3
+        assert first.ended_by is None
+        assert first.seed is None
         assert cut() == first
 
 
-def test_a_driver_is_told_which_episode_begins() -> None:
+def test_a_driver_receives_the_number_of_the_episode_that_begins() -> None:
     begun = []
 
     class Noting(Driver):

@@ -60,13 +60,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def refused(words: list[str], name: str, capsys: pytest.CaptureFixture[str]) -> str:
-    """What a command says of a source, which is a sentence in one line."""
+def refusal_of(words: list[str], name: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The error of a command for a source, which is a sentence in one line."""
     assert main([name if word == "?" else word for word in words]) == 2
-    found = capsys.readouterr()
-    assert found.out == ""
-    assert found.err.count("\n") == 1
-    return found.err.removeprefix("error: ").removesuffix("\n")
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    return output.err.removeprefix("error: ").removesuffix("\n")
 
 
 NOWHERE = "no file, folder or shipped scenario is called '{}'; "
@@ -102,7 +102,7 @@ def test_every_command_refuses_a_source_in_the_same_sentence(
     folder: Path, capsys: pytest.CaptureFixture[str], name: str, commands: list[list[str]], sentence: str
 ) -> None:
     for words in commands:
-        assert refused(words, name, capsys).startswith(sentence.format(name)), words
+        assert refusal_of(words, name, capsys).startswith(sentence.format(name)), words
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may enter every folder")
@@ -111,7 +111,7 @@ def test_a_folder_that_may_not_be_entered_is_refused(
 ) -> None:
     (folder / "empty").chmod(0)
     for words in (*SCENARIO, *RUN, *EITHER):
-        assert refused(words, "empty", capsys) == "empty cannot be read: permission denied"
+        assert refusal_of(words, "empty", capsys) == "empty cannot be read: permission denied"
 
 
 def test_a_source_says_what_it_is(folder: Path) -> None:
@@ -143,7 +143,7 @@ def test_the_python_api_refuses_as_the_commands_do(folder: Path) -> None:
             call("empty")
 
 
-def test_nothing_else_in_the_package_decides_which_scenario_is_meant() -> None:
+def test_one_module_alone_resolves_the_name_of_a_scenario() -> None:
     """The files by which a run, a group and a recording are known are looked for in one module."""
     root = Path(deepbots_cli.__file__).parent
     looks = re.compile(

@@ -1,4 +1,4 @@
-"""The formulas of generated code compute to the bit what the trees of the language say."""
+"""The formulas of generated code have the values of the trees of the language, to the bit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ def test_a_function_of_poses_computes_what_its_tree_says(name: str) -> None:
 
 def test_a_vector_as_a_body_sees_it_is_the_transposed_rotation_times_the_vector() -> None:
     for _ in range(200):
-        body, vector = pose(), [_RANDOM.uniform(-2, 2) for _ in range(3)]
+        body = pose()
+        vector = [_RANDOM.uniform(-2, 2) for _ in range(3)]
         rows = [
             [computed(rotation("one", row, axis), {"one": body}) * vector[row] for row in range(3)]
             for axis in range(3)

@@ -84,7 +84,7 @@ def test_the_spec_of_an_environment_is_short_and_makes_it_again(mine: Path, way:
     assert first(again) == first(several) == first(env)
 
 
-def test_a_copy_in_another_process_knows_which_parameters_are_fixed(mine: Path) -> None:
+def test_a_copy_in_another_process_has_the_fixed_parameters(mine: Path) -> None:
     env = api.make(mine)
     copy = pickle.loads(pickle.dumps(env))
     env.close()

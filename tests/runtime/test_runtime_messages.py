@@ -1,4 +1,4 @@
-"""Messages: exact in every format, and never taken for what they are not."""
+"""Messages are exact in every format, and data of another kind is never read as a message."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def bits(values: Any) -> list[object]:
     return [value if isinstance(value, bool) else struct.pack("<d", value) for value in values]
 
 
-def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, ...] | None:
-    """What a receiver makes of a message, as generated code does it: the values, or None where it is
-    refused."""
+def reading(receiver: Codec, layout: MessageLayout, message: object) -> tuple[Any, ...] | None:
+    """The values of a message as generated code of a receiver reads them, or None where it refuses the
+    message."""
     count = sum(len(field.components) or 1 for field in layout.fields)
     try:
-        stamp, *values = made.decode(message)
+        stamp, *values = receiver.decode(message)
         if stamp != layout.layout_hash or len(values) != count:
             raise ValueError(stamp)
     except DECODING_ERRORS:
@@ -70,8 +70,8 @@ def reading(made: Codec, layout: MessageLayout, message: object) -> tuple[Any, .
 def test_every_format_carries_every_finite_number_to_the_last_bit(
     format: str, angle: float, gyro: tuple[float, float, float], touch: bool
 ) -> None:
-    made = codec(LAYOUT, format)
-    stamp, *values = made.decode(made.encode(angle, *gyro, touch))
+    sender = codec(LAYOUT, format)
+    stamp, *values = sender.decode(sender.encode(angle, *gyro, touch))
     assert stamp == LAYOUT.layout_hash
     assert bits(values) == bits((angle, *gyro, touch))
 
@@ -82,14 +82,14 @@ def test_every_format_carries_every_finite_number_to_the_last_bit(
     [-0.0, 5e-324, 2.2250738585072014e-308, 1e308, -1.7976931348623157e308, 0.1, math.pi, 2.0**53 + 2],
 )
 def test_the_ends_of_the_range_of_numbers_survive_a_message(format: str, value: float) -> None:
-    made = codec(FLOATS_ONLY, format)
-    assert bits(made.decode(made.encode(value, value, value, value))[1:]) == bits((value,) * 4)
+    sender = codec(FLOATS_ONLY, format)
+    assert bits(sender.decode(sender.encode(value, value, value, value))[1:]) == bits((value,) * 4)
 
 
 @every_format
-def test_a_message_without_fields_still_says_whose_it_is(format: str) -> None:
-    made = codec(EMPTY, format)
-    assert list(made.decode(made.encode())) == [12345]
+def test_a_message_without_fields_still_has_the_hash_of_its_layout(format: str) -> None:
+    sender = codec(EMPTY, format)
+    assert list(sender.decode(sender.encode())) == [12345]
 
 
 @every_format
@@ -101,14 +101,14 @@ def test_a_message_of_another_robot_is_recognized(format: str) -> None:
 
 @every_format
 def test_an_error_names_the_robot_its_direction_and_the_step(format: str) -> None:
-    said = str(layout_error(LAYOUT, format, codec(OTHER, format).encode(*VALUES), 41))
-    assert "robot 'cart'" in said
-    assert "from the robot" in said
-    assert "step 41" in said
+    message = str(layout_error(LAYOUT, format, codec(OTHER, format).encode(*VALUES), 41))
+    assert "robot 'cart'" in message
+    assert "from the robot" in message
+    assert "step 41" in message
 
 
 @every_format
-def test_a_short_message_is_told_by_its_first_missing_field(format: str) -> None:
+def test_the_error_of_a_short_message_names_its_first_missing_field(format: str) -> None:
     partial = MessageLayout("cart", "from_robot", LAYOUT.fields[:1], LAYOUT.layout_hash)
     message = codec(partial, format).encode(0.5)
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
@@ -135,7 +135,9 @@ def test_a_message_with_values_too_many_is_refused(format: str) -> None:
         ("json", b"[4294967294,true,0.0,0.0,0.0,true]", "angle"),
     ],
 )
-def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: str, message: object, field: str) -> None:
+def test_the_error_of_a_value_of_the_wrong_kind_names_its_field(
+    format: str, message: object, field: str
+) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert f"field '{field}'" in str(layout_error(LAYOUT, format, message, 1))
 
@@ -159,7 +161,7 @@ def test_a_value_of_the_wrong_kind_is_told_by_its_field(format: str, message: ob
         "," * 1000,
     ],
 )
-def test_what_is_no_message_at_all_is_refused_in_words(format: str, message: object) -> None:
+def test_data_that_is_no_message_is_refused_in_words(format: str, message: object) -> None:
     assert reading(codec(LAYOUT, format), LAYOUT, message) is None
     assert isinstance(layout_error(LAYOUT, format, message, 1), MessageError)
     assert len(str(layout_error(LAYOUT, format, message, 1))) < 400
@@ -180,9 +182,9 @@ def test_a_damaged_message_is_read_or_refused_but_never_breaks_the_reader(
     format: str, data: st.DataObject
 ) -> None:
     for layout, values in ((LAYOUT, VALUES), (FLOATS_ONLY, VALUES[:4]), (EMPTY, ())):
-        made = codec(layout, format)
-        message = damage(made.encode(*values), data)
-        if reading(made, layout, message) is None:
+        sender = codec(layout, format)
+        message = damage(sender.encode(*values), data)
+        if reading(sender, layout, message) is None:
             assert "robot 'cart'" in str(layout_error(layout, format, message, 5))
 
 
@@ -203,10 +205,10 @@ def test_garbage_is_refused_but_never_breaks_the_reader(format: str, message: ob
 
 @pytest.mark.parametrize("format", ["json", "msgpack", "csv", "struct"])
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
-def test_what_is_not_finite_arrives_as_it_was_or_is_refused(format: str, value: float) -> None:
-    made = codec(FLOATS_ONLY, format)
-    message = made.encode(value, 0.0, 0.0, 0.0)
-    values = reading(made, FLOATS_ONLY, message)
+def test_a_value_that_is_not_finite_arrives_unchanged_or_is_refused(format: str, value: float) -> None:
+    sender = codec(FLOATS_ONLY, format)
+    message = sender.encode(value, 0.0, 0.0, 0.0)
+    values = reading(sender, FLOATS_ONLY, message)
     if values is None:
         assert "field 'angle'" in str(layout_error(FLOATS_ONLY, format, message, 1))
     else:
@@ -225,16 +227,16 @@ CHANNEL = MessageLayout.from_fields("cart", "from_robot", CHANNEL_FIELDS)
 MESSAGE = (0.1, [1.0, 2.0, 3.0], True)
 
 
-def refused(layout: MessageLayout, message: object) -> MessageError:
+def error_of(layout: MessageLayout, message: object) -> MessageError:
     return MessageError(f"{layout.robot} refuses {message!r}")
 
 
 def channel(format: str = "struct") -> Channel:
-    return Channel(FieldCodec(CHANNEL, format, refused))
+    return Channel(FieldCodec(CHANNEL, format, error_of))
 
 
 @pytest.mark.parametrize("format", message_formats.FORMATS)
-def test_what_is_sent_is_received_by_fields(format: str) -> None:
+def test_a_sent_message_is_received_by_fields(format: str) -> None:
     path = channel(format)
     path.send(MESSAGE)
     angle, gyro, touch = path.receive()
@@ -246,7 +248,8 @@ def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
     path = channel("none")
     path.send("old")
     path.send("new")
-    assert (len(path), path.receive()) == (2, "old")
+    assert len(path) == 2
+    assert path.receive() == "old"
     path.begin(Streams(0))
     assert len(path) == 0
 
@@ -255,7 +258,7 @@ def test_messages_arrive_in_order_and_a_new_episode_forgets_them() -> None:
 def test_a_message_of_another_layout_is_refused(format: str) -> None:
     path = channel(format)
     path.transmit(
-        FieldCodec(MessageLayout.from_fields("cart", "to_robot", CHANNEL_FIELDS), format, refused).encode(
+        FieldCodec(MessageLayout.from_fields("cart", "to_robot", CHANNEL_FIELDS), format, error_of).encode(
             MESSAGE
         )
     )
@@ -277,10 +280,12 @@ PICTURE = np.arange(72, dtype=np.uint8).reshape(4, 6, 3) * 3
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_every_format_carries_every_byte(format: str) -> None:
-    made = codec(PICTURES, format)
-    message = made.encode(0.5, PICTURE, True)
-    stamp, speed, picture, touch = made.decode(message)
-    assert (stamp, speed, touch) == (99, 0.5, True)
+    sender = codec(PICTURES, format)
+    message = sender.encode(0.5, PICTURE, True)
+    stamp, speed, picture, touch = sender.decode(message)
+    assert stamp == 99
+    assert speed == 0.5
+    assert touch is True
     assert picture.dtype == np.uint8
     assert np.array_equal(picture, PICTURE)
     size = message_size(PICTURES, format)
@@ -290,16 +295,19 @@ def test_every_format_carries_every_byte(format: str) -> None:
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_picture_of_another_size_is_refused(format: str) -> None:
     fields = (PICTURE_FIELDS[0], MessageField("camera", "", (), "uint8", (4, 5, 3)), PICTURE_FIELDS[2])
-    made, other = codec(PICTURES, format), codec(MessageLayout("rover", "from_robot", fields, 99), format)
-    message = other.encode(0.5, PICTURE[:, :5], True)
+    receiver, sender = (
+        codec(PICTURES, format),
+        codec(MessageLayout("rover", "from_robot", fields, 99), format),
+    )
+    message = sender.encode(0.5, PICTURE[:, :5], True)
     with pytest.raises(DECODING_ERRORS):
-        made.decode(message)
+        receiver.decode(message)
     assert "rover" in str(layout_error(PICTURES, format, message, 3))
 
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_silence_is_a_black_picture(format: str) -> None:
-    made = codec(PICTURES, format)
-    picture = made.decode(made.encode(*zero_values(PICTURES)))[2]
+    sender = codec(PICTURES, format)
+    picture = sender.decode(sender.encode(*zero_values(PICTURES)))[2]
     assert picture.shape == (4, 6, 3)
     assert not picture.any()

@@ -1,4 +1,4 @@
-"""Stateful functions, from the text of a scenario to what a step returns, against sequences worked out by
+"""Stateful functions, from the text of a scenario to the results of a step, against sequences worked out by
 hand."""
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ def terms(environment: Supervisor, drives: Sequence[float] = DRIVES) -> dict[str
 def test_a_stateful_function_gives_the_sequence_of_its_definition(
     small: Make, expression: str, expected: list[float]
 ) -> None:
-    found = terms(small(f'reward: {{a: "{expression}"}}'))["a"]
-    assert found == pytest.approx(expected, abs=1e-15)
+    values = terms(small(f'reward: {{a: "{expression}"}}'))["a"]
+    assert values == pytest.approx(expected, abs=1e-15)
 
 
 def test_memory_advances_also_while_its_branch_is_not_taken(small: Make) -> None:
-    found = terms(
+    values = terms(
         small(
             'reward: {late: "delta(drive) if step >= 4 else 0", held: "running_max(drive) if step == 5 else'
             ' 0"}'
         )
     )
-    assert found["late"] == [0.0, 0.0, 0.0, 0.0, -1.5]
-    assert found["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
+    assert values["late"] == [0.0, 0.0, 0.0, 0.0, -1.5]
+    assert values["held"] == [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
 def test_each_occurrence_in_the_text_has_a_memory_of_its_own(small: Make) -> None:
-    found = terms(small('reward: {both: "delta(drive) + delta(drive)", twice: "2 * delta(drive)"}'))
-    assert found["both"] == found["twice"]
+    values = terms(small('reward: {both: "delta(drive) + delta(drive)", twice: "2 * delta(drive)"}'))
+    assert values["both"] == values["twice"]
 
 
 def test_a_new_episode_starts_all_memory_anew(small: Make) -> None:
@@ -99,18 +99,18 @@ def test_components_of_a_vector_are_remembered_apart(small: Make) -> None:
         'signals: {both: "vector(drive, -2 * drive)"}\nreward: {most: "max(delta(both))", least:'
         ' "min(delta(both))"}'
     )
-    found = terms(environment)
-    assert found["most"] == pytest.approx([max(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
-    assert found["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
+    values = terms(environment)
+    assert values["most"] == pytest.approx([max(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
+    assert values["least"] == pytest.approx([min(d, -2 * d) for d in (0.5, -0.75, 1.25, 0.0, -1.5)])
 
 
 def test_two_signals_whose_slots_read_alike_do_not_share_a_memory(small: Make) -> None:
     """Component 1 of `v` and the second integral of `v_0` would both be called `memory_signals_v_0_1`."""
     signals = 'signals: {a: 1 * drive, v: "sum(integral(1 a a a))", v_0: "integral(a) + 10 * integral(a)"}\n'
-    found = terms(small(signals + "reward: {v: v / s, v_0: v_0 / s}"))
+    values = terms(small(signals + "reward: {v: v / s, v_0: v_0 / s}"))
     integral = np.cumsum([0.02 * drive for drive in DRIVES])
-    assert found["v_0"] == pytest.approx(11 * integral)
-    assert found["v"] == pytest.approx(3 * integral + 0.02 * np.arange(1, 6))
+    assert values["v_0"] == pytest.approx(11 * integral)
+    assert values["v"] == pytest.approx(3 * integral + 0.02 * np.arange(1, 6))
 
 
 ON_BOARD = """\
@@ -134,13 +134,13 @@ SEEN = (
 
 @pytest.mark.parametrize("format", ["struct", "none"])
 def test_what_a_robot_computes_on_board_advances_once_per_tick(small: Make, format: str) -> None:
-    found = terms(
+    values = terms(
         small(SEEN, f"messages.format={format}", robot=ON_BOARD.replace("APPLY", "drive * 0.02 m/s"))
     )
-    assert found["rate"] == pytest.approx([0.02 * drive for drive in DRIVES], abs=NEARLY)
-    assert found["most"] == pytest.approx(np.maximum.accumulate([0.0, *found["rate"]])[1:])
+    assert values["rate"] == pytest.approx([0.02 * drive for drive in DRIVES], abs=NEARLY)
+    assert values["most"] == pytest.approx(np.maximum.accumulate([0.0, *values["rate"]])[1:])
     soft = 0.0
-    for rate, filtered in zip(found["rate"], found["soft"], strict=True):
+    for rate, filtered in zip(values["rate"], values["soft"], strict=True):
         soft += (rate - soft) / 4
         assert filtered == pytest.approx(soft)
 
@@ -168,9 +168,9 @@ def test_a_robot_may_apply_a_sensor_that_it_does_not_send(small: Make) -> None:
         "observation={cart.rate: -1 .. 1 m/s}",
         robot=robot,
     )
-    found = terms(environment)
-    before = [0.0, *found["x"][:-1]]
-    assert found["rate"] == pytest.approx(
+    values = terms(environment)
+    before = [0.0, *values["x"][:-1]]
+    assert values["rate"] == pytest.approx(
         [x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY
     )
 
@@ -179,16 +179,16 @@ TOLD = ON_BOARD.replace("    apply:", "    receive: {RECEIVE}\n    apply:")
 
 
 @pytest.mark.parametrize("format", ["struct", "none"])
-@pytest.mark.parametrize("told", ["position(cart.cart).x", "x", "cart.place", "previous(x) + delta(x)"])
-def test_a_robot_is_told_what_held_before_the_step(small: Make, format: str, told: str) -> None:
-    robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{told}"}}').replace(
+@pytest.mark.parametrize("received", ["position(cart.cart).x", "x", "cart.place", "previous(x) + delta(x)"])
+def test_a_robot_receives_values_from_before_the_step(small: Make, format: str, received: str) -> None:
+    robot = TOLD.replace("{RECEIVE}", f'{{push: drive, where: "{received}"}}').replace(
         "APPLY", "push * 0.02 m/s + where / s"
     )
-    found = terms(
+    values = terms(
         small(f"signals: {{x: position(cart.cart).x}}\n{SEEN}", f"messages.format={format}", robot=robot)
     )
-    before = [0.0, *found["place"][:-1]]
-    assert found["rate"] == pytest.approx(
+    before = [0.0, *values["place"][:-1]]
+    assert values["rate"] == pytest.approx(
         [x + 0.02 * drive for x, drive in zip(before, DRIVES, strict=True)], abs=NEARLY
     )
 
@@ -224,7 +224,7 @@ def test_a_received_start_waits_for_a_late_message(small: Make) -> None:
     robot = TOLD.replace("{RECEIVE}", '{level: "0.4 + 5 * time / s"}').replace(
         "APPLY", "accumulate(0.1 * drive, -2 .. 2, level) * 0.02 m/s"
     )
-    found = terms(small(SEEN, "messages.to_robot={latency: 40 ms}", robot=robot))
-    assert found["rate"] == pytest.approx(
+    values = terms(small(SEEN, "messages.to_robot={latency: 40 ms}", robot=robot))
+    assert values["rate"] == pytest.approx(
         [0.02 * value for value in (0.0, 0.0, 0.55, 0.525, 0.625)], abs=NEARLY
     )

@@ -31,15 +31,15 @@ def test_drawn_values_are_the_same_in_every_version() -> None:
     assert drawn == PINNED_DRAWS
 
 
-def test_a_stream_does_not_feel_what_is_drawn_from_others() -> None:
+def test_draws_from_other_streams_do_not_change_a_stream() -> None:
     alone, mixed = Streams(3), Streams(3)
     expected = [alone.uniform("wanted", 0.0, 1.0) for _ in range(5)]
-    found = []
+    drawn = []
     for index in range(5):
         mixed.normal(f"other {index}", 0.0, 1.0)
-        found.append(mixed.uniform("wanted", 0.0, 1.0))
+        drawn.append(mixed.uniform("wanted", 0.0, 1.0))
         mixed.integer("another", 0, 9)
-    assert found == expected
+    assert drawn == expected
 
 
 def test_without_a_seed_two_environments_differ() -> None:

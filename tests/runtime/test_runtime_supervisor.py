@@ -70,7 +70,10 @@ def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
     )
     environment.reset(seed=0)
     _, _, terminated, truncated, info = environment.step(np.array([0.75]))
-    assert (terminated, truncated, info["is_success"], info["ended_by"]) == (True, False, False, "fast")
+    assert terminated is True
+    assert truncated is False
+    assert info["is_success"] is False
+    assert info["ended_by"] == "fast"
     assert info["endings"] == ("fast", "far")
 
 
@@ -84,7 +87,7 @@ def test_termination_beats_a_limit_in_the_same_step(small: Make) -> None:
     assert environment.step(np.array([0.0]))[2:4] == (False, True)
 
 
-def test_an_ending_that_holds_at_the_start_is_told_and_leaves_nothing_to_step(small: Make) -> None:
+def test_an_ending_that_is_true_at_the_start_is_an_error_and_leaves_nothing_to_step(small: Make) -> None:
     environment = small("reward: {a: 1}\ntermination: {failure: {still: abs(position(cart.pole).x) < 1 mm}}")
     with pytest.raises(EvaluationError, match="'still' is already true at reset"):
         environment.reset(seed=0)
@@ -130,9 +133,9 @@ def test_the_traceback_of_such_an_error_shows_generated_lines(small: Make) -> No
     environment.reset(seed=0)
     with pytest.raises(EvaluationError) as caught:
         environment.step(np.zeros(1))
-    shown = "".join(traceback.format_exception(caught.value))
-    assert "self.term_bad = 1.0 / (self.step_count - 1.0)" in shown
-    assert "<deepbots Small " in shown
+    text = "".join(traceback.format_exception(caught.value))
+    assert "self.term_bad = 1.0 / (self.step_count - 1.0)" in text
+    assert "<deepbots Small " in text
 
 
 @pytest.mark.parametrize("format", ["struct", "json", "csv", "msgpack", "none"])
@@ -185,7 +188,7 @@ def test_every_failure_of_a_step_is_one_line_and_within_our_tree(make: Make) -> 
 # The code
 
 
-def test_what_the_compiler_prints_is_what_runs(make: Make) -> None:
+def test_the_code_that_the_compiler_prints_is_the_code_that_runs(make: Make) -> None:
     environment = make(RAIL, engine="exact")
     code = api.compile(RAIL).code
     filename = inspect.getfile(type(environment)._advance)

@@ -12,7 +12,7 @@ Check = Callable[[str], tuple[Scenario | None, list[Finding]]]
 
 @pytest.fixture(scope="session")
 def check() -> Check:
-    """Validates the text of a scenario: what is left of it, and the findings."""
+    """Validates the text of a scenario: its valid part, and the findings."""
 
     def run(text: str) -> tuple[Scenario | None, list[Finding]]:
         document = loads(text)

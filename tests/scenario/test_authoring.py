@@ -1,4 +1,5 @@
-"""A scenario may be written in Python: what is wrong is raised at once, and it compiles as the file does."""
+"""A scenario may be written in Python: a mistake is raised at once, and the scenario compiles as the file
+does."""
 
 from pathlib import Path
 from typing import Any
@@ -44,14 +45,14 @@ def cartpole(**changes: Any) -> Scenario:
 def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> None:
     scenario = cartpole()
     assert isinstance(scenario.robots["cart"].actuators["wheels"], VelocityMotor)
-    assert [found.headline for found in api.lint(scenario) if found.severity == "error"] == []
+    assert [finding.headline for finding in api.lint(scenario) if finding.severity == "error"] == []
     assert deepbots_cli.compile(scenario).program.name == "Built"
     assert scenario == cartpole()
     assert scenario.model_copy(update={"name": "Other"}) != scenario
 
 
 @pytest.mark.parametrize(
-    ("changes", "place", "said"),
+    ("changes", "place", "message"),
     [
         ({"wurld": {}}, ("wurld",), "not permitted"),
         ({"world": {"timestep": 0.032j}}, ("world", "timestep"), "expected a duration"),
@@ -75,13 +76,13 @@ def test_models_mappings_and_plain_values_make_a_scenario_that_compiles() -> Non
     ],
 )
 def test_a_mistake_is_raised_at_once_with_its_place(
-    changes: dict[str, Any], place: tuple[str, ...], said: str
+    changes: dict[str, Any], place: tuple[str, ...], message: str
 ) -> None:
     with pytest.raises(ValidationError) as caught:
         cartpole(**changes)
     (error,) = caught.value.errors()
     assert error["loc"] == place
-    assert said in error["msg"]
+    assert message in error["msg"]
 
 
 def test_a_scenario_cannot_be_changed() -> None:
@@ -89,7 +90,7 @@ def test_a_scenario_cannot_be_changed() -> None:
         cartpole().name = "Other"
 
 
-def test_what_only_the_whole_scenario_tells_is_a_finding_at_its_line() -> None:
+def test_a_mistake_that_only_the_whole_scenario_shows_is_a_finding_at_its_line() -> None:
     with pytest.raises(ScenarioError, match=r"<Scenario Built>:\d+:\d+: DB402"):
         deepbots_cli.compile(cartpole(reward={"alive": "2 * nothing"}))
 

@@ -1,4 +1,4 @@
-"""The JSON Schema for editors says what the models say."""
+"""The JSON Schema for editors agrees with the models."""
 
 import json
 import subprocess
@@ -56,8 +56,8 @@ def data(text: str) -> object:
 
 
 def subschemas(node: object, path: tuple[Step, ...] = ()) -> Iterator[tuple[tuple[Step, ...], Json]]:
-    """Every mapping within a schema, with its path; those that only tell forms apart (`if`, `not`) are left
-    out."""
+    """Every mapping within a schema, with its path, without those that only distinguish forms (`if`,
+    `not`)."""
     if isinstance(node, dict):
         yield path, node
         for key, value in node.items():
@@ -69,11 +69,11 @@ def subschemas(node: object, path: tuple[Step, ...] = ()) -> Iterator[tuple[tupl
 
 
 def properties(schema: Json) -> Iterator[tuple[str, Json]]:
-    """Every key that is described somewhere, by its path, with what is said of it."""
+    """The path of every key that is described somewhere, with its description."""
     for path, node in subschemas(schema):
         if path[-2:-1] == ("properties",) and path[-3:-2] != ("properties",):
-            said = schema["$defs"]["include"] if node.get("$ref") == "#/$defs/include" else node
-            yield "/".join(map(str, path)), said
+            described = schema["$defs"]["include"] if node.get("$ref") == "#/$defs/include" else node
+            yield "/".join(map(str, path)), described
 
 
 SECTIONS = list(
@@ -130,8 +130,8 @@ def test_editors_accept_every_sample_with_all_that_it_includes(
 def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
     silent = [
         path
-        for path, said in properties(schema)
-        if f"Example: {path.rpartition('/')[2]}: " not in said.get("description", "")
+        for path, described in properties(schema)
+        if f"Example: {path.rpartition('/')[2]}: " not in described.get("description", "")
     ]
     assert silent == []
     assert sum(1 for _ in properties(schema)) > 500
@@ -139,16 +139,16 @@ def test_every_key_says_what_it_is_and_shows_an_example(schema: Json) -> None:
 
 @pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
 def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> None:
-    said = schema["$defs"][definition_of(section).__name__]["properties"]
+    declared = schema["$defs"][definition_of(section).__name__]["properties"]
     assert [
         key
         for key, shape in section_fields(section).items()
-        if bool(unit_of(shape)) != ("Unit: " in said[key]["description"])
+        if bool(unit_of(shape)) != ("Unit: " in declared[key]["description"])
     ] == []
 
 
 @pytest.mark.parametrize(
-    ("section", "key", "shown"),
+    ("section", "key", "part"),
     [
         ("World", "timestep", "Unit: s. Required. Example: timestep: 32 ms"),
         ("Arena", "wall_height", "Unit: m. Default: 0.1 m. Example: wall_height: 20 cm"),
@@ -158,16 +158,16 @@ def test_every_quantity_says_its_unit(schema: Json, section: type[Section]) -> N
         ("Wall", "closed", "Default: false. Example: closed: true"),
     ],
 )
-def test_a_description_has_unit_default_and_example(schema: Json, section: str, key: str, shown: str) -> None:
-    assert shown in schema["$defs"][section]["properties"][key]["description"]
+def test_a_description_has_unit_default_and_example(schema: Json, section: str, key: str, part: str) -> None:
+    assert part in schema["$defs"][section]["properties"][key]["description"]
 
 
 def test_the_schema_is_small_enough_for_editors() -> None:
     assert len(schema_text()) < 240_000
 
 
-def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> None:
-    """Of `oneOf` and `anyOf` over mappings an editor shows what is wrong with every branch."""
+def test_kinds_are_distinguished_by_conditions_and_never_by_trial(schema: Json) -> None:
+    """An editor shows the problems of every branch of `oneOf` and `anyOf` over mappings."""
     assert [path for path, node in subschemas(schema) if "oneOf" in node] == []
     tried = [node["anyOf"] for _, node in subschemas(schema) if "anyOf" in node]
     assert all(any("enum" in form for form in forms) for forms in tried)
@@ -186,22 +186,22 @@ def test_kinds_are_told_apart_by_conditions_and_never_by_trial(schema: Json) -> 
     ids=["sensors", "actuators", "terrains", "objects", "algorithms"],
 )
 def test_every_kind_is_listed_and_has_its_condition(schema: Json, key: str, kinds: dict[str, object]) -> None:
-    found = [
+    nodes = [
         node
         for _, node in subschemas(schema)
         if node.get("properties", {}).get(key, {}).get("enum") == list(kinds)
     ]
-    assert found
-    for node in found:
-        told = [
+    assert nodes
+    for node in nodes:
+        conditions = [
             branch["if"]["properties"][key]["const"]
             for branch in node["allOf"]
             if key in branch["if"].get("properties", {})
         ]
-        assert told == list(kinds)
-        said = node["properties"][key]["enumDescriptions"]
-        assert len(set(said)) == len(kinds)
-        assert all(sentence.endswith(".") for sentence in said)
+        assert conditions == list(kinds)
+        descriptions = node["properties"][key]["enumDescriptions"]
+        assert len(set(descriptions)) == len(kinds)
+        assert all(sentence.endswith(".") for sentence in descriptions)
 
 
 @pytest.mark.parametrize("line", ["total_timesteps: 100_000", "learning_rate: 1_000", "n_steps: 1_024"])
@@ -221,10 +221,10 @@ def test_a_fault_is_reported_once_and_in_its_place(
     validator: jsonschema.Draft202012Validator, old: str, new: str, place: list[Step]
 ) -> None:
     assert old in CARTPOLE
-    found = [
+    places = [
         tuple(error.absolute_path) for error in validator.iter_errors(data(CARTPOLE.replace(old, new, 1)))
     ]
-    assert found == [tuple(place)]
+    assert places == [tuple(place)]
 
 
 def test_a_file_that_extends_another_may_leave_out_anything(

@@ -1,4 +1,4 @@
-"""The JSON Schema for one scenario knows its names, whatever state the file is in."""
+"""The JSON Schema for one scenario has its names, even when the file is damaged."""
 
 import json
 from collections.abc import Callable
@@ -59,11 +59,15 @@ def faults(schema: Json, scenario: object) -> list[tuple[Step, ...]]:
 
 
 def listed(schema: Json, definition: str, key: str) -> dict[str, str]:
-    """The names that are listed for a key, with what is said of each."""
-    said = schema["$defs"][definition]["properties"][key]
+    """The names that are listed for a key, with the description of each."""
+    described = schema["$defs"][definition]["properties"][key]
     forms = [
         form
-        for form in (said, *said.get("anyOf", ()), *said.get("propertyNames", {}).get("anyOf", ()))
+        for form in (
+            described,
+            *described.get("anyOf", ()),
+            *described.get("propertyNames", {}).get("anyOf", ()),
+        )
         if "enum" in form
     ]
     return {
@@ -89,10 +93,10 @@ def test_its_own_schema_is_a_schema_and_the_same_on_every_run() -> None:
 
 
 def test_joints_are_listed_with_their_type_and_limits(own: Own) -> None:
-    found = listed(own(CARTPOLE), "JointSensor.cart", "joint")
-    assert list(found) == JOINTS
-    assert found["wheel_rear_left"] == "continuous"
-    assert found["pole_hinge"].startswith("revolute, -1.")
+    joints = listed(own(CARTPOLE), "JointSensor.cart", "joint")
+    assert list(joints) == JOINTS
+    assert joints["wheel_rear_left"] == "continuous"
+    assert joints["pole_hinge"].startswith("revolute, -1.")
 
 
 @pytest.mark.parametrize(
@@ -120,10 +124,10 @@ def test_names_are_listed_where_they_may_stand(own: Own, definition: str, key: s
 def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
     schema = own(CARTPOLE)
     reward = schema["$defs"]["Scenario"]["properties"]["reward"]["additionalProperties"]["anyOf"][0]
-    said = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
-    assert said["fall_angle"] == "a parameter: 15 deg"
-    assert said["fallen"] == "an ending"
-    assert {"x", "cart.pole_angle", "time"} <= set(said)
+    descriptions = dict(zip(reward["enum"], reward["enumDescriptions"], strict=True))
+    assert descriptions["fall_angle"] == "a parameter: 15 deg"
+    assert descriptions["fallen"] == "an ending"
+    assert {"x", "cart.pole_angle", "time"} <= set(descriptions)
 
 
 def test_each_robot_has_its_own_names(own: Own) -> None:

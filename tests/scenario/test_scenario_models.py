@@ -63,22 +63,25 @@ def test_every_value_that_is_visited_stands_where_its_path_says(path: Path) -> N
 
 
 def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
-    found = {
+    visited = {
         (place, type(kind)): (kind, value)
         for place, kind, value in visit_values(read(load(BY_NAME["cartpole"])))
     }
-    assert found[("world", "timestep"), Quantity] == (
+    assert visited[("world", "timestep"), Quantity] == (
         Quantity("time", minimum=0, exclusive=True, usual_unit="ms"),
         "32 ms",
     )
-    assert found[("reward", "alive"), Expression] == (Expression("reward"), 1)
-    assert found[("observation", "speed"), Range] == (Range("any", auto=True, vector=True), "-0.8 .. 0.8 m/s")
-    assert found[("observation", "speed"), Reference] == (Reference("value"), "speed")
-    assert found[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (
+    assert visited[("reward", "alive"), Expression] == (Expression("reward"), 1)
+    assert visited[("observation", "speed"), Range] == (
+        Range("any", auto=True, vector=True),
+        "-0.8 .. 0.8 m/s",
+    )
+    assert visited[("observation", "speed"), Reference] == (Reference("value"), "speed")
+    assert visited[("robots", "cart", "actuators", "wheels", "joints", 0), Reference] == (
         Reference("joints"),
         "wheel_*",
     )
-    assert found[("reset", "joints", "cart.pole_hinge"), Quantity] == (
+    assert visited[("reset", "joints", "cart.pole_hinge"), Quantity] == (
         Quantity("angle or length", known="episode"),
         "uniform(-1 .. 1 deg)",
     )
@@ -110,9 +113,9 @@ def test_the_hyperparameters_of_a_training_are_those_that_were_given() -> None:
 
 
 def test_every_key_has_a_sentence_for_the_editor() -> None:
-    found = {section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)}
-    assert len(found) > 50
-    for section in found:
+    sections = {section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)}
+    assert len(sections) > 50
+    for section in sections:
         for key in section.model_fields:
             assert key_description(section, key).endswith("."), f"{section.__name__}.{key}"
 

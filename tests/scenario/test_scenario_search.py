@@ -17,42 +17,42 @@ from deepbots_cli.scenario.search import SearchSpace
 from deepbots_cli.scenario.training import ALGORITHMS, SET_ELSEWHERE_HELP, Training
 
 
-def searched(search: str) -> CheckedScenario:
+def with_search(search: str) -> CheckedScenario:
     return api.load("cartpole", overrides=[f"tune.search={{{search}}}"], tests=True)
 
 
 def spaces(search: str) -> dict[str, SearchSpace]:
-    checked = searched(search)
+    checked = with_search(search)
     assert list(checked.findings) == []
     return dict(checked.search)
 
 
-def headlines(search: str) -> list[str]:
-    return [f"{found.code} {found.headline}" for found in searched(search).findings]
+def headlines_of(search: str) -> list[str]:
+    return [f"{finding.code} {finding.headline}" for finding in with_search(search).findings]
 
 
 def test_a_range_has_units_and_a_logarithm():
-    found = spaces("fall_angle: 10..20deg, track: 30 cm .. 0.39 m, train.learning_rate: 1e-4..1e-2:log")
-    assert found["fall_angle"] == SearchSpace(low=10, high=20, unit="deg")
-    assert found["track"] == SearchSpace(low=0.3, high=0.39, unit="m")
-    assert found["train.learning_rate"] == SearchSpace(low=1e-4, high=1e-2, log=True)
+    by_key = spaces("fall_angle: 10..20deg, track: 30 cm .. 0.39 m, train.learning_rate: 1e-4..1e-2:log")
+    assert by_key["fall_angle"] == SearchSpace(low=10, high=20, unit="deg")
+    assert by_key["track"] == SearchSpace(low=0.3, high=0.39, unit="m")
+    assert by_key["train.learning_rate"] == SearchSpace(low=1e-4, high=1e-2, log=True)
 
 
 def test_a_key_of_whole_numbers_gets_whole_numbers_and_any_other_key_fractions():
-    found = spaces("train.n_epochs: 5 .. 20, train.ent_coef: 0 .. 1")
-    assert [space.whole for space in found.values()] == [True, False]
-    assert [space.text(value) for space, value in zip(found.values(), (7.0, 0.12345), strict=True)] == [
+    by_key = spaces("train.n_epochs: 5 .. 20, train.ent_coef: 0 .. 1")
+    assert [space.whole for space in by_key.values()] == [True, False]
+    assert [space.text(value) for space, value in zip(by_key.values(), (7.0, 0.12345), strict=True)] == [
         "7",
         "0.123",
     ]
 
 
 def test_choices_are_written_with_bars_or_as_a_list():
-    found = spaces(
+    by_key = spaces(
         "train.network.activation: tanh | relu, train.network.hidden: [[10, 10], [64, 64]], train.gamma:"
         " [0.9, 0.99]"
     )
-    assert [space.choices for space in found.values()] == [
+    assert [space.choices for space in by_key.values()] == [
         ("tanh", "relu"),
         ("[10, 10]", "[64, 64]"),
         ("0.9", "0.99"),
@@ -77,30 +77,36 @@ def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():
     assert SearchSpace(choices=("tanh", "relu")).value_of("relu") == "relu"
 
 
-def test_what_cannot_be_searched_is_said_at_its_place():
-    assert headlines("train.lerning_rate: 1e-4 .. 1e-2") == ["DB101 unknown key `lerning_rate` in `train`"]
-    assert headlines("fall_angl: 1 .. 2 deg") == ["DB201 there is no parameter `fall_angl`"]
-    assert headlines("train.gamma: 0.9 .. 1.2") == ["DB105 `1.2` is above the largest allowed value"]
-    assert headlines("train.n_epochs: 5.5 .. 20") == ["DB103 expected a whole number, found the number `5.5`"]
-    assert headlines("track: 0.2 .. 0.4") == ["DB503 a length (m) is combined with a plain number"]
-    assert headlines("train.network.activation: tanh | relux") == ["DB104 unknown word `relux`"]
-    assert headlines("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == [
+def test_a_space_that_cannot_be_searched_is_a_finding_at_its_place():
+    assert headlines_of("train.lerning_rate: 1e-4 .. 1e-2") == ["DB101 unknown key `lerning_rate` in `train`"]
+    assert headlines_of("fall_angl: 1 .. 2 deg") == ["DB201 there is no parameter `fall_angl`"]
+    assert headlines_of("train.gamma: 0.9 .. 1.2") == ["DB105 `1.2` is above the largest allowed value"]
+    assert headlines_of("train.n_epochs: 5.5 .. 20") == [
+        "DB103 expected a whole number, found the number `5.5`"
+    ]
+    assert headlines_of("track: 0.2 .. 0.4") == ["DB503 a length (m) is combined with a plain number"]
+    assert headlines_of("train.network.activation: tanh | relux") == ["DB104 unknown word `relux`"]
+    assert headlines_of("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == [
         "DB202 `parameters.track` is already searched"
     ]
-    assert headlines("solved: a | b") == ["DB407 a search cannot change `solved`"]
-    assert headlines("train.total_timesteps: 10 .. 20") == [
+    assert headlines_of("solved: a | b") == ["DB407 a search cannot change `solved`"]
+    assert headlines_of("train.total_timesteps: 10 .. 20") == [
         "DB407 a search cannot change `train.total_timesteps`"
     ]
-    assert headlines("train.ent_coef: 0 .. 1 :log") == ["DB105 `0 .. 1 :log` has no logarithm at its low end"]
-    assert headlines("train.gamma: 0.99 .. 0.9") == ["DB105 the range `0.99 .. 0.9` is empty"]
-    assert headlines("train.batch_size: 64") == ["DB103 expected a range or choices, found the number `64`"]
-    assert headlines("observation.x: -1 .. 1 m | -2 .. 2 m") == [
+    assert headlines_of("train.ent_coef: 0 .. 1 :log") == [
+        "DB105 `0 .. 1 :log` has no logarithm at its low end"
+    ]
+    assert headlines_of("train.gamma: 0.99 .. 0.9") == ["DB105 the range `0.99 .. 0.9` is empty"]
+    assert headlines_of("train.batch_size: 64") == [
+        "DB103 expected a range or choices, found the number `64`"
+    ]
+    assert headlines_of("observation.x: -1 .. 1 m | -2 .. 2 m") == [
         "DB613 `observation.x: -1 .. 1 m` changes the interface of the policy"
     ]
 
 
 def test_a_run_keeps_the_scenario_without_the_search():
-    compiled = api.compile(searched("fall_angle: 10 .. 20 deg"))
+    compiled = api.compile(with_search("fall_angle: 10 .. 20 deg"))
     assert "tune" not in compiled.resolved
     assert compiled.digest == api.compile("cartpole").digest
 

@@ -60,7 +60,8 @@ def mutated(
     draw: st.DrawFn, values: st.SearchStrategy[Any], changes: int = 3, insert: bool = True
 ) -> tuple[Any, list[Place]]:
     number = draw(st.integers(0, len(SAMPLES) - 1))
-    data, changed = copy.deepcopy(SAMPLES[number]), []
+    data = copy.deepcopy(SAMPLES[number])
+    changed = []
     for _ in range(draw(st.integers(1, changes))):
         place = draw(st.sampled_from(PLACES[number]))
         try:

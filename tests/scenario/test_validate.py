@@ -1,4 +1,4 @@
-"""What is wrong with a scenario is said once, in our words, at the place where it is."""
+"""A mistake in a scenario has one finding, in plain words, at its place."""
 
 import re
 from collections.abc import Callable
@@ -19,7 +19,7 @@ FAULTS = mistakes("scenario")
     FAULTS,
     ids=[f"{f[2]}-{f[1].strip()[:40]}" for f in FAULTS],
 )
-def test_a_fault_is_said_once_where_it_is(
+def test_a_fault_is_reported_once_in_its_place(
     check: Check, cartpole: str, old: str, new: str, code: str, marked: str, headline: str, help: str | None
 ) -> None:
     assert old in cartpole
@@ -127,7 +127,7 @@ def test_a_criterion_of_more_episodes_than_can_be_confirmed_is_refused(check: Ch
     assert [(finding.code, finding.help) for finding in findings] == [("DB105", "write at most 10000")]
 
 
-def test_each_body_is_told_by_its_shape(check: Check, cartpole: str) -> None:
+def test_each_body_is_read_as_the_model_of_its_shape(check: Check, cartpole: str) -> None:
     objects = (
         "{ball: {shape: sphere, radius: 1 m}, heap: {count: 3, one_of: {a: {shape: box, size: 1 1 1 m}}}}"
     )
@@ -146,15 +146,19 @@ def test_faults_of_bodies(check: Check, cartpole: str, objects: str, code: str, 
     assert [(finding.code, finding.span.text) for finding in findings] == [(code, marked)]
 
 
-def test_numbers_that_no_machine_can_hold_are_out_of_range(check: Check, cartpole: str) -> None:
+def test_numbers_of_extreme_size_are_out_of_range(check: Check, cartpole: str) -> None:
     for number in ("1e999", "-1e300", "9" * 400):
         _, findings = check(cartpole.replace("alive: 1", f"alive: {number}"))
         assert [finding.code for finding in findings] == ["DB105"], number
 
 
 @pytest.mark.parametrize(("typed", "key", "help"), mistakes("unfinished"))
-def test_a_key_without_a_value_is_told_what_it_takes(check: Check, typed: str, key: str, help: str) -> None:
-    (empty,) = (found for found in check(f"deepbots: 1\nname: Line\n{typed}")[1] if found.code == "DB107")
+def test_a_key_without_a_value_has_a_finding_with_what_it_takes(
+    check: Check, typed: str, key: str, help: str
+) -> None:
+    (empty,) = (
+        finding for finding in check(f"deepbots: 1\nname: Line\n{typed}")[1] if finding.code == "DB107"
+    )
     assert empty.span.text == key
     assert help in (empty.help or "")
 
@@ -173,7 +177,7 @@ def test_digits_grouped_the_german_way_are_shown_what_a_whole_number_is(check: C
     assert "Example: `total_timesteps: 100_000`" in (finding.help or "")
 
 
-def test_every_section_knows_its_path_and_that_of_its_defaults(check: Check, cartpole: str) -> None:
+def test_every_section_has_its_path_and_that_of_its_defaults(check: Check, cartpole: str) -> None:
     scenario, _ = check(cartpole)
     assert scenario is not None
     robot = next(iter(scenario.robots))

@@ -48,11 +48,11 @@ class Scene:
 
     def sensor(self, sensor: Sensor) -> Device:
         sensor = replace(sensor, reader=SENSORS[sensor.kind].reader)
-        made = Device(
+        device = Device(
             sensor, "robot", instrument(sensor, "robot", self.world, self.engine), self.world.timestep
         )
-        self.devices.append(made)
-        return made
+        self.devices.append(device)
+        return device
 
     def begin(self) -> None:
         for device in self.devices:

@@ -17,11 +17,11 @@ TIMESTEP = 0.01
 
 
 def device(faults: NoiseModel, read: Callable[[], list[float]], components: tuple[str, ...] = ()) -> Device:
-    made = Device(
+    sensor = Device(
         Sensor("s", "position", ("base",), components, "m", faults=faults), "r", Instrument(read), TIMESTEP
     )
-    made.reset(Streams(7))
-    return made
+    sensor.reset(Streams(7))
+    return sensor
 
 
 def counting() -> Callable[[], list[float]]:
@@ -50,11 +50,11 @@ def test_a_late_reading_is_delivered_at_the_first_tick_at_or_after_its_time() ->
 
 def test_period_and_latency_add_up_and_the_tick_of_the_measurement_is_known() -> None:
     sensor = device(NoiseModel(period=2, latency=3 * TIMESTEP), counting())
-    seen = []
+    readings = []
     for _ in range(10):
         sensor()
-        seen.append((sensor.reading[0], sensor.sampled_at))
-    assert seen == [(0, 0), (0, 0), (0, 0), (0, 0), (1, 2), (1, 2), (2, 4), (2, 4), (3, 6), (3, 6)]
+        readings.append((sensor.reading[0], sensor.sampled_at))
+    assert readings == [(0, 0), (0, 0), (0, 0), (0, 0), (1, 2), (1, 2), (2, 4), (2, 4), (3, 6), (3, 6)]
 
 
 def test_a_reset_forgets_what_is_under_way() -> None:
@@ -120,10 +120,8 @@ def test_noise_of_one_tick_says_nothing_of_the_next_or_of_another_component() ->
 
 def test_a_deviation_that_changes_within_an_episode_scales_the_same_draws() -> None:
     """Whatever other faults there are beside the noise, and wherever in a block of draws the change falls."""
-    plain, biased = (
-        device(NoiseModel(noise=(1.0,)), lambda: [0.0]),
-        device(NoiseModel(noise=(1.0,), bias=(4.0,)), lambda: [0.0]),
-    )
+    plain = device(NoiseModel(noise=(1.0,)), lambda: [0.0])
+    biased = device(NoiseModel(noise=(1.0,), bias=(4.0,)), lambda: [0.0])
     for deviation in (0.25, 8.0, 0.0, 2.0):
         for sensor in (plain, biased):
             sensor.vary("noise", (deviation,))

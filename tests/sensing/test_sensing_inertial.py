@@ -80,7 +80,7 @@ def test_on_a_turning_arm_it_feels_the_centripetal_acceleration(scene: Build, ra
 
 
 def test_what_it_sums_up_is_the_change_of_velocity(scene: Build) -> None:
-    """Pushed along x: the integral of its readings is what the body gained."""
+    """The body is pushed along x. The integral of the readings is its gain in velocity."""
     world = scene(brick(), gravity=(0, 0, 0))
     accelerometer = world.sensor(on("accelerometer", "brick"))
     push = world.engine.pusher(("robot", "brick"))
@@ -98,7 +98,8 @@ def test_a_knock_within_a_tick_is_felt_however_seldom_the_sensor_is_read(scene: 
     """A push in one of 20 physics steps, and a reading for every 5 ticks: nothing of it is lost."""
     world = scene(brick(), gravity=(0, 0, 0))
     accelerometer = world.sensor(on("accelerometer", "brick", faults=NoiseModel(period=5)))
-    push, steps = world.engine.pusher(("robot", "brick")), count()
+    push = world.engine.pusher(("robot", "brick"))
+    steps = count()
     world.engine.before_substep(lambda: push((0.0, 20.0 if next(steps) == 6 else 0.0, 0.0), (0, 0, 0)))
     world.begin()
     world.tick(5)
@@ -180,11 +181,11 @@ def test_readings_after_a_reset_are_those_of_a_fresh_world(scene: Build) -> None
     def episode() -> list[object]:
         world.engine.reset()
         world.begin()
-        seen = []
+        readings = []
         for _ in range(40):
             world.tick()
-            seen.append([tuple(device.reading) for device in world.devices])
-        return seen
+            readings.append([tuple(device.reading) for device in world.devices])
+        return readings
 
     first = episode()
     world.tick(7)

@@ -1,4 +1,4 @@
-"""Sensors from the text of a scenario to what the policy sees, on a rail whose exact motion is known."""
+"""Sensors from the text of a scenario to the observation, on a rail whose exact motion is known."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def sensed(make: Make) -> Make:
     return lambda sensor, range=METER: make(TEXT % (sensor, range), engine="exact")
 
 
-def seen(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
-    """What was true and what the sensor said, after the reset and after each step."""
+def truth_and_readings(world: Supervisor, steps: int, seed: int = 1) -> np.ndarray:
+    """The true value and the reading of the sensor, after the reset and after each step."""
     rows = [world.reset(seed=seed)[0]]
     rows += [world.step(np.array([0.5], np.float32))[0] for _ in range(steps)]
     return np.array(rows, np.float64)
@@ -56,25 +56,27 @@ def test_a_perfect_sensor_costs_no_device_and_one_with_faults_is_one(sensed: Mak
 
 
 def test_latency_and_period_hold_the_truth_back(sensed: Make) -> None:
-    rows = seen(sensed("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12)
+    rows = truth_and_readings(
+        sensed("{type: joint_position, joint: slider, latency: 40 ms, period: 60 ms}"), 12
+    )
     assert rows[:, 1] == pytest.approx(rows[[0, 0, 0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9], 0])
 
 
 def test_a_bias_is_drawn_once_per_episode_and_is_constant_in_it(sensed: Make) -> None:
     world = sensed("{type: joint_position, joint: slider, bias: uniform(-10 .. 10 cm)}")
-    found = []
+    biases = []
     for seed in range(40):
-        rows = seen(world, 5, seed)
+        rows = truth_and_readings(world, 5, seed)
         error = rows[:, 1] - rows[:, 0]
         assert np.ptp(error) < 1e-6
-        found.append(error[0])
-    assert np.abs(found).max() <= 0.1 + 1e-6
-    assert np.ptp(found) > 0.15
+        biases.append(error[0])
+    assert np.abs(biases).max() <= 0.1 + 1e-6
+    assert np.ptp(biases) > 0.15
 
 
 def test_a_parameter_is_one_draw_for_all_that_use_it(sensed: Make) -> None:
     world = sensed("{type: joint_position, joints: [slider], bias: off}")
-    rows = seen(world, 1, 3)
+    rows = truth_and_readings(world, 1, 3)
     assert rows[0, 1] - rows[0, 0] == pytest.approx(world.parameter_off, abs=1e-6)
 
 
@@ -88,12 +90,14 @@ def test_each_component_has_a_bias_of_its_own(sensed: Make) -> None:
 
 
 def test_drift_grows_with_the_time_since_the_reset(sensed: Make) -> None:
-    rows = seen(sensed("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
+    rows = truth_and_readings(sensed("{type: joint_position, joint: slider, drift: 0.5 m/s}"), 50)
     assert rows[:, 1] - rows[:, 0] == pytest.approx(0.5 * 0.02 * np.arange(51), abs=1e-6)
 
 
 def test_quantize_and_range_shape_what_the_policy_sees(sensed: Make) -> None:
-    rows = seen(sensed("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40)
+    rows = truth_and_readings(
+        sensed("{type: joint_position, joint: slider, resolution: 5 cm, range: -10 .. 10 cm}"), 40
+    )
     assert rows[:, 1] == pytest.approx(
         np.clip(np.round(np.clip(rows[:, 0], -0.1, 0.1) / 0.05) * 0.05, -0.1, 0.1), abs=1e-6
     )
@@ -102,7 +106,7 @@ def test_quantize_and_range_shape_what_the_policy_sees(sensed: Make) -> None:
 
 def test_the_known_range_of_a_sensor_is_its_automatic_one(sensed: Make) -> None:
     world = sensed("{type: joint_position, joint: slider, noise: 1 cm, range: -50 .. 50 cm}", "auto")
-    rows = seen(world, 20)
+    rows = truth_and_readings(world, 20)
     assert rows[:, 1] == pytest.approx(2 * rows[:, 0], abs=0.1)
 
 
@@ -147,7 +151,10 @@ def test_the_same_seed_gives_the_same_readings(sensed: Make) -> None:
     world = sensed(
         "{type: joint_position, joint: slider, noise: uniform(1 .. 5 cm), latency: uniform(0 .. 60 ms)}"
     )
-    first = seen(world, 30)
-    seen(world, 7, 2)
-    assert np.array_equal(seen(world, 30), first)
-    assert not np.array_equal(seen(world, 30, 3)[:, 1] - seen(world, 30, 3)[:, 0], first[:, 1] - first[:, 0])
+    first = truth_and_readings(world, 30)
+    truth_and_readings(world, 7, 2)
+    assert np.array_equal(truth_and_readings(world, 30), first)
+    assert not np.array_equal(
+        truth_and_readings(world, 30, 3)[:, 1] - truth_and_readings(world, 30, 3)[:, 0],
+        first[:, 1] - first[:, 0],
+    )

@@ -210,10 +210,13 @@ def test_nothing_passes_without_the_token(port):
 
 def test_the_token_opens_the_page_and_leaves_its_address(port):
     status, answer, body = _ask(port, f"GET /?token={TOKEN}&x=1 HTTP/1.1")
-    assert (status, answer["location"], body) == (302, "/", "")
+    assert status == 302
+    assert answer["location"] == "/"
+    assert body == ""
     assert answer["set-cookie"] == f"deepbots-{port}={TOKEN}; Path=/; HttpOnly; SameSite=Strict"
     status, answer, body = _ask(port, **COOKIE, Sec_Fetch_Site="cross-site", Sec_Fetch_Mode="navigate")
-    assert (status, body) == (200, "secret")
+    assert status == 200
+    assert body == "secret"
     assert answer["x-content-type-options"] == "nosniff"
     assert answer["referrer-policy"] == "no-referrer"
     assert "frame-ancestors 'none'" in answer["content-security-policy"]
@@ -252,7 +255,8 @@ def test_only_the_page_and_the_two_sockets_of_the_robot_are_passed_on():
         with _serving(f"http://127.0.0.1:{robot.getsockname()[1]}/?token=of-the-robot") as port:
             for path in ("/robot", "/robot/drive"):
                 _ask(port, f"GET {path} HTTP/1.1", **OPENS_SOCKET, **COOKIE, **OWN)
-            allowed, asked[:] = list(asked), []
+            allowed = list(asked)
+            asked[:] = []
             for path in ("/robot/x%0d%0aX-Y:%20z", "/robot/../", "/robot//", "/robot/drive/..", "/robot/%2e"):
                 _ask(port, f"GET {path} HTTP/1.1", **OPENS_SOCKET, **COOKIE, **OWN)
                 assert _ask(port, f"GET {path} HTTP/1.1", **COOKIE)[0] == 404
@@ -342,13 +346,13 @@ async def _until(condition, seconds: float = 20.0) -> None:
 @pytest.mark.parametrize("code", [False, True])
 def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_path, code):
     (tmp_path / "a.yaml").write_text(SCENARIO, encoding="utf-8")
-    other = tmp_path / "other"
+    allowed = tmp_path / "other"
 
     async def run() -> None:
-        session = Session(tmp_path, Permissions((other,), code=code))
+        session = Session(tmp_path, Permissions((allowed,), code=code))
         task = session.commands.run(["try", "none.yaml"], "try")
         assert ("--allow-code" in task.record.words) == code
-        assert f"--allow-path={other}" in task.record.words
+        assert f"--allow-path={allowed}" in task.record.words
         await _until(lambda: not task.is_running)
         await session.close()
 

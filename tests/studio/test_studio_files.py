@@ -1,5 +1,5 @@
-"""The open files of the studio: what is typed, what the studio writes and what others write is merged, saved and
-kept."""
+"""The open files of the studio: text from the editor, from the studio and from other programs is merged,
+saved and kept."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def test_every_typed_character_survives_a_merge(base, typed, other):
 def test_the_typed_word_counts_where_both_changed_it():
     base = "a: 1\nspeed: 5 rad/s  # slow\nb: 2\n"
     typed = "a: 1\nspeed: 7 rad/s  # slow\nb: 2\n"
-    other = "a: 0\nspeed: 6 rad/s  # quick\nb: 3\n"
-    assert merged(base, typed, other) == "a: 0\nspeed: 7 rad/s  # quick\nb: 3\n"
+    on_disk = "a: 0\nspeed: 6 rad/s  # quick\nb: 3\n"
+    assert merged(base, typed, on_disk) == "a: 0\nspeed: 7 rad/s  # quick\nb: 3\n"
 
 
 def test_two_insertions_at_one_place_are_both_kept():
@@ -219,7 +219,8 @@ def test_a_file_that_returns_to_its_text_is_no_change(tmp_path):
         path.write_text(text, encoding="utf-8")
         os.utime(path, ns=(number, number))
         assert file.read_outside()
-    assert (file.outside, file.text) == (None, "a: 2\n")
+    assert file.outside is None
+    assert file.text == "a: 2\n"
 
 
 def test_a_file_that_was_removed_can_be_saved_again(tmp_path):
@@ -231,7 +232,8 @@ def test_a_file_that_was_removed_can_be_saved_again(tmp_path):
     assert not file.read_outside()
     assert file.is_modified
     file.save()
-    assert (path.read_text("utf-8"), file.is_modified) == ("a: 1\n", False)
+    assert path.read_text("utf-8") == "a: 1\n"
+    assert file.is_modified is False
     path.unlink()
     file.read_outside()
     path.write_text("a: 1\n", encoding="utf-8")
@@ -246,9 +248,12 @@ def test_a_draft_survives_until_it_is_saved(tmp_path):
     file.change(file.revision, "a: 2 # \N{GRINNING FACE}\n")
     Drafts(tmp_path / "drafts").keep(file)
 
-    again, drafts = OpenFile.open(path), Drafts(tmp_path / "drafts")
+    again = OpenFile.open(path)
+    drafts = Drafts(tmp_path / "drafts")
     drafts.restore(again)
-    assert (again.text, again.saved, again.is_restored) == (file.text, "a: 1\n", True)
+    assert again.text == file.text
+    assert again.saved == "a: 1\n"
+    assert again.is_restored is True
     assert again.outside is None
     again.save()
     drafts.keep(again)
@@ -336,7 +341,8 @@ def test_a_full_disk_is_one_sentence_and_leaves_the_file(tmp_path):
             drafts.keep(file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert (path.read_text("utf-8"), file.is_modified) == ("a: 1\n", True)
+    assert path.read_text("utf-8") == "a: 1\n"
+    assert file.is_modified is True
     drafts.keep(file)
     (draft,) = (tmp_path / "drafts").glob("*.json")
     assert json.loads(draft.read_text("utf-8"))["text"] == file.text

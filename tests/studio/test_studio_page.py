@@ -125,14 +125,14 @@ def test_a_training_and_unsaved_text_outlive_the_server(folder, new_tab):
 
 
 def test_both_tabs_show_what_one_of_them_writes(studio: Served, new_tab):
-    one, other = StudioTab(new_tab(), studio.address), StudioTab(new_tab(), studio.address)
-    one.click_line("name: Mine")
-    one.type("craft")
-    other.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
-    other.click_line("truncation")
-    other.type("  # a note")
-    one.wait("document.querySelector('.cm-content').innerText.includes('# a note')")
-    assert "name: Minecraft" in one.text
+    first, second = StudioTab(new_tab(), studio.address), StudioTab(new_tab(), studio.address)
+    first.click_line("name: Mine")
+    first.type("craft")
+    second.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
+    second.click_line("truncation")
+    second.type("  # a note")
+    first.wait("document.querySelector('.cm-content').innerText.includes('# a note')")
+    assert "name: Minecraft" in first.text
 
 
 def test_a_file_changed_outside_is_taken_or_compared(studio: Served, folder, new_tab):

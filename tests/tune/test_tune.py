@@ -74,14 +74,14 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def made(file: Path, folder: Path, *overrides: str, **settings: object) -> Study:
+def new_study(file: Path, folder: Path, *overrides: str, **settings: object) -> Study:
     return create_study(api.load(file, overrides=overrides, tests=True), folder=folder, **settings)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
 def whole(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study that one process has finished; not to be changed."""
-    study = made(file, tmp_path_factory.mktemp("studies") / "whole", prune=False)
+    study = new_study(file, tmp_path_factory.mktemp("studies") / "whole", prune=False)
     assert run_study(study)
     return study
 
@@ -99,7 +99,7 @@ def weights(study: Study) -> list[str]:
 def test_a_study_whose_driver_was_killed_continues_to_the_same_trials(
     file: Path, whole: Study, tmp_path: Path
 ) -> None:
-    study = made(file, tmp_path / "killed", prune=False)
+    study = new_study(file, tmp_path / "killed", prune=False)
     driver = subprocess.run(
         [sys.executable, "-c", DRIVER, str(study.path)], check=False, capture_output=True, text=True
     )
@@ -116,7 +116,7 @@ def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
     file: Path, whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It ended with exit code 0, and the trial was failed for ever."""
-    study = made(file, tmp_path / "full", prune=False)
+    study = new_study(file, tmp_path / "full", prune=False)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(
         resource.RLIMIT_FSIZE, (20_000, before[1])
@@ -133,7 +133,7 @@ def test_a_full_disk_ends_tune_with_an_error_and_the_trial_continues_later(
 
 def test_a_journal_that_is_a_pipe_is_refused_at_once(file: Path, tmp_path: Path) -> None:
     """Resuming such a study waited for ever."""
-    study = made(file, tmp_path / "pipe")
+    study = new_study(file, tmp_path / "pipe")
     (study.path / "journal.log").unlink()
     os.mkfifo(study.path / "journal.log")
     with pytest.raises(RunError, match=r"journal\.log is not a regular file"):
@@ -155,7 +155,7 @@ def test_trials_on_workers_give_the_same_after_a_worker_was_killed(
                 os.kill(pids()[0], signal.SIGKILL)
                 killed.append(number)
 
-    study = made(file, tmp_path / "workers", prune=False)
+    study = new_study(file, tmp_path / "workers", prune=False)
     with Cluster(workers=2) as workers:
         assert run_study(study, reporter=Killer(), executor=workers)
     assert killed
@@ -169,7 +169,9 @@ def test_the_first_trial_has_the_values_of_the_scenario(whole: Study) -> None:
 
 def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(whole: Study) -> None:
     (listed,) = (run for run in list_runs(whole.path.parent) if run.path == whole.path)
-    assert (listed.state, listed.planned, len(listed.runs)) == ("finished", 2, 2)
+    assert listed.state == "finished"
+    assert listed.planned == 2
+    assert len(listed.runs) == 2
     first = read_listed(whole.path / "trial-0")
     assert first.settings == ("train.learning_rate=0.001", "fall_angle=3 deg")
     assert [run.evaluated_episodes for run in first.runs] == [5]
@@ -194,17 +196,17 @@ def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_r
         )
         (run / "models" / "agent" / "last.zip").write_bytes(b"another model")
     again = f"choose again with: deepbots eval {runs[0]} --keep"
-    one = f"an earlier version chose its best model by return; {again}"
+    of_run = f"an earlier version chose its best model by return; {again}"
     of_group = f"trial-0: an earlier version chose the best model of one of its runs by return; {again}"
     of_study = f"study: an earlier version chose the best model of 2 of its runs by return; for each, {again}"
-    for folder, said in (
-        (runs[0], one),
-        (runs[0].parent, f"{runs[0].name}: {one}"),
+    for folder, message in (
+        (runs[0], of_run),
+        (runs[0].parent, f"{runs[0].name}: {of_run}"),
         (study, of_group),
         (tmp_path, of_study),
     ):
         assert main(["runs", str(folder)]) == 0
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert main(["report", str(study), "-o", str(tmp_path / "study.html")]) == 0
     capsys.readouterr()
     for path in [path for path in runs[0].rglob("*.zip") if path.stem != "best"]:
@@ -221,14 +223,16 @@ def test_a_study_is_no_run_and_the_message_names_a_trial(whole: Study) -> None:
 
 
 def test_a_trial_is_taken_by_one_driver_and_again_when_that_one_has_gone(file: Path, tmp_path: Path) -> None:
-    study = made(file, tmp_path / "study", trials=2)
+    study = new_study(file, tmp_path / "study", trials=2)
     journal = study.connect()
     with (
         next_trial(study, journal) as first,
         next_trial(study, study.connect()) as second,
         next_trial(study, journal) as third,
     ):
-        assert (first, second, third) == (0, 1, None)
+        assert first == 0
+        assert second == 1
+        assert third is None
     values = [trial.values for trial in study.trials()]
     with next_trial(study, study.connect()) as again:
         assert again == 0
@@ -240,7 +244,7 @@ def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "MIN_COMPARED", 1)
-    study = made(
+    study = new_study(
         file,
         tmp_path / "study",
         'tune={"search": {"fall_angle": "3 deg | 1 deg"}}',
@@ -250,9 +254,9 @@ def test_a_trial_that_is_worse_than_the_median_trains_no_further_seed(
         seed=1,
     )
     assert run_study(study)
-    found = {trial.values["fall_angle"]: trial for trial in study.trials()}
-    assert (found["3 deg"].state, found["1 deg"].state) == ("complete", "pruned")
-    assert [run.name for run in Group.open(found["1 deg"].path).runs] == ["seed-0"]
+    by_value = {trial.values["fall_angle"]: trial for trial in study.trials()}
+    assert (by_value["3 deg"].state, by_value["1 deg"].state) == ("complete", "pruned")
+    assert [run.name for run in Group.open(by_value["1 deg"].path).runs] == ["seed-0"]
 
 
 def test_a_solved_training_scores_below_any_that_is_not_and_distance_counts() -> None:
@@ -355,7 +359,7 @@ FORGED = (
 
 @pytest.mark.parametrize("damage", FORGED, ids=lambda text: text[:40].strip())
 def test_a_damaged_journal_is_refused_in_one_sentence(file: Path, tmp_path: Path, damage: str) -> None:
-    study = made(file, tmp_path / "study")
+    study = new_study(file, tmp_path / "study")
     with (study.path / "journal.log").open("a") as journal:
         journal.write(damage + '{"op_code":4,"worker_id":"x","study_id":0}\n')
     with pytest.raises(
@@ -379,8 +383,9 @@ NUMBERS = (
 def test_a_score_that_no_training_has_is_refused_in_one_sentence(
     file: Path, tmp_path: Path, forged: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
-    journal, name = study.path / "journal.log", forged.partition(":")[0]
+    study = _study_with_scores(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    journal = study.path / "journal.log"
+    name = forged.partition(":")[0]
     text = journal.read_text()
     changed = re.sub(f"{name}:[^,}}]+", forged.replace(": ", ":"), text, count=1)
     assert changed != text
@@ -392,22 +397,24 @@ def test_a_score_that_no_training_has_is_refused_in_one_sentence(
 @pytest.mark.parametrize("rest", [-1, -40, 0.5, "\0\0\0\0"])
 def test_a_last_line_that_a_crash_cut_loses_no_trial(file: Path, tmp_path: Path, rest: float | str) -> None:
     """The study was lost: the next line was written behind the piece, and the whole journal was refused."""
-    told = _told(file, tmp_path / "study", *[[SeedScore(0, value, 100, 5.0, 0.5)] for value in (0.5, 0.4)])
-    path = told.path / "journal.log"
+    study = _study_with_scores(
+        file, tmp_path / "study", *[[SeedScore(0, value, 100, 5.0, 0.5)] for value in (0.5, 0.4)]
+    )
+    path = study.path / "journal.log"
     text = path.read_text()
     last = text.splitlines(keepends=True)[-1]
     cut = rest if isinstance(rest, str) else last[: int(rest) if rest < 0 else int(rest * len(last))]
     path.write_text(text.removesuffix(last) + cut)
-    journal = told.connect()
-    assert [trial.state for trial in told.trials(journal)] == ["complete", "running"]
-    with next_trial(told, journal) as number:
+    journal = study.connect()
+    assert [trial.state for trial in study.trials(journal)] == ["complete", "running"]
+    with next_trial(study, journal) as number:
         assert number == 1
         end_trial(journal, 1, TrialResult("complete", (SeedScore(0, 0.3, 100, 5.0, 0.5),)))
-    assert [trial.score for trial in told.trials()] == [0.5, 0.3]
+    assert [trial.score for trial in study.trials()] == [0.5, 0.3]
 
 
 def test_reading_a_study_does_not_write_to_it(file: Path, tmp_path: Path) -> None:
-    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    study = _study_with_scores(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
     before = (study.path / "journal.log").read_bytes()
     (study.path / "journal.log").write_bytes(before[:-1])
     study.trials()
@@ -419,7 +426,7 @@ def test_a_journal_of_many_entries_about_one_trial_is_refused_before_it_takes_mi
     file: Path, tmp_path: Path
 ) -> None:
     """Optuna copies all of them for each; 300,000 did not end in six minutes."""
-    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    study = _study_with_scores(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
     path = study.path / "journal.log"
     lines = path.read_text().splitlines(keepends=True)
     entry = '{{"op_code":7,"worker_id":"x","trial_id":0,"step":{},"intermediate_value":0.5}}\n'
@@ -433,7 +440,7 @@ def test_a_journal_of_many_entries_about_one_trial_is_refused_before_it_takes_mi
 def test_a_long_journal_is_announced_where_it_is_read(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
-    study = _told(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
+    study = _study_with_scores(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
     path = study.path / "journal.log"
     line = f'{{"op_code":10,"worker_id":"{"x" * 2_000}"}}\n'
     path.write_text(path.read_text() + line * 3_000)
@@ -442,9 +449,9 @@ def test_a_long_journal_is_announced_where_it_is_read(
     assert ("reading the trials of" in capsys.readouterr().err) == (command != "runs")
 
 
-def _told(file: Path, path: Path, *trials: Sequence[SeedScore]) -> Study:
+def _study_with_scores(file: Path, path: Path, *trials: Sequence[SeedScore]) -> Study:
     """A study whose trials have these scores; nothing was trained."""
-    study = made(file, path, trials=len(trials), seeds=tuple(range(len(trials[0]))))
+    study = new_study(file, path, trials=len(trials), seeds=tuple(range(len(trials[0]))))
     journal = study.connect()
     for number, scores in enumerate(trials):
         with next_trial(study, journal) as taken:
@@ -461,7 +468,7 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     trials = [_seeds([1.5] * 3, mean_return=value) for value in (10.0, 30.0, 20.0)]
-    study = _told(file, tmp_path / "study", *trials)
+    study = _study_with_scores(file, tmp_path / "study", *trials)
     assert [trial.number for trial in study.ranked(study.trials())] == [1, 2, 0]
     assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
@@ -475,7 +482,7 @@ def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is
 
 
 def test_of_equal_scores_the_success_rate_comes_before_the_return(file: Path, tmp_path: Path) -> None:
-    study = _told(file, tmp_path / "study", _seeds([1.5], 90.0, 0.1), _seeds([1.5], 10.0, 0.2))
+    study = _study_with_scores(file, tmp_path / "study", _seeds([1.5], 90.0, 0.1), _seeds([1.5], 10.0, 0.2))
     assert [trial.number for trial in study.ranked(study.trials())] == [1, 0]
 
 
@@ -492,7 +499,7 @@ def test_unsolved_seeds_score_by_their_mean_success_rate() -> None:
 def test_apply_is_advised_where_the_best_trial_is_clearly_better_than_the_values_of_the_scenario(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = _told(file, tmp_path / "study", _seeds([0.9, 0.92, 0.88]), _seeds([0.3, 0.32, 0.28]))
+    study = _study_with_scores(file, tmp_path / "study", _seeds([0.9, 0.92, 0.88]), _seeds([0.3, 0.32, 0.28]))
     assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
     assert "it is clearly better than the values of the scenario itself (trial 0, score 0.9)" in text
@@ -503,7 +510,7 @@ def test_the_luckiest_of_many_trials_is_not_clearly_better(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scores = [[0.8, 0.9, 0.7], *([0.6, 0.95, 0.8] for _ in range(18)), [0.7, 0.6, 0.5]]
-    study = _told(file, tmp_path / "study", *map(_seeds, scores))
+    study = _study_with_scores(file, tmp_path / "study", *map(_seeds, scores))
     assert main(["resume", str(study.path), "-q", "--json"]) == 0
     over_first = json.loads(capsys.readouterr().out)["over_first"]
     assert over_first["is_clear"] is False
@@ -513,7 +520,7 @@ def test_the_luckiest_of_many_trials_is_not_clearly_better(
 def test_a_trial_with_one_seed_is_never_clearly_better(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = _told(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
+    study = _study_with_scores(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
     assert main(["resume", str(study.path), "-q"]) == 0
     text = "".join(capsys.readouterr())
     assert "one seed does not show it" in text
@@ -521,9 +528,9 @@ def test_a_trial_with_one_seed_is_never_clearly_better(
 
 
 @pytest.fixture(scope="module")
-def told(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
+def scored_study(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
     """A study of twelve trials whose scores depend on the learning rate alone; nothing was trained."""
-    study = made(file, tmp_path_factory.mktemp("studies") / "told", trials=12, seeds=(0, 1))
+    study = new_study(file, tmp_path_factory.mktemp("studies") / "told", trials=12, seeds=(0, 1))
     journal = study.connect()
     for number in range(12):
         with next_trial(study, journal) as taken:
@@ -543,8 +550,8 @@ def told(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Study:
     return study
 
 
-def test_importance_has_a_value_for_each_seed_and_names_the_key_that_matters(told: Study) -> None:
-    report = StudyReport.read(told.path)
+def test_importance_has_a_value_for_each_seed_and_names_the_key_that_matters(scored_study: Study) -> None:
+    report = StudyReport.read(scored_study.path)
     assert report.importances is not None
     assert [len(values) for values in report.importances.values()] == [2, 2]
     rate, angle = (sum(values) for values in report.importances.values())
@@ -553,9 +560,12 @@ def test_importance_has_a_value_for_each_seed_and_names_the_key_that_matters(tol
 
 
 @pytest.mark.slow
-def test_the_report_of_a_study_is_one_page_with_its_trials(told: Study, tmp_path: Path) -> None:
+def test_the_report_of_a_study_is_one_page_with_its_trials(scored_study: Study, tmp_path: Path) -> None:
     target = tmp_path / "told.html"
-    assert main(["report", str(told.path), "-o", str(target), "--figures", str(tmp_path / "figures")]) == 0
+    assert (
+        main(["report", str(scored_study.path), "-o", str(target), "--figures", str(tmp_path / "figures")])
+        == 0
+    )
     assert {path.stem for path in (tmp_path / "figures").iterdir()} == {"history", "importance", "slices"}
     page = target.read_text()
     assert page.count("<picture>") == 3

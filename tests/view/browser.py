@@ -42,7 +42,8 @@ class Tab:
     """One page. `requests` are the addresses that it asked for, `errors` what its console reported."""
 
     def __init__(self, wire: Any) -> None:
-        self._wire, self._number = wire, 0
+        self._wire = wire
+        self._number = 0
         self.requests: list[str] = []
         self.errors: list[str] = []
         for domain in ("Page", "Runtime", "Network", "Log"):
@@ -63,27 +64,27 @@ class Tab:
             self._note(answer)
 
     def _note(self, event: dict[str, Any]) -> None:
-        known = event.get("params", {})
+        params = event.get("params", {})
         if event.get("method") in ("Network.requestWillBeSent", "Network.webSocketCreated"):
-            self.requests.append(known["request"]["url"] if "request" in known else known["url"])
-        elif event.get("method") == "Log.entryAdded" and known["entry"]["level"] == "error":
-            self.errors.append(f"{known['entry']['text']} {known['entry'].get('url', '')}")
+            self.requests.append(params["request"]["url"] if "request" in params else params["url"])
+        elif event.get("method") == "Log.entryAdded" and params["entry"]["level"] == "error":
+            self.errors.append(f"{params['entry']['text']} {params['entry'].get('url', '')}")
         elif event.get("method") == "Runtime.exceptionThrown":
-            self.errors.append(str(known["exceptionDetails"].get("text")))
+            self.errors.append(str(params["exceptionDetails"].get("text")))
 
     def run(self, script: str) -> Any:
         """The value of a script."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in found, found
-        return found["result"].get("value")
+        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
 
     def wait(self, script: str, seconds: float = 30.0) -> Any:
         """The first value of a script that is true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            found = self.run(script)
-            if found:
-                return found
+            value = self.run(script)
+            if value:
+                return value
             time.sleep(0.1)
         raise AssertionError(f"never true: {script}\n{self.run('document.body.innerText')}\n{self.errors}")
 
@@ -155,10 +156,10 @@ def browser() -> Iterator[Any]:
             def tab() -> Tab:
                 request = urllib.request.Request(f"http://{base}/json/new?about:blank", method="PUT")
                 with urllib.request.urlopen(request) as answer:
-                    found = json.load(answer)
+                    target = json.load(answer)
                 # Nobody reads the events of a page while a test waits for something else. With a full queue,
                 # the library does not read the answers to its pings either, and gives the connection up.
-                address = found["webSocketDebuggerUrl"]
+                address = target["webSocketDebuggerUrl"]
                 wires.append(connect(address, max_size=1 << 26, max_queue=None, ping_interval=None))
                 return Tab(wires[-1])
 

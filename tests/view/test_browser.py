@@ -24,19 +24,20 @@ CARTPOLE = Path(__file__).parents[2].joinpath("scenarios", "cartpole.yaml").read
 @contextmanager
 def served(source: str | Showing, **options: Any) -> Iterator[Page]:
     """A page whose loop runs in a thread of its own."""
-    made, stop = [], threading.Event()
+    pages = []
+    stop = threading.Event()
 
     def run() -> None:
-        made.append(Page(Showing(source) if isinstance(source, str) else source, port=0, **options))
-        made[0].run(stop.is_set)
-        made[0].close()
+        pages.append(Page(Showing(source) if isinstance(source, str) else source, port=0, **options))
+        pages[0].run(stop.is_set)
+        pages[0].close()
 
     thread = threading.Thread(target=run)
     thread.start()
     try:
-        while not made and thread.is_alive():
+        while not pages and thread.is_alive():
             time.sleep(0.05)
-        yield made[0]
+        yield pages[0]
     finally:
         stop.set()
         thread.join(20)

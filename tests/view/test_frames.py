@@ -1,4 +1,4 @@
-"""Frames: what the engine says, read without a trace."""
+"""Frames have the values of the engine, and reading them changes nothing."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BATCHES = ("cartpole_wireless", "find_and_avoid", "multi_cartpole", "quadruped",
 @pytest.mark.slow
 @pytest.mark.parametrize("name", few(SCENARIOS, SCENARIOS[1:4]))
 def test_an_episode_is_the_same_with_and_without_frames(name):
-    found = []
+    episodes = []
     for read in (False, True):
         with closing(deepbots_cli.make(name)) as env:
             observation, _ = env.reset(seed=3)
@@ -47,8 +47,8 @@ def test_an_episode_is_the_same_with_and_without_frames(name):
                     reader.read(observation, action)
                 if terminated or truncated:
                     break
-            found.append((rewards, str(observation)))
-    assert found[0] == found[1]
+            episodes.append((rewards, str(observation)))
+    assert episodes[0] == episodes[1]
 
 
 def test_no_message_of_the_episode_before_is_in_the_first_frame():
@@ -59,7 +59,7 @@ def test_no_message_of_the_episode_before_is_in_the_first_frame():
         assert player.begin(0, 0).messages == first
 
 
-def test_a_frame_holds_what_the_engine_says():
+def test_a_frame_has_the_values_of_the_engine():
     with closing(deepbots_cli.make("find_ball")) as env:
         observation, _ = env.reset(seed=0)
         reader = FrameReader(env)
@@ -101,11 +101,11 @@ def test_a_world_of_a_batch_has_the_frames_of_a_single_world(name):
             pairs = [(batch.begin(7, 0), single.begin(7, 2))]
             while len(pairs) < 15 and not pairs[-1][1].ended_by:
                 pairs.append((batch.step(), single.step()))
-        for one, other in pairs:
-            found, expected = dict(_leaves(asdict(one))), dict(_leaves(asdict(other)))
-            assert found.keys() == expected.keys()
+        for of_batch, of_single in pairs:
+            actual, expected = dict(_leaves(asdict(of_batch))), dict(_leaves(asdict(of_single)))
+            assert actual.keys() == expected.keys()
             for path, value in expected.items():
-                assert found[path] == (
+                assert actual[path] == (
                     pytest.approx(value, rel=1e-9, abs=1e-9) if isinstance(value, float) else value
                 ), path
 
@@ -138,11 +138,11 @@ def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
 
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
     with closing(Player(Showing("find_ball_random").open(), ZERO)) as player:
-        shown = [
+        names_of_bodies = [
             {body for body, _ in player.begin(0, episode).links if body.startswith("obstacle")}
             for episode in range(6)
         ]
-        assert len({len(bodies) for bodies in shown}) > 1
+        assert len({len(bodies) for bodies in names_of_bodies}) > 1
         assert set(player.frame.variants.values()) <= {"cube", "plank"}
 
 
@@ -165,7 +165,9 @@ def test_a_push_is_in_the_frames_while_it_lasts():
 def test_fields_have_units_ranges_and_options():
     program = deepbots_cli.compile("find_ball").program
     angle = observation_fields(program, ShownUnits())[-1]
-    assert (angle.name, angle.unit, round(angle.high, 3)) == ("angle", "rad", 3.142)
+    assert angle.name == "angle"
+    assert angle.unit == "rad"
+    assert round(angle.high, 3) == 3.142
     assert [field.name for field in action_fields(program, ShownUnits())] == ["gas", "wheel"]
     (choice,) = action_fields(deepbots_cli.compile("cartpole").program, ShownUnits())
     assert choice.text(1.0) == choice.options[1]
@@ -179,14 +181,14 @@ def test_a_person_drives_by_the_names_of_action_fields():
 
 
 def test_messages_are_those_that_receivers_go_by():
-    """A message that arrives k ticks after it was made has the age k ticks, and holds the value of that
-    tick."""
+    """A message that arrives k ticks after it was sent has an age of k ticks, and the value of the tick in
+    which it was sent."""
     with closing(Player(Showing("cartpole_wireless").open(), RANDOM)) as player:
         frames = list(player.episode(0, 0))
     for frame in frames[1:]:
         message = frame.messages["cart/from_robot"]
-        made = frame.step - round(message.age / player.program.period)
-        assert message.values == frames[made].readings["cart.pole_angle"]
+        sent_at = frame.step - round(message.age / player.program.period)
+        assert message.values == frames[sent_at].readings["cart.pole_angle"]
     assert {frame.messages["cart/to_robot"].received for frame in frames} == {True, False}
 
 
@@ -195,8 +197,8 @@ def test_what_was_drawn_makes_the_same_episode():
         reader = FrameReader(env)
         first = reader.read(env.reset(seed=5)[0])
         assert {"reset.place.epuck.x", "reset.place.epuck.y", "reset.place.epuck.yaw"} <= set(first.drawn)
-        other = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
-    assert other.links == first.links
+        repeated = reader.read(env.reset(seed=6, options=dict(first.drawn))[0])
+    assert repeated.links == first.links
 
 
 def test_frames_contain_the_allowed_options():

@@ -128,11 +128,11 @@ def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, nam
             for _ in range(5):
                 page.playback.manual_input.hold(frozenset({key}), ())
                 page.step_once()
-            one, other = (
+            first, last = (
                 roll_pitch_yaw(links[robot.name, robot.model.root][1])[2]
                 for links in (before, page.player.frame.links)
             )
-            yaws.append(math.remainder(other - one, math.tau))
+            yaws.append(math.remainder(last - first, math.tau))
         assert yaws[0] < -0.05
         assert yaws[1] > 0.05
 
@@ -158,7 +158,8 @@ def test_released_keys_give_zero_where_the_range_holds_it():
 
 
 def test_rays_are_drawn_between_two_steps_as_the_robot_is(monkeypatch):
-    lines_of, add = {}, viser.SceneApi.add_line_segments
+    lines_of = {}
+    add = viser.SceneApi.add_line_segments
 
     def added(self, name, *arguments, **options):
         lines_of[name.rpartition("/")[2]] = lines = add(self, name, *arguments, **options)
@@ -273,10 +274,10 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
     person.start()
     assert main(["play", "cartpole", "--port", "0", "--output", str(path)]) == 130
     person.join()
-    told = capsys.readouterr()
-    assert f"{path} (1 episode, " in told.out
+    output = capsys.readouterr()
+    assert f"{path} (1 episode, " in output.out
     for following in (f"deepbots replay --verify {path}", f"deepbots train cartpole --teacher {path}"):
-        assert following in told.err
+        assert following in output.err
     assert main(["replay", "--verify", str(path)]) == 0
     assert main(["play", "cartpole", "--output", str(path)]) == 2
     assert "already exists; overwrite it with --force" in capsys.readouterr().err
@@ -320,7 +321,8 @@ def test_a_value_that_no_control_offers_changes_nothing_and_prints_nothing(capfd
             end = time.monotonic() + 30.0
             page.run(lambda: page.playback.seed == 7 or time.monotonic() > end)
         assert page.playback.seed == 7  # all of them have arrived, and the last one counts
-        assert (page.playback.speed, page.player.driver_name) == (1.0, "onward")
+        assert page.playback.speed == 1.0
+        assert page.player.driver_name == "onward"
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -350,7 +352,9 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
         file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
         _run(page, lambda: page.player is not world)
         assert time.monotonic() - began < 2.0 or os.getloadavg()[0] > 4
-        assert (page.playback.seed, page.playback.stopped, page.playback.paused) == (3, None, False)
+        assert page.playback.seed == 3
+        assert page.playback.stopped is None
+        assert page.playback.paused is False
 
 
 @pytest.mark.slow
@@ -358,7 +362,9 @@ def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path, monkeypatch):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
     with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
-        read, world, saves = Showing.open, page.player, [CARTPOLE.replace("timestep: ", "timestep:  ", 1)]
+        read = Showing.open
+        world = page.player
+        saves = [CARTPOLE.replace("timestep: ", "timestep:  ", 1)]
 
         def read_and_save(self):
             opened = read(self)
@@ -388,7 +394,7 @@ def test_actions_to_repeat_drive_the_page_too():
         assert page.player.driver_name == "forward,backward"
 
 
-def test_what_cannot_be_opened_is_told(capsys):
+def test_a_source_that_cannot_be_opened_is_an_error(capsys):
     with pytest.raises(UsageError, match="no file, folder or shipped scenario"):
         Page(Showing("nothing_here"), port=0)
     with pytest.raises(UsageError, match="there is no driver 'nobody'"):
@@ -426,11 +432,11 @@ def test_a_recording_is_played_and_scrubbed(tmp_path):
 @pytest.mark.slow
 def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
     with closing(Page(Showing("cartpole"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
-        one, other = page.playback.worlds
+        first, second = page.playback.worlds
         page.playback.speed = 5.0
-        assert one.player.frame.links == other.player.frame.links
-        assert one.player.seed == other.player.seed
-        _run(page, lambda: one.has_ended and other.has_ended)
+        assert first.player.frame.links == second.player.frame.links
+        assert first.player.seed == second.player.seed
+        _run(page, lambda: first.has_ended and second.has_ended)
         assert "A: cartpole" in page.banner.content
         assert "B: cartpole" in page.banner.content
 

@@ -60,7 +60,8 @@ def test_a_path_is_painted_where_the_robot_went():
 
 def test_the_view_of_a_path_does_not_cut_off_the_robot_at_its_end():
     with closing(Player(Showing("balancer").open(), "lean")) as player:
-        path, shot = list(player.episode(0, 0, 60)), Viewpoint(300, 200)
+        path = list(player.episode(0, 0, 60))
+        shot = Viewpoint(300, 200)
         project = projection(PaintedPath.of(player, path).view(player.env.world, shot))
         (robot,) = player.env.world.robots
     for link in robot.model.links:
@@ -98,7 +99,8 @@ def test_labels_and_rays_are_painted():
 def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
     shot = Viewpoint(160, 120, follow="epuck")
     with closing(Player(Showing("find_ball").open(), "around")) as player:
-        eyes, robot = [], player.env.world.robots[0]
+        eyes = []
+        robot = player.env.world.robots[0]
         write_clip(
             player,
             tmp_path / "clip.gif",
@@ -111,10 +113,10 @@ def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
             ),
         )
         whole = player.view(160, 120)
-    (first, seen), (last, seen_last) = eyes[0], eyes[-1]
+    (first, viewpoint), (last, last_viewpoint) = eyes[0], eyes[-1]
     assert np.linalg.norm(np.subtract(first, last)) > 0.05
-    assert np.subtract(seen_last.eye, last) == pytest.approx(np.subtract(seen.eye, first), abs=1e-3)
-    assert np.linalg.norm(np.subtract(seen.eye, first)) < 0.7 * np.linalg.norm(
+    assert np.subtract(last_viewpoint.eye, last) == pytest.approx(np.subtract(viewpoint.eye, first), abs=1e-3)
+    assert np.linalg.norm(np.subtract(viewpoint.eye, first)) < 0.7 * np.linalg.norm(
         np.subtract(whole.eye, whole.target)
     )
     with pytest.raises(UsageError, match=r"--follow: there is no robot 'dog'; there is epuck"):
@@ -149,11 +151,11 @@ def test_a_gif_keeps_the_color_of_a_small_robot(tmp_path):
     image = np.broadcast_to(shades, (120, 160, 3)).astype(np.uint8).copy()
     image[50:58, 60:68] = (30, 90, 200)
     write_gif(tmp_path / "clip.gif", iter([image, image[::-1]]), 10.0)
-    with Image.open(tmp_path / "clip.gif") as found:
-        assert np.abs(np.asarray(found.convert("RGB")).astype(int)[54, 64] - (30, 90, 200)).max() < 20
+    with Image.open(tmp_path / "clip.gif") as clip:
+        assert np.abs(np.asarray(clip.convert("RGB")).astype(int)[54, 64] - (30, 90, 200)).max() < 20
 
 
-def test_an_offline_page_holds_the_episode(tmp_path):
+def test_an_offline_page_contains_the_episode(tmp_path):
     pytest.importorskip("viser")
     out = tmp_path / "clip.html"
     with closing(Player(Showing("cartpole").open(), "zero")) as player:
@@ -189,7 +191,7 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
         == 0
     )
     assert sorted(path.name for path in tmp_path.glob("each*")) == ["each-0.gif", "each-1.gif"]
-    for words, said in (
+    for words, message in (
         (["render", "cartpole", "--last"], "--last chooses a model of a run, but cartpole is not a run"),
         (
             ["render", "cartpole", "-o", "a.jpg"],
@@ -225,4 +227,4 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
         (["render", "epuck", "-o", "b.gif"], "epuck is a robot file"),
     ):
         assert main(words) == 2
-        assert said in " ".join(capsys.readouterr().err.split())
+        assert message in " ".join(capsys.readouterr().err.split())

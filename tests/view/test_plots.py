@@ -154,7 +154,7 @@ def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
     ]
 
 
-def test_runs_of_one_folder_name_are_told_apart_by_their_paths(tmp_path):
+def test_runs_of_one_folder_name_are_distinguished_by_their_paths(tmp_path):
     paths = [tmp_path / folder / "run" for folder in ("slow", "fast")]
     for path in paths:
         path.parent.mkdir()
@@ -361,7 +361,7 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     assert figure.axes[0].get_title("left") == "return of training episodes; dots: evaluations"
     (runs / "a0" / "evaluations" / "training.jsonl").unlink()
-    found = {
+    evaluation = {
         "evaluated": "9",
         "model": "best",
         "seed": 0,
@@ -373,7 +373,7 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
         "success_interval": [0.1, 0.9],
         "solved": None,
     }
-    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
+    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     returns, successes = figure.axes[:2]
     assert returns.get_title("left") == "return of training episodes; diamond: evaluations"
@@ -382,7 +382,7 @@ def test_an_evaluation_after_the_training_is_a_diamond_and_dots_are_named_where_
 
 
 def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(runs):
-    found = {
+    evaluation = {
         "evaluated": "9",
         "model": "best",
         "seed": 0,
@@ -395,7 +395,7 @@ def test_the_diamond_stands_at_the_step_of_the_best_model_and_not_at_the_end(run
         "solved": None,
         "model_steps": 17,
     }
-    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(found))
+    (runs / "a0" / "evaluations" / "0001.json").write_text(json.dumps(evaluation))
     figure = plots.plot(plots.read_logs([runs / "a0"]))
     assert [panel.lines[-1].get_xydata().tolist() for panel in figure.axes[:2]] == [[[17, 3.5]], [[17, 0.5]]]
 
@@ -410,7 +410,7 @@ def test_files_of_other_programs_are_plotted(tmp_path, capsys):
     assert "must end in .png or .svg" in capsys.readouterr().err
 
 
-def test_what_cannot_be_plotted_is_told(tmp_path, runs):
+def test_runs_that_cannot_be_plotted_are_an_error(tmp_path, runs):
     with pytest.raises(RunError, match="neither a run nor a folder"):
         plots.read_logs([tmp_path / "nothing"])
     with pytest.raises(RunError, match="hold none of"):

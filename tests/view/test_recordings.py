@@ -1,4 +1,4 @@
-"""Recordings: what is read is what was recorded, a replay is the same to the bit, and files of others do no
+"""Recordings: frames are read as they were recorded, a replay is the same to the bit, and damaged files do no
 harm."""
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ def _recorded(
     folder: Path, name: str, driver: str = "random", engine: str | None = None
 ) -> tuple[Path, list[WorldFrame]]:
     """A recording of the episodes 2 and 3, and their frames."""
-    path, kept = folder / f"{name}.mcap", []
+    path = folder / f"{name}.mcap"
+    kept = []
 
     class Kept(Player):
         def episode(self, *arguments):
@@ -50,16 +51,18 @@ def find_ball(tmp_path_factory):
     return _recorded(tmp_path_factory.mktemp("recordings"), "find_ball", "around")
 
 
-def _same(one, other) -> bool:
-    if isinstance(one, np.ndarray):
-        return np.array_equal(one, other)
-    if hasattr(one, "__dataclass_fields__"):
-        return all(_same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
-    if hasattr(one, "keys"):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    if isinstance(one, list | tuple):
-        return len(one) == len(other) and all(map(_same, one, other))
-    return one == other or (one != one and other != other)
+def _is_same(value, expected) -> bool:
+    if isinstance(value, np.ndarray):
+        return np.array_equal(value, expected)
+    if hasattr(value, "__dataclass_fields__"):
+        return all(
+            _is_same(getattr(value, field.name), getattr(expected, field.name)) for field in fields(value)
+        )
+    if hasattr(value, "keys"):
+        return value.keys() == expected.keys() and all(_is_same(value[key], expected[key]) for key in value)
+    if isinstance(value, list | tuple):
+        return len(value) == len(expected) and all(map(_is_same, value, expected))
+    return value == expected or (value != value and expected != expected)
 
 
 @pytest.mark.parametrize(
@@ -75,9 +78,9 @@ def test_frames_come_back_and_a_replay_is_the_same(tmp_path, name, engine):
     path, frames = _recorded(tmp_path, name, engine=engine)
     opened = Showing(str(path)).open()
     with closing(ReplayPlayer(opened)) as player:
-        found = [frame for number in (2, 3) for frame in player.episode(0, number)]
-    assert len(found) == len(frames)
-    assert all(map(_same, frames, found))
+        replayed = [frame for number in (2, 3) for frame in player.episode(0, number)]
+    assert len(replayed) == len(frames)
+    assert all(map(_is_same, frames, replayed))
     with closing(Player(opened, "zero")) as player:
         assert verify(opened.recording, player) is None
 
@@ -86,18 +89,20 @@ def _changed(path: Path, out: Path, **change) -> Path:
     """The recording written again, with other metadata, other attachments, or another payload of a topic in
     one step."""
     with path.open("rb") as stream, out.open("wb") as target:
-        reader, writer, channels = make_reader(stream), Writer(target), {}
+        reader = make_reader(stream)
+        writer = Writer(target)
+        channels = {}
         writer.start("", "test")
-        for found in reader.iter_metadata():
-            writer.add_metadata(found.name, found.metadata | change.get("metadata", {}))
-        for found in reader.iter_attachments():
+        for entry in reader.iter_metadata():
+            writer.add_metadata(entry.name, entry.metadata | change.get("metadata", {}))
+        for entry in reader.iter_attachments():
             writer.add_attachment(
-                0, 0, change.get("attachments", {}).get(found.name, found.name), found.media_type, found.data
+                0, 0, change.get("attachments", {}).get(entry.name, entry.name), entry.media_type, entry.data
             )
         for place, (schema, channel, message) in enumerate(reader.iter_messages()):
             if channel.topic not in channels:
-                known = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "json", known)
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "json", schema_id)
             edit = change.get("payload", lambda place, topic, content: content)
             content = edit(place, channel.topic, json.loads(message.data))
             writer.add_message(
@@ -156,9 +161,9 @@ def test_a_friction_of_one_percent_more_is_noticed_and_named(tmp_path, capsys):
     again = ["replay", "--verify", str(path), "--tolerance", "1e-6", "--scenario", "find_ball"]
     assert main(again) == 0
     assert main([*again, "--set", "world.arena.friction=1.01"]) == 1
-    told = capsys.readouterr()
-    assert "world.arena.friction: recorded (not written), now 1.01" in told.err
-    assert re.search(r"episode 0, step \d+: .* differs", told.out)
+    output = capsys.readouterr()
+    assert "world.arena.friction: recorded (not written), now 1.01" in output.err
+    assert re.search(r"episode 0, step \d+: .* differs", output.out)
     assert main(["replay", "--verify", str(path), "--scenario", "cartpole"]) == 2
     assert "observation.apart: recording 0 .. 1.5 m, scenario has none" in capsys.readouterr().err
 
@@ -239,7 +244,7 @@ def test_a_picture_of_a_recording_is_that_of_the_episode(find_ball, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"metadata": {"format": "99"}}, "format 99"),
         ({"attachments": {"inputs/scenarios/find_ball.yaml": "inputs/../../evil"}}, "damaged"),
@@ -247,8 +252,8 @@ def test_a_picture_of_a_recording_is_that_of_the_episode(find_ball, tmp_path):
         ({"attachments": {"resolved.yaml": "inputs/other.yaml"}}, "no scenario|damaged"),
     ],
 )
-def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, told):
-    with pytest.raises(RecordingError, match=told) as caught:
+def test_a_file_that_cannot_be_read_is_refused_in_a_sentence(find_ball, tmp_path, change, message):
+    with pytest.raises(RecordingError, match=message) as caught:
         Recording.read(_changed(find_ball[0], tmp_path / "changed.mcap", **change))
     assert "\n" not in str(caught.value)
 
@@ -284,7 +289,7 @@ def test_what_cannot_be_read_is_told_in_a_sentence(find_ball, tmp_path, change, 
         ("/message/epuck/to_robot", lambda content: []),
     ],
 )
-def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
+def test_an_impossible_step_is_refused_in_a_sentence(find_ball, tmp_path, capsys, topic, edit):
     path = _changed(
         find_ball[0],
         tmp_path / "changed.mcap",
@@ -299,7 +304,7 @@ def test_a_step_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys
     "action",
     [{}, {"action": {"dtype": "object", "rows": 0, "data": ""}}, {"action": {"dtype": "int64", "data": ""}}],
 )
-def test_an_action_that_cannot_be_is_told_in_a_sentence(find_ball, tmp_path, capsys, action):
+def test_an_impossible_action_is_refused_in_a_sentence(find_ball, tmp_path, capsys, action):
     path = _changed(
         find_ball[0],
         tmp_path / "changed.mcap",
@@ -317,7 +322,7 @@ def test_a_pipe_is_no_recording(tmp_path):
         Recording.read(tmp_path / "pipe.mcap")
 
 
-def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):
+def test_a_file_that_is_a_folder_too_is_refused_in_a_sentence(find_ball, tmp_path):
     path = _changed(
         find_ball[0], tmp_path / "changed.mcap", attachments={"inputs/scenarios/find_ball.yaml": "inputs"}
     )
@@ -326,12 +331,14 @@ def test_a_file_that_is_a_folder_too_is_told_in_a_sentence(find_ball, tmp_path):
 
 
 def test_a_cut_or_flipped_file_is_refused_or_read(find_ball, tmp_path):
-    data, dice, path = find_ball[0].read_bytes(), random.Random(1), tmp_path / "other.mcap"
+    data = find_ball[0].read_bytes()
+    rng = random.Random(1)
+    path = tmp_path / "other.mcap"
     for number in range(60):
-        changed = bytearray(data[: dice.randrange(len(data))] if number % 2 else data)
-        for _ in range(dice.randrange(4) if number % 2 else 1 + dice.randrange(30)):
+        changed = bytearray(data[: rng.randrange(len(data))] if number % 2 else data)
+        for _ in range(rng.randrange(4) if number % 2 else 1 + rng.randrange(30)):
             if changed:
-                changed[dice.randrange(len(changed))] = dice.randrange(256)
+                changed[rng.randrange(len(changed))] = rng.randrange(256)
         path.write_bytes(changed)
         if number % 2:
             with pytest.raises(RecordingError):
@@ -350,7 +357,8 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
 
     packer = zstandard.ZstdCompressor().compressobj(size=1 << 34)  # what the frame promises
     packed = packer.compress(bytes(1000)) + packer.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-    builder, stream = RecordBuilder(), io.BytesIO(b"\x89MCAP0\r\n")
+    builder = RecordBuilder()
+    stream = io.BytesIO(b"\x89MCAP0\r\n")
     stream.seek(0, 2)
     for record in (Header("", ""), Chunk("zstd", packed, 0, 0, 0, 100), DataEnd(0), Footer(0, 0, 0)):
         record.write(builder)
@@ -365,9 +373,9 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
 def test_options_and_files_of_the_command(tmp_path, monkeypatch, capsys, find_ball):
     monkeypatch.chdir(tmp_path)
     assert main(["render", "cartpole", "--episodes", "2", "--json", "-o", "two.mcap"]) == 0
-    (made,) = json.loads(capsys.readouterr().out)["files"]
-    assert made["file"] == "two.mcap"
-    assert [each["episode"] for each in made["episodes"]] == [0, 1]
+    (recording,) = json.loads(capsys.readouterr().out)["files"]
+    assert recording["file"] == "two.mcap"
+    assert [episode["episode"] for episode in recording["episodes"]] == [0, 1]
     assert main(["render", "cartpole", "-o", "two.mcap"]) == 2
     assert "two.mcap already exists" in capsys.readouterr().err
     assert main(["render", str(find_ball[0]), "--episode", "7", "--output", "x.gif"]) == 2

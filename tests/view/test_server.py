@@ -23,10 +23,12 @@ from deepbots_cli.view import access, server  # noqa: E402
 def page():
     """The port of a server on loopback, and what arrived by `/drive`."""
     arrived: list[object] = []
-    made, address = server.serve(access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes)))
-    assert address == f"http://127.0.0.1:{made.get_port()}/"
-    yield made.get_port(), arrived
-    server.stop(made)
+    running, address = server.serve(
+        access.LOOPBACK, 0, "test", lambda keys, axes: arrived.append((keys, axes))
+    )
+    assert address == f"http://127.0.0.1:{running.get_port()}/"
+    yield running.get_port(), arrived
+    server.stop(running)
 
 
 def _get(port, path="/", **headers):
@@ -88,15 +90,17 @@ def test_a_foreign_host_or_origin_is_refused(page):
 
 
 def test_beyond_loopback_a_token_is_asked_for():
-    made, address = server.serve("0.0.0.0", 0, "test", lambda keys, axes: None)
+    running, address = server.serve("0.0.0.0", 0, "test", lambda keys, axes: None)
     try:
-        port, token = made.get_port(), address.partition("?token=")[2]
+        port = running.get_port()
+        token = address.partition("?token=")[2]
         assert len(token) > 16
         assert _get(port)[0].status == 403
         assert _get(port, "/?token=wrong")[0].status == 403
         answer, _ = _get(port, f"/?token={token}")
         cookie = answer.headers["Set-Cookie"].partition(";")[0]
-        assert (answer.status, answer.headers["Location"]) == (302, "/")
+        assert answer.status == 302
+        assert answer.headers["Location"] == "/"
         assert "HttpOnly" in answer.headers["Set-Cookie"]
         assert _get(port, Cookie=cookie)[0].status == 200
         assert _get(port, Cookie=cookie + "x")[0].status == 403
@@ -107,13 +111,13 @@ def test_beyond_loopback_a_token_is_asked_for():
             _open(port, path, origin=origin, cookie=cookie).close()
         assert _get(port, Host=f"evil.example:{port}", Cookie=cookie)[0].status == 403
     finally:
-        server.stop(made)
+        server.stop(running)
 
 
 def test_an_abbreviated_address_is_loopback():
-    made, address = server.serve("127.1", 0, "test", lambda keys, axes: None)
-    server.stop(made)
-    assert address == f"http://127.0.0.1:{made.get_port()}/"
+    running, address = server.serve("127.1", 0, "test", lambda keys, axes: None)
+    server.stop(running)
+    assert address == f"http://127.0.0.1:{running.get_port()}/"
 
 
 def test_keys_and_axes_arrive_and_rubbish_does_not(page, capfd):
@@ -185,7 +189,7 @@ def test_another_version_of_the_page_is_refused(page):
         _open(page[0], origin=f"http://127.0.0.1:{page[0]}", protocol="viser-v0.0.1")
 
 
-def test_a_port_in_use_and_an_unknown_host_are_told(page):
+def test_a_port_in_use_and_an_unknown_host_are_errors(page):
     with pytest.raises(UsageError, match=f"port {page[0]} of 127.0.0.1 is in use"):
         server.serve(access.LOOPBACK, page[0], "test", lambda keys, axes: None)
     with pytest.raises(UsageError, match="there is no host"):

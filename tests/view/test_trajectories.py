@@ -1,4 +1,4 @@
-"""Trajectories: what moves in an episode is what the task is about."""
+"""Trajectories of the bodies that move in an episode and matter to its task."""
 
 from __future__ import annotations
 
@@ -63,10 +63,14 @@ def test_an_arm_whose_links_the_task_does_not_read_moves_as_the_link_that_goes_f
 def test_a_target_that_moves_is_followed():
     overrides = ("goal.desired=vector(0.5 m, 0.2 m * sin(90 deg/s * time), 0.5 m)",)
     with closing(Player(Showing("panda_reach", overrides=overrides).open(), "zero")) as player:
-        found = trajectories.read_positions(player.reader.layout, player.episode(0, 0, 5))
-        assert trajectories.find_moving(player.program, player.env.world, [found]).targets == (("", "agent"),)
-    assert found["", "agent"][:, 1] == pytest.approx(0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6)
-    assert trajectories.has_moved(found["", "agent"])
+        positions = trajectories.read_positions(player.reader.layout, player.episode(0, 0, 5))
+        assert trajectories.find_moving(player.program, player.env.world, [positions]).targets == (
+            ("", "agent"),
+        )
+    assert positions["", "agent"][:, 1] == pytest.approx(
+        0.2 * np.sin(np.pi / 2 * 0.04 * np.arange(6)), abs=1e-6
+    )
+    assert trajectories.has_moved(positions["", "agent"])
 
 
 def test_a_wall_that_a_failure_reads_is_no_target():

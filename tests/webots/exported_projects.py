@@ -177,8 +177,10 @@ def play(environment: Any, episodes: Sequence[Any]) -> list[Any]:
         rows.append([np.asarray(observation).tolist(), None, False, None, list(texts)])
         texts.clear()
         for action in actions:
-            given = np.asarray(action, environment.action_space.dtype) if isinstance(action, list) else action
-            observation, reward, terminated, truncated, info = environment.step(given)
+            typed_action = (
+                np.asarray(action, environment.action_space.dtype) if isinstance(action, list) else action
+            )
+            observation, reward, terminated, truncated, info = environment.step(typed_action)
             done = terminated or truncated
             rows.append([np.asarray(observation).tolist(), reward, done, info["ended_by"], list(texts)])
             texts.clear()

@@ -31,12 +31,12 @@ def test_a_sensor_measures_first_after_its_period_and_then_once_in_each():
     simulation = simulate(robot("GPS { }", "linearVelocity 1 0 0"), gravity=0)
     gps = device(simulation, "gps")
     gps.enable(24)
-    seen = []
+    readings = []
     for _ in range(7):
         simulation.run_step()
-        seen.append(gps.getValues()[0])
-    assert [math.isnan(value) for value in seen[:2]] == [True, True]
-    assert seen[2:] == pytest.approx([0.024] * 3 + [0.048] * 2)
+        readings.append(gps.getValues()[0])
+    assert [math.isnan(value) for value in readings[:2]] == [True, True]
+    assert readings[2:] == pytest.approx([0.024] * 3 + [0.048] * 2)
     assert gps.getSamplingPeriod() == 24
 
 
@@ -230,39 +230,43 @@ WALL = "Solid { translation 0.6 0 0 children [ Shape { appearance PBRAppearance 
 TABLE = "lookupTable [ 0 0 0, 1 1000 0 ]"
 
 
-def sensed(sensor: str, wall: str = WALL % 1) -> float:
+def distance_reading(sensor: str, wall: str = WALL % 1) -> float:
     text = f"{wall} Robot {{ children [ DistanceSensor {{ {TABLE} {sensor} }} ] }}"
     return reading(simulate(text), "distance sensor").getValue()
 
 
 @pytest.mark.parametrize("kind", ["generic", "infra-red", "sonar", "laser"])
 def test_a_distance_sensor_answers_by_its_table(kind: str):
-    assert sensed(f'type "{kind}"') == pytest.approx(500, rel=1e-3)
+    assert distance_reading(f'type "{kind}"') == pytest.approx(500, rel=1e-3)
 
 
 def test_a_distance_sensor_looks_along_x_of_its_pose():
-    assert sensed("rotation 0 0 1 0.5") == pytest.approx(500 / math.cos(0.5), rel=1e-3)
-    assert sensed("rotation 0 0 1 3.1416") == 1000
-    assert sensed("translation 0.2 0 0") == pytest.approx(300, rel=1e-3)
+    assert distance_reading("rotation 0 0 1 0.5") == pytest.approx(500 / math.cos(0.5), rel=1e-3)
+    assert distance_reading("rotation 0 0 1 3.1416") == 1000
+    assert distance_reading("translation 0.2 0 0") == pytest.approx(300, rel=1e-3)
 
 
 def test_a_sonar_hears_no_slanted_wall():
-    assert sensed('type "sonar" rotation 0 0 1 0.38') == pytest.approx(500 / math.cos(0.38), rel=1e-3)
-    assert sensed('type "sonar" rotation 0 0 1 0.41') == 1000
+    assert distance_reading('type "sonar" rotation 0 0 1 0.38') == pytest.approx(
+        500 / math.cos(0.38), rel=1e-3
+    )
+    assert distance_reading('type "sonar" rotation 0 0 1 0.41') == 1000
 
 
 def test_rays_are_averaged_and_a_sonar_takes_the_nearest():
     edge = "Solid { translation 0.5 -1 0 boundingObject Box { size 0.2 2 2 } }"
     two = "numberOfRays 2 aperture 0.2"
-    assert sensed(two, edge) == pytest.approx((1000 + 400 / math.cos(0.1)) / 2, rel=1e-3)
-    assert sensed(f'{two} type "sonar"', edge) == pytest.approx(400 / math.cos(0.1), rel=1e-3)
+    assert distance_reading(two, edge) == pytest.approx((1000 + 400 / math.cos(0.1)) / 2, rel=1e-3)
+    assert distance_reading(f'{two} type "sonar"', edge) == pytest.approx(400 / math.cos(0.1), rel=1e-3)
 
 
 def test_infra_red_sees_dark_walls_less():
-    dark, light = (sensed('type "infra-red"', WALL % red) for red in (0.0, 1.0))
+    dark, light = (distance_reading('type "infra-red"', WALL % red) for red in (0.0, 1.0))
     assert light == pytest.approx(500, rel=1e-3)
     assert dark == 1000  # 0.5 m / 0.2 is beyond the table
-    assert sensed('type "infra-red" translation 0.4 0 0', WALL % 0.5) == pytest.approx(100 / 0.6, rel=1e-3)
+    assert distance_reading('type "infra-red" translation 0.4 0 0', WALL % 0.5) == pytest.approx(
+        100 / 0.6, rel=1e-3
+    )
 
 
 def test_the_own_robot_stops_no_ray():
@@ -299,7 +303,9 @@ def test_a_display_and_a_speaker_have_no_effect():
     display.setColor(0xFF0000)
     display.drawPixel(0, 0)
     speaker.speak("hello", 1.0)
-    assert (display.getWidth(), display.getHeight(), speaker.isSpeaking()) == (3, 2, False)
+    assert display.getWidth() == 3
+    assert display.getHeight() == 2
+    assert speaker.isSpeaking() is False
 
 
 def test_noise_of_a_distance_sensor_is_a_share_of_its_value():
@@ -363,7 +369,9 @@ def exchange(emitter: str = "", receiver: str = "", message: object = b"hello"):
 def test_a_message_needs_one_basic_step():
     inbox, sent = exchange()
     assert (sent, inbox.getQueueLength(), inbox.getDataSize()) == (1, 1, 5)
-    assert (inbox.getString(), inbox.getBytes(), inbox.getData()) == ("hello", b"hello", b"hello")
+    assert inbox.getString() == "hello"
+    assert inbox.getBytes() == b"hello"
+    assert inbox.getData() == b"hello"
     inbox.nextPacket()
     assert inbox.getQueueLength() == 0
     with pytest.raises(RuntimeError, match=r"Receiver.getString: the queue of 'receiver' is empty"):

@@ -32,9 +32,9 @@ def messages(rows: list[Any], way: str) -> list[dict[str, list[str]]]:
     return episodes
 
 
-def differences(one: str, other: str) -> float:
+def differences(text: str, other_text: str) -> float:
     """Return the largest difference of two messages, relative to 1 or the number."""
-    a, b = (np.array(text.split(","), float) for text in (one, other))
+    a, b = (np.array(each.split(","), float) for each in (text, other_text))
     return float(np.max(np.abs(a - b) / np.maximum(np.abs(a), 1.0)))
 
 
@@ -49,10 +49,11 @@ def same_episodes(name: str, folder: Path, steps: int, script: str | None = None
         episodes.append([seed, _actions(prepared.compiled.program, seed, left, script)])
         rows = run_scenario(prepared, folder, episodes[-1:])
         episodes[-1][1] = episodes[-1][1][: len(rows) - 1]
-    wanted, exports = run_scenario(prepared, folder, episodes), run_exported(prepared, folder, episodes)
+    wanted = run_scenario(prepared, folder, episodes)
+    exports = run_exported(prepared, folder, episodes)
     assert len(exports) == len(wanted) == steps + len(episodes)
-    for (seen, reward, *ends, _), (own, own_reward, *own_ends, _) in zip(exports, wanted, strict=True):
-        assert np.abs(np.subtract(seen, own)).max() <= 1e-6
+    for (observation, reward, *ends, _), (own, own_reward, *own_ends, _) in zip(exports, wanted, strict=True):
+        assert np.abs(np.subtract(observation, own)).max() <= 1e-6
         assert reward == pytest.approx(own_reward, abs=1e-9)
         assert ends == own_ends
     assert messages(exports, "to") == messages(wanted, "to")
@@ -126,7 +127,7 @@ def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: s
         ("tests/data/hosts/radar.yaml", "does not say which body"),
     ],
 )
-def test_what_webots_cannot_hold_is_refused_before_anything_is_written(
+def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_written(
     name: str, reason: str, tmp_path: Path
 ):
     with pytest.raises(UsageError, match=reason):

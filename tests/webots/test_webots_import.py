@@ -147,7 +147,9 @@ def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path
     starter, text = imported(tmp_path, solved="return np.mean(self.scores[-50:]) > 90")
     assert starter.todos == 0
     assert TODO not in text
-    assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
+    assert [
+        finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
+    ] == []
     env = api.make(tmp_path / "out" / "cart.yaml")
     observation, _ = env.reset(seed=0)
     assert observation.shape == (2,)
@@ -248,7 +250,9 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
     arm = model.joint("rod_joint")
     assert (arm.limit.lower, arm.limit.upper, arm.damping) == (-1.0, 1.0, 0.01)
     wheel = model.joint("left_motor_joint")
-    assert (wheel.type, wheel.limit.velocity, wheel.limit.effort) == ("continuous", 20.0, 2.0)
+    assert wheel.type == "continuous"
+    assert wheel.limit.velocity == 20.0
+    assert wheel.limit.effort == 2.0
     assert model.link("rod").inertial.origin.xyz[2] == pytest.approx((0.2 * 0.25 + 0.05 * 0.5) / 0.25)
 
 
@@ -418,7 +422,9 @@ def test_what_has_no_plain_form_is_a_comment_with_its_python(
     todos = [line for line in lines_of(text) if line.startswith(TODO)]
     assert starter.todos == len(todos) > 0
     assert any(place in line for line in todos)
-    assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
+    assert [
+        finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
+    ] == []
 
 
 def test_an_own_step_keeps_its_lines(tmp_path: Path) -> None:
@@ -445,7 +451,9 @@ def test_an_own_step_keeps_its_lines(tmp_path: Path) -> None:
 def test_a_controller_that_cannot_be_read_leaves_the_actions_to_a_person(tmp_path: Path, cart: str) -> None:
     _, text = imported(tmp_path, cart=cart)
     assert "a placeholder for all motors" in text
-    assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
+    assert [
+        finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
+    ] == []
 
 
 @pytest.mark.parametrize(
@@ -506,7 +514,9 @@ def test_damaged_python_and_worlds_end_in_a_scenario_or_one_sentence(
     except DeepbotsError:
         return  # with a sentence; anything else fails this test
     assert starter.todos >= 0
-    assert [one for one in api.lint(tmp_path / "out" / "cart.yaml") if one.severity == "error"] == []
+    assert [
+        finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
+    ] == []
 
 
 @pytest.mark.parametrize(

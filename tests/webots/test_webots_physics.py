@@ -30,7 +30,7 @@ def test_gravity_is_a_number_of_the_world():
 
 def test_a_supervisor_sets_gravity():
     simulation = simulate(solid("Box { }"), gravity=0)
-    info = Node(simulation, next(one for one in simulation.scene.nodes if one.type == "WorldInfo"))
+    info = Node(simulation, next(entry for entry in simulation.scene.nodes if entry.type == "WorldInfo"))
     info.getField("gravity").setSFFloat(2)
     run(simulation, 1)
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(-2, rel=0.01)
@@ -47,7 +47,8 @@ def test_a_pendulum_swings_with_its_period():
         end="rotation 0 1 0 1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"
     )
     simulation = simulate(text)
-    times, before = [], None
+    times = []
+    before = None
     for step in range(1000):
         simulation.run_step()
         now = node(simulation, "ROD").getVelocity()[4]

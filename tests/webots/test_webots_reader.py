@@ -1,4 +1,4 @@
-"""Worlds as text: what is read, and what a damaged one says."""
+"""Worlds as text: nodes, and findings about damaged worlds."""
 
 from __future__ import annotations
 
@@ -55,10 +55,11 @@ def warnings(text: str) -> list[str]:
 def test_a_world_is_a_tree_of_nodes_with_places():
     document = parse(Source("w.wbt", EXAMPLE))
     assert document.release == "R2023b"
-    assert [one.type for one in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
-    assert [one.name for one in document.externs] == ["RectangleArena"]
+    assert [entry.type for entry in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
+    assert [entry.name for entry in document.externs] == ["RectangleArena"]
     robot = document.nodes[-1]
-    assert (robot.name, robot.span.start_position) == ("ROBOT", (8, 11))
+    assert robot.name == "ROBOT"
+    assert robot.span.start_position == (8, 11)
     assert vector(robot, "translation") == (0, 0, 0.1)
     shape = child(robot, "boundingObject")
     assert shape is not None
@@ -68,26 +69,23 @@ def test_a_world_is_a_tree_of_nodes_with_places():
 def test_a_definition_is_used_by_reference_and_defaults_are_those_of_webots():
     world = read(EXAMPLE)
     info, _, _, robot = world.nodes
-    assert (number(info, "basicTimeStep"), number(info, "ERP"), text(robot, "window")) == (
-        16,
-        0.2,
-        "<generic>",
-    )
-    motor = next(one for one in walk(world.nodes) if one.type == "RotationalMotor")
-    assert (number(motor, "maxVelocity"), number(motor, "maxTorque"), numbers(motor, "controlPID")) == (
-        10,
-        10,
-        [10, 0, 0],
-    )
+    assert number(info, "basicTimeStep") == 16
+    assert number(info, "ERP") == 0.2
+    assert text(robot, "window") == "<generic>"
+    motor = next(motor_node for motor_node in walk(world.nodes) if motor_node.type == "RotationalMotor")
+    assert number(motor, "maxVelocity") == 10
+    assert number(motor, "maxTorque") == 10
+    assert numbers(motor, "controlPID") == [10, 0, 0]
 
 
 def test_a_proto_keeps_its_fields_and_becomes_its_body():
-    wheel = next(one for one in walk(read(EXAMPLE).nodes) if one.type == "Wheel")
+    wheel = next(entry for entry in walk(read(EXAMPLE).nodes) if entry.type == "Wheel")
     assert number(wheel, "radius") == 0.05
     assert wheel.body is not None
     cylinder = child(wheel.body, "boundingObject")
     assert cylinder is not None
-    assert (number(cylinder, "radius"), text(wheel.body, "name")) == (0.05, "wheel")
+    assert number(cylinder, "radius") == 0.05
+    assert text(wheel.body, "name") == "wheel"
 
 
 def test_nodes_in_a_field_of_a_proto_take_their_place_in_its_body():
@@ -123,7 +121,7 @@ def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest
     path = tmp_path / "project" / "worlds" / "w.wbt"
     path.write_text(HEADER + 'EXTERNPROTO "webots://projects/objects/toys/Duck.proto"\nDuck { }')
     missing = read_world(path).findings.errors
-    assert [one.headline for one in missing] == ["PROTO Duck is not available"]
+    assert [finding.headline for finding in missing] == ["PROTO Duck is not available"]
     assert not read_world(path, [tmp_path / "webots"]).findings.errors
     monkeypatch.setenv("WEBOTS_HOME", str(tmp_path / "webots"))
     assert not read_world(path).findings.errors
@@ -252,7 +250,9 @@ def test_nothing_is_read_outside_of_the_project(tmp_path: Path):
     path = tmp_path / "project" / "worlds" / "w.wbt"
     for address in ("../protos/Secret.proto", "../../Secret.proto"):
         path.write_text(HEADER + f'EXTERNPROTO "{address}"\nSecret {{ }}')
-        assert [one.headline for one in read_world(path).findings.errors] == ["PROTO Secret is not available"]
+        assert [finding.headline for finding in read_world(path).findings.errors] == [
+            "PROTO Secret is not available"
+        ]
 
 
 # Damage

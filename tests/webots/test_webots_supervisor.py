@@ -80,7 +80,9 @@ def test_a_proto_has_the_fields_of_its_interface():
     pit = it.getFromDef("PIT")
     assert pit.getField("pitRadius").getSFFloat() == 2.5
     assert pit.getField("translation").getSFVec3f() == pytest.approx([0, 0, 1])
-    assert (pit.isProto(), pit.getTypeName(), pit.getBaseTypeName()) == (True, "Pit", "Solid")
+    assert pit.isProto() is True
+    assert pit.getTypeName() == "Pit"
+    assert pit.getBaseTypeName() == "Solid"
 
 
 def test_bodies_are_moved_and_keep_their_velocity():
@@ -213,7 +215,7 @@ def test_physics_are_stopped():
         ),
     ],
 )
-def test_what_is_missing_says_so_by_name(call, message: str):
+def test_the_error_of_a_missing_function_names_it(call, message: str):
     with pytest.raises(NotImplementedCallError) as caught:
         call(supervisor())
     assert str(caught.value) == message
@@ -235,7 +237,7 @@ def test_a_proto_hides_its_own_definitions():
     world = read(
         HEADER + "PROTO A [ ] { DEF OUTER Solid { children [ DEF HIDDEN Solid { } ] } } DEF SEEN A { }"
     )
-    assert [one.name for one in world.nodes] == ["SEEN"]
+    assert [entry.name for entry in world.nodes] == ["SEEN"]
     it = supervisor("Robot { supervisor TRUE } DEF PIT Pit { }")
     assert it.getFromDef("GRID") is None
     assert it.getFromDef("PIT") is not None
@@ -249,7 +251,8 @@ Robot { supervisor TRUE children [ DEF EYE DistanceSensor { lookupTable [ 0 0 0,
 
 def test_a_sensor_answers_by_the_fields_that_a_supervisor_sets():
     it = supervisor(SENSOR)
-    sensor, eye = it.getDevice("distance sensor"), it.getFromDef("EYE")
+    sensor = it.getDevice("distance sensor")
+    eye = it.getFromDef("EYE")
     sensor.enable(8)
     it.step()
     assert sensor.getValue() == pytest.approx(1000, rel=1e-3)
@@ -260,11 +263,9 @@ def test_a_sensor_answers_by_the_fields_that_a_supervisor_sets():
     eye.getField("type").setSFString("sonar")
     eye.getField("numberOfRays").setSFInt32(2)
     it.step()
-    assert (sensor.getValue(), sensor.getType(), sensor.getMaxValue()) == (
-        390,
-        2,
-        400,
-    )  # both rays are slanted
+    assert sensor.getValue() == 390
+    assert sensor.getType() == 2
+    assert sensor.getMaxValue() == 400  # both rays are slanted
     assert eye.getField("lookupTable").getMFVec3f(1) == [4, 400, 0]
     assert eye.getField("lookupTable").getCount() == 2
     with pytest.raises(IndexError, match="lookupTable has 2 items, and no item 2"):
@@ -283,14 +284,12 @@ def test_solids_in_groups_and_poses_at_the_top_are_moved_in_their_frame():
         "Group { children [ DEF ONE Solid { translation 1 0 0 } Pose { translation 0 0 5 rotation 0 0 1 1.5707963"
         " children [ DEF TWO Solid { translation 1 0 0 } ] } ] } Robot { supervisor TRUE }"
     )
-    one, two = it.getFromDef("ONE"), it.getFromDef("TWO")
-    assert (two.getPosition(), two.getField("translation").getSFVec3f()) == (
-        pytest.approx([0, 1, 5], abs=1e-6),
-        pytest.approx([1, 0, 0], abs=1e-6),
-    )
-    one.getField("translation").setSFVec3f([2, 0, 0])
-    two.getField("translation").setSFVec3f([2, 0, 0])
-    assert (one.getPosition(), two.getPosition()) == ([2, 0, 0], pytest.approx([0, 2, 5], abs=1e-6))
+    first, second = it.getFromDef("ONE"), it.getFromDef("TWO")
+    assert second.getPosition() == pytest.approx([0, 1, 5], abs=1e-6)
+    assert second.getField("translation").getSFVec3f() == pytest.approx([1, 0, 0], abs=1e-6)
+    first.getField("translation").setSFVec3f([2, 0, 0])
+    second.getField("translation").setSFVec3f([2, 0, 0])
+    assert (first.getPosition(), second.getPosition()) == ([2, 0, 0], pytest.approx([0, 2, 5], abs=1e-6))
 
 
 def test_types_of_nodes_and_fields_are_numbers():

@@ -30,33 +30,33 @@ def target(place: str, velocity: str = "0 0 0", section: float = 1.0, name: str 
     return TARGET % (name, place, velocity, section)
 
 
-def seen(text: str, fields: str = "", robot: str = ""):
+def radar_targets(text: str, fields: str = "", robot: str = ""):
     """Return the targets of a radar at the origin that looks along x."""
     return measured(RADAR % (robot, fields) + text, "radar", gravity=0).getTargets()
 
 
 def test_a_radar_measures_distance_speed_and_azimuth():
     """A target at (10, -2, 0) with 3 m/s along x moves away with 3 * cos(angle); right is positive."""
-    (one,) = seen(target("10 -2 0", "3 0 0"))
+    (target_seen,) = radar_targets(target("10 -2 0", "3 0 0"))
     moved = 10 + 3 * 0.008
     angle = math.atan2(2, moved)
-    assert one.distance == pytest.approx(math.hypot(moved, 2))
-    assert one.azimuth == pytest.approx(angle)
-    assert one.speed == pytest.approx(3 * math.cos(angle))
+    assert target_seen.distance == pytest.approx(math.hypot(moved, 2))
+    assert target_seen.azimuth == pytest.approx(angle)
+    assert target_seen.speed == pytest.approx(3 * math.cos(angle))
 
 
 def test_the_power_of_a_target_follows_the_radar_equation():
     """P G^2 lambda^2 sigma / ((4 pi)^3 d^4), here 1 dBm, 20 dBi, 24 GHz, 2 m^2 at 10 m."""
-    (one,) = seen(target("10 0 0", section=2.0))
+    (target_seen,) = radar_targets(target("10 0 0", section=2.0))
     wavelength = 299_792_458 / 24e9
     milliwatts = 10**0.1 * 100**2 * wavelength**2 * 2.0 / ((4 * math.pi) ** 3 * 10**4)
-    assert one.received_power == pytest.approx(10 * math.log10(milliwatts))
+    assert target_seen.received_power == pytest.approx(10 * math.log10(milliwatts))
 
 
 def test_a_moving_radar_measures_relative_speed():
     robot = "linearVelocity 2 0 0 boundingObject Box { } physics Physics { }"
-    (one,) = seen(target("10 0 0", "5 0 0"), robot=robot)
-    assert one.speed == pytest.approx(3)
+    (target_seen,) = radar_targets(target("10 0 0", "5 0 0"), robot=robot)
+    assert target_seen.speed == pytest.approx(3)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_a_moving_radar_measures_relative_speed():
     ],
 )
 def test_a_radar_sees_within_its_range_and_field(place: str, fields: str, count: int):
-    assert len(seen(target(place), fields)) == count
+    assert len(radar_targets(target(place), fields)) == count
 
 
 @pytest.mark.parametrize(
@@ -89,28 +89,28 @@ def test_a_radar_sees_within_its_range_and_field(place: str, fields: str, count:
     ],
 )
 def test_a_radar_sees_within_its_range_of_speeds(fields: str, count: int):
-    assert len(seen(target("10 0 0", "-2 0 0"), fields)) == count
+    assert len(radar_targets(target("10 0 0", "-2 0 0"), fields)) == count
 
 
 def test_a_solid_without_a_cross_section_is_no_target():
-    assert seen(target("10 0 0", section=0.0)) == []
+    assert radar_targets(target("10 0 0", section=0.0)) == []
 
 
 def test_targets_in_one_cell_are_one():
     """The mean is weighted by power: sections of 1 and 3 at 10.0 and 10.4 m."""
     pair = target("10 0 0") + target("10.4 0 0", section=3.0, name="other")
-    assert len(seen(pair)) == 2
-    (one,) = seen(pair, "cellDistance 0.5")
+    assert len(radar_targets(pair)) == 2
+    (target_seen,) = radar_targets(pair, "cellDistance 0.5")
     weights = (1 / 10**4, 3 / 10.4**4)
-    assert one.distance == pytest.approx((10 * weights[0] + 10.4 * weights[1]) / sum(weights))
-    assert len(seen(pair, "cellDistance 0.5 cellSpeed 0.1")) == 1
+    assert target_seen.distance == pytest.approx((10 * weights[0] + 10.4 * weights[1]) / sum(weights))
+    assert len(radar_targets(pair, "cellDistance 0.5 cellSpeed 0.1")) == 1
 
 
 def test_a_wall_hides_a_target_if_occlusion_counts():
     wall = 'Solid { name "wall" translation 5 0 0 boundingObject Box { size 0.1 2 2 } }'
-    assert len(seen(wall + target("10 0 0"))) == 1
-    assert seen(wall + target("10 0 0"), "occlusion TRUE") == []
-    assert len(seen(target("10 0 0"), "occlusion TRUE")) == 1
+    assert len(radar_targets(wall + target("10 0 0"))) == 1
+    assert radar_targets(wall + target("10 0 0"), "occlusion TRUE") == []
+    assert len(radar_targets(target("10 0 0"), "occlusion TRUE")) == 1
 
 
 # Light
@@ -228,7 +228,7 @@ BALL = """DEF ROBOT Robot { children [ DEF JOINT BallJoint {
 } ] }"""
 
 
-def turned(angles: dict[str, float], parameters: str = ""):
+def world_after_turns(angles: dict[str, float], parameters: str = ""):
     """Return the world after its motors reached positions, about x, y and z in turn."""
     simulation = simulate(BALL % parameters, gravity=0)
     for name, angle in angles.items():
@@ -240,7 +240,7 @@ def turned(angles: dict[str, float], parameters: str = ""):
 
 def test_three_motors_turn_a_ball_joint_about_its_axes_in_turn():
     a, b, c = 0.5, 0.3, -0.7
-    simulation = turned({"one": a, "two": b, "three": c})
+    simulation = world_after_turns({"one": a, "two": b, "three": c})
     readings = [device(simulation, f"angle {name}").getValue() for name in ("one", "two", "three")]
     assert readings == pytest.approx([a, b, c], abs=1e-3)
     matrix = node(simulation, "END").getOrientation()
@@ -252,7 +252,7 @@ def test_three_motors_turn_a_ball_joint_about_its_axes_in_turn():
 
 
 def test_the_stop_of_a_ball_joint_stops_its_first_axis():
-    simulation = turned({}, "minStop -0.4 maxStop 0.4")
+    simulation = world_after_turns({}, "minStop -0.4 maxStop 0.4")
     motor = device(simulation, "one")
     motor.setAvailableTorque(1)
     motor.setPosition(0.9)
@@ -263,7 +263,7 @@ def test_the_stop_of_a_ball_joint_stops_its_first_axis():
 
 
 def test_a_supervisor_reads_and_sets_the_positions_of_a_ball_joint():
-    simulation = turned({})
+    simulation = world_after_turns({})
     joint = node(simulation, "JOINT")
     joint.setJointPosition(0.2, 3)
     assert joint.getField("position3").getSFFloat() == pytest.approx(0.2)

@@ -40,7 +40,7 @@ def node(simulation: Simulation, name: str) -> Node:
     """Return the node of a DEF name, as a supervisor gets it."""
     from deepbots_cli.webots.nodes import walk
 
-    return Node(simulation, next(one for one in walk(simulation.scene.nodes) if one.name == name))
+    return Node(simulation, next(entry for entry in walk(simulation.scene.nodes) if entry.name == name))
 
 
 def device(simulation: Simulation, name: str, robot: int = 0):

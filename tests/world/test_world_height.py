@@ -45,7 +45,8 @@ def world(shape: TerrainShape) -> WorldModel:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_ray_downward_meets_the_ground_at_its_height(engine: str, shape: TerrainShape) -> None:
     pytest.importorskip(engine)
-    at, numbers = ground_height(Terrain(shape), diagonal_of(engine)), random.Random(0)
+    at = ground_height(Terrain(shape), diagonal_of(engine))
+    numbers = random.Random(0)
     with closing(engines.create(engine, world(shape))) as simulated:
         down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
         read = simulated.rays(("ball", None), down, 10.0)
@@ -65,7 +66,8 @@ def test_columns_have_the_heights_of_single_points_to_the_bit(
     x, y = numbers.uniform(-6.0, 6.0, (2, 3000))  # beyond the terrain, too
     x[:200] = np.round(x[:200] / 0.05) * 0.05  # on the lines of the grid
     y[:100] = np.round(y[:100] / 0.05) * 0.05
-    at, over = ground_height(Terrain(shape), diagonal), ground_heights(Terrain(shape), diagonal)
+    at = ground_height(Terrain(shape), diagonal)
+    over = ground_heights(Terrain(shape), diagonal)
     assert over(x, y).tolist() == [at(*place) for place in zip(x.tolist(), y.tolist(), strict=True)]
 
 
@@ -106,7 +108,8 @@ def test_the_feet_of_a_robot_on_stairs_stand_on_the_ground(engine: str) -> None:
 
 def test_a_batch_observes_the_heights_of_single_worlds_to_the_bit() -> None:
     pytest.importorskip("mujoco")
-    program, seeds = api.compile(SCENARIO).program, range(8)
+    program = api.compile(SCENARIO).program
+    seeds = range(8)
     singles = [api.build(program, engine="mujoco") for _ in seeds]
     with closing(api.build_batch(program, len(seeds))) as batch:
         alone = [single.reset(seed=seed)[0] for single, seed in zip(singles, seeds, strict=True)]

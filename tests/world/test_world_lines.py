@@ -1,5 +1,4 @@
-"""Painted lines: places beside and along them, the light they throw back, and what a scenario makes of
-them."""
+"""Painted lines: places beside and along them, their reflected light, and their use in a scenario."""
 
 import math
 from contextlib import closing
@@ -70,7 +69,7 @@ def test_a_line_that_crosses_itself_is_followed_straight_on() -> None:
     assert beside == pytest.approx(0.001 / math.sqrt(2))
 
 
-def test_lanes_beside_each_other_are_told_apart() -> None:
+def test_lanes_beside_each_other_are_distinguished() -> None:
     hairpin = Line("hairpin", ((0.0, 0.0), (2.0, 0.0), (2.0, 0.05), (0.0, 0.05)), closed=False, width=0.01)
     follow = Follower(hairpin)
     for step in range(101):

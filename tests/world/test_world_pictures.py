@@ -16,14 +16,15 @@ from deepbots_cli.runtime.overview import overview, shift_beside, view_around
 from tests.few import few
 
 
-def seen_at(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
+def place_in_picture(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
     """Where a point is in the picture: -1 to 1 from left to right and from bottom to top."""
     ahead = subtract(view.target, view.eye)
     ahead = scaled(ahead, 1 / math.sqrt(dot(ahead, ahead)))
     right = cross(ahead, (0.0, 0.0, 1.0))
     right = scaled(right, 1 / math.sqrt(dot(right, right)))
     offset = subtract(point, view.eye)
-    depth, tall = dot(offset, ahead), math.tan(view.fov / 2)
+    depth = dot(offset, ahead)
+    tall = math.tan(view.fov / 2)
     assert depth > 0
     return dot(offset, right) / depth / tall * view.height / view.width, dot(
         offset, cross(right, ahead)
@@ -40,10 +41,10 @@ BOXES = [
 
 
 @pytest.mark.parametrize("box", BOXES)
-def test_a_view_holds_a_box_and_hardly_more(box) -> None:
+def test_a_view_contains_a_box_and_hardly_more(box) -> None:
     view = view_around([box])
     corners = [
-        seen_at(view, (x, y, z))
+        place_in_picture(view, (x, y, z))
         for x in (box[0][0], box[1][0])
         for y in (box[0][1], box[1][1])
         for z in (box[0][2], box[1][2])
@@ -56,10 +57,11 @@ def test_a_view_holds_a_box_and_hardly_more(box) -> None:
 
 def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
     boxes = [((-5.0, -5.0, 0.0), (5.0, 5.0, 0.1))]
-    view, shift = view_around(boxes), shift_beside(boxes, boxes)
-    assert seen_at(view, add(view.target, shift))[0] > 1.0
+    view = view_around(boxes)
+    shift = shift_beside(boxes, boxes)
+    assert place_in_picture(view, add(view.target, shift))[0] > 1.0
     row = view_around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
-    ends = [seen_at(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
+    ends = [place_in_picture(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
     assert abs(ends[1][0] - ends[0][0]) > 1.5
 
 
@@ -70,7 +72,7 @@ def test_every_robot_of_a_shipped_scenario_begins_in_the_picture(name: str) -> N
         for seed in range(5):
             environment.reset(seed=seed)
             for name in robot_bodies(environment):
-                x, y = seen_at(view, environment.engine.pose(name)()[0])
+                x, y = place_in_picture(view, environment.engine.pose(name)()[0])
                 assert abs(x) < 1.0
                 assert abs(y) < 1.0
 
@@ -88,7 +90,7 @@ def test_every_copy_of_a_row_begins_in_the_picture() -> None:
         environment.reset(seed=0)
         for number in range(1, 10):
             place = environment.engine.pose(f"cart#{number}")()[0]
-            assert max(map(abs, seen_at(view, place))) < 1.0
+            assert max(map(abs, place_in_picture(view, place))) < 1.0
 
 
 def test_the_view_follows_a_robot_that_leaves_and_stays_where_there_is_an_arena() -> None:

@@ -96,7 +96,8 @@ def test_lumps_take_away_up_to_their_share_and_are_the_same_in_every_world() -> 
 
 @pytest.mark.parametrize("relief", [PIT, SLOPE], ids=["pit", "slope"])
 def test_the_engine_has_the_ground_where_placing_thinks_it_is(relief: TerrainShape) -> None:
-    at, rng = ground_height(Terrain(relief)), random.Random(0)
+    at = ground_height(Terrain(relief))
+    rng = random.Random(0)
     with closing(engines.create("pybullet", world(relief))) as engine:
         down = [((0.0, 0.0, 0.0), from_axis_angle((0.0, 1.0, 0.0), math.pi / 2))]
         read = engine.rays(("ball", None), down, 10.0)
@@ -155,10 +156,10 @@ def test_a_gray_picture_is_read_as_it_was_written(
 @given(st.binary(max_size=60), st.integers(0, 90), st.binary(max_size=4))
 def test_a_damaged_picture_is_refused_or_read_and_nothing_worse(tail: bytes, at: int, patch: bytes) -> None:
     whole = gray_png([[1, 2, 3], [4, 5, 6]])
-    for odd in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
-        if pictures.picture_problem(odd) is None:
+    for damaged in (whole[:at] + patch + whole[at + len(patch) :], whole[:at] + tail):
+        if pictures.picture_problem(damaged) is None:
             with suppress(EngineError):
-                picture_pixels(odd)
+                picture_pixels(damaged)
 
 
 HOSTILE = {
@@ -174,7 +175,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("words", HOSTILE)
-def test_a_picture_that_cannot_be_heights_is_told_from_its_header(words: str) -> None:
+def test_a_picture_that_cannot_be_heights_is_refused_by_its_header(words: str) -> None:
     assert words in str(pictures.picture_problem(HOSTILE[words]))
 
 

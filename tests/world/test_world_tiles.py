@@ -83,12 +83,12 @@ def test_waves_go_up_to_their_height_with_their_length() -> None:
 @pytest.mark.parametrize("kind", ["rough", "blocks"])
 def test_random_heights_are_within_their_range_and_those_of_their_seed(kind: str) -> None:
     measures = KINDS[kind]
-    one, again, other = (tile_heights(tiles(kind, seed, **measures), 0, 4) for seed in (1, 1, 2))
-    assert np.array_equal(one, again)
-    assert not np.array_equal(one, other)
+    first, again, another_seed = (tile_heights(tiles(kind, seed, **measures), 0, 4) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, another_seed)
     highest = measures["height"][1]
-    assert 0.8 * highest < one.max() <= highest
-    assert one.min() >= 0.0
+    assert 0.8 * highest < first.max() <= highest
+    assert first.min() >= 0.0
 
 
 def test_stones_and_gaps_have_their_widths() -> None:

@@ -47,14 +47,14 @@ reset: {place: {puck: {x: 0.2 m, y: 0.25 m}}}
 """
 
 
-def seen(environment: Supervisor) -> dict[str, float]:
-    """What the observation shows, in m and as truth values."""
+def observed_values(environment: Supervisor) -> dict[str, float]:
+    """The values of the observation, in m and as truth values."""
     entries = environment.scenario.agent.numbers
-    shown = environment.get_observations()
+    observation = environment.get_observations()
     return {
         f"{entry.name}{f'.{entry.component}' if entry.component else ''}": entry.low
         + (value + 1) / 2 * (entry.high - entry.low)
-        for entry, value in zip(entries, shown.tolist(), strict=True)
+        for entry, value in zip(entries, observation.tolist(), strict=True)
     }
 
 
@@ -63,30 +63,30 @@ def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
 ) -> None:
     environment = make(YARD)
     environment.reset(seed=0)
-    told = seen(environment)
-    assert told["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
-    assert told["to_nook"] == pytest.approx(
+    values = observed_values(environment)
+    assert values["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
+    assert values["to_nook"] == pytest.approx(
         math.hypot(0.29, 0.04) - 0.02, abs=2e-3
     )  # to the corner of the nearer of its two pieces
-    assert told["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
+    assert values["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
 
 
 def test_a_wall_of_one_piece_has_a_position(make: Make) -> None:
     environment = make(YARD)
     environment.reset(seed=0)
-    told = seen(environment)
-    assert [told[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
+    values = observed_values(environment)
+    assert [values[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
 
 
-def test_contact_and_collided_know_which_wall_is_touched(make: Make) -> None:
+def test_contact_and_collided_tell_walls_apart(make: Make) -> None:
     environment = make(YARD, "reset.place.puck.velocity=2 0 0 m/s")
     environment.reset(seed=0)
     touched = set()
     for _ in range(10):
         environment.step([0.0])
-        told = seen(environment)
-        assert told["touched"] == told["bumped"]
-        touched |= {name for name in ("touched", "fenced") if told[name] > 0.5}
+        values = observed_values(environment)
+        assert values["touched"] == values["bumped"]
+        touched |= {name for name in ("touched", "fenced") if values[name] > 0.5}
     assert touched == {"touched"}
 
 
@@ -96,7 +96,7 @@ def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Make) -> 
     touched = set()
     for _ in range(15):
         environment.step([0.0])
-        touched |= {name for name in ("touched", "fenced") if seen(environment)[name] > 0.5}
+        touched |= {name for name in ("touched", "fenced") if observed_values(environment)[name] > 0.5}
     assert touched == {"fenced"}
 
 
@@ -115,13 +115,13 @@ def test_editors_offer_walls_and_the_arena_and_lead_to_where_they_stand(tmp_path
     file.write_text(YARD, encoding="utf-8")
     checked = api.load(file)
     felt = [
-        found.name
-        for found in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))
+        entry.name
+        for entry in names_at(checked, "bodies or links", ("robots", "stand", "sensors", "bump", "against"))
     ]
     assert {"bay", "nook", "arena"} <= set(felt)
-    assert not {"bay", "arena"} & {found.name for found in names_at(checked, "body", ("reset", "place"))}
+    assert not {"bay", "arena"} & {entry.name for entry in names_at(checked, "body", ("reset", "place"))}
     for name in ("bay", "arena"):
-        found = definition(checked, name)
-        assert found is not None
-        assert found.span is not None
-        assert found.span.text == name
+        target = definition(checked, name)
+        assert target is not None
+        assert target.span is not None
+        assert target.span.text == name

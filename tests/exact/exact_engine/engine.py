@@ -312,7 +312,8 @@ class ExactEngine:
             vars(motion).update(deepcopy(motions[name]))
         for key, servo in self._servos.items():
             servo.targets = targets.get(key)
-        self._models, self._ways_back = dict(models), list(ways_back)
+        self._models = dict(models)
+        self._ways_back = list(ways_back)
 
     def render(self, view: View) -> Image:
         raise _lacks("rendering")
@@ -364,7 +365,8 @@ def _lacks(what: str) -> EngineError:
 
 def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
     """The equations that fit the robot's joints."""
-    model, base = robot.model, joined(robot.model, robot.model.root)
+    model = robot.model
+    base = joined(robot.model, robot.model.root)
     if len(base.members) == len(model.links):
         return RigidBody(base, gravity, flies=not robot.fixed_base)
     for joint in model.joints:
@@ -377,8 +379,8 @@ def _motion(robot: RobotBody, gravity: Triple) -> RigidBody | CartPole:
     if robot.fixed_base and [joint.type == "prismatic" for joint in moving] == [True, False]:
         slide, hinge = moving
         cart, pole = joined(model, slide.child), joined(model, hinge.child)
-        known = base.members | cart.members | pole.members
-        if slide.parent in base.members and hinge.parent in cart.members and len(known) == len(model.links):
+        members = base.members | cart.members | pole.members
+        if slide.parent in base.members and hinge.parent in cart.members and len(members) == len(model.links):
             return CartPole(base, cart, pole, slide, hinge, gravity)
     raise EngineError(
         f"the exact engine has no equations for robot '{robot.name}': it knows single bodies, and on a fixed"

@@ -52,12 +52,12 @@ def joined(model: RobotModel, first: str) -> Lump:
     members = rigid_group(model, first)
     parts = []
     for name, place in members.items():
-        known = model.link(name).inertial
-        if known:
-            center, turned = frames.compose(place, frames.frame(known.origin))
+        inertial = model.link(name).inertial
+        if inertial:
+            center, turned = frames.compose(place, frames.frame(inertial.origin))
             columns = tuple(rotate(turned, axis) for axis in frames.diagonal((1.0, 1.0, 1.0)))
             turn = frames.transposed((columns[0], columns[1], columns[2]))
-            parts.append((known.mass, center, frames.rotate_tensor(known.matrix, turn)))
+            parts.append((inertial.mass, center, frames.rotate_tensor(inertial.matrix, turn)))
     mass = sum(part[0] for part in parts)
     if mass <= 0.0:
         return Lump(first, 0.0, IDENTITY_FRAME[0], _NOTHING, members)

@@ -199,7 +199,8 @@ class CartPole:
     def weigh(self, rail: Lump, cart: Lump, pole: Lump) -> None:
         """Have these masses and inertias; where the links are stays as it was."""
         self._lumps = (rail, cart, pole)
-        self._mass, self._pole_mass = cart.mass + pole.mass, pole.mass
+        self._mass = cart.mass + pole.mass
+        self._pole_mass = pole.mass
         self._inertia = pole.inertia_about(self._hinge.axis)
         if cart.mass <= 0.0 or self._inertia <= 0.0:
             raise EngineError(
@@ -288,7 +289,9 @@ class CartPole:
 
     def _rates(self, state: State) -> State:
         _, t, v, w = state
-        m, c, s = self._pole_mass, cos(t), sin(t)
+        m = self._pole_mass
+        c = cos(t)
+        s = sin(t)
         coupling = m * (self._a_u * c + self._a_n * s)
         force = (
             self.efforts[0]
@@ -334,7 +337,8 @@ class CartPole:
 
     def velocity(self, link: str) -> tuple[Triple, Triple]:
         x, _, v, w = self.state
-        index, turned = self._part(link), self._base[1]
+        index = self._part(link)
+        turned = self._base[1]
         linear = scaled(rotate(turned, self._along), v if index else 0.0)
         angular = scaled(rotate(turned, self._about), w if index == 2 else 0.0)
         pivot = frames.compose(

@@ -20,7 +20,8 @@ class CrossEntropyMethod(ArrayLearner):
             entry.value for entry in setup.training.hyperparameters if entry.name == "population"
         )
         self.shape = setup.action_space.n, setup.observation_space.shape[0] + 1
-        self.mean, self.spread = np.zeros(self.shape), np.ones(self.shape)
+        self.mean = np.zeros(self.shape)
+        self.spread = np.ones(self.shape)
         self.tried, self.scores = np.zeros((population, *self.shape)), np.zeros(population)
         self.acting = np.zeros((setup.collector.rows if setup.collector else 1, *self.shape))
         self.drawn, self.finished = np.zeros(1, int), np.zeros(1, int)
@@ -48,11 +49,9 @@ class CrossEntropyMethod(ArrayLearner):
             self.finished += 1
             if self.finished[0] == len(self.scores):
                 best = self.tried[np.argsort(-self.scores, kind="stable")[: len(self.scores) // 4]]
-                self.mean[...], self.spread[...], self.finished[...] = (
-                    best.mean(axis=0),
-                    best.std(axis=0) + 0.1,
-                    0,
-                )
+                self.mean[...] = best.mean(axis=0)
+                self.spread[...] = best.std(axis=0) + 0.1
+                self.finished[...] = 0
                 self.log.record("cem/best_return", self.scores.max())
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False, action_masks=None):

@@ -9,7 +9,8 @@ from deepbots_cli.runtime.sensing import Instrument, Site
 
 
 def tachometer(site: Site) -> Instrument:
-    read, spacing = site.engine.joint_states(site.robot, site.sensor.subjects), site.parameters["spacing"]
+    read = site.engine.joint_states(site.robot, site.sensor.subjects)
+    spacing = site.parameters["spacing"]
     if site.parameters["direction"] == "forward":
         return Instrument(lambda: [max(0.0, state[1]) / spacing for state in read()])
     return Instrument(lambda: [state[1] / spacing for state in read()])

@@ -1,0 +1,179 @@
+"""The commands that the studio runs, and the training whose curve it shows."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal
+
+from deepbots_cli.document import Permissions
+from deepbots_cli.learning.listing import read_listed
+from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.studio.tasks import Task, Tasks
+from deepbots_cli.studio.trainings import WatchedTraining
+
+RUNS_FOLDER = "runs"
+STUDIO_FOLDER = ".studio"
+"""The folder in `runs` for drafts and tasks."""
+
+_INTERRUPTED = 130
+"""The exit code after Ctrl-C."""
+_TRAINING_VERBS = ("train", "resume")
+_READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
+"""The commands that have the options `--allow-path` and `--allow-code`."""
+
+
+class Commands:
+    """The commands of the studio of one folder, each in a process of its own that outlives the server.
+
+    Attributes:
+        tasks: All commands of this and of earlier servers.
+        task: The command whose output is shown, if any.
+        training: The training whose curve is shown, if any.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        permissions: Permissions,
+        tell: Callable[[Literal["task", "training"]], None],
+        say: Callable[[str], None],
+    ) -> None:
+        """Create the commands of a folder.
+
+        Args:
+            tell: It is called after each change, with what has changed.
+            say: It shows a message to the person.
+        """
+        self._folder, self._permissions = folder, permissions
+        self._tell, self._say = tell, say
+        self.tasks = Tasks(folder / RUNS_FOLDER / STUDIO_FOLDER / "tasks")
+        self.task: Task | None = None
+        self.training: WatchedTraining | None = None
+        self._was_running: set[Path] = set()
+
+    def run(
+        self, words: Sequence[str], title: str, run: Path | None = None, output: Path | None = None
+    ) -> Task:
+        """Start a command in a process of its own, and show its output.
+
+        Args:
+            run: The run directory that it makes or reads, relative to the folder.
+            output: The file that it writes for the person, relative to the folder.
+
+        Raises:
+            UsageError: The folder cannot be written.
+        """
+        words = [*words, *self._allowed(words[0])]
+        self.task = self.tasks.start(words, title, folder=self._folder, run=run, output=output)
+        if run is not None and words[0] in _TRAINING_VERBS:
+            self.watch(run)
+        self._was_running.add(self.task.path)
+        self._tell("task")
+        return self.task
+
+    def train(self, scenario: str, options: Sequence[str] = ()) -> Task:
+        """Train a scenario in a new run directory."""
+        run = self.new_run(Path(scenario).stem)
+        return self.run(["train", scenario, "--run", str(run), *options], "train", run)
+
+    def run_with_output(self, words: Sequence[str], title: str, run: Path, name: str) -> Task:
+        """Start a command that writes a file `name` into a new place beside a run."""
+        stem, suffix = Path(name).stem, Path(name).suffix
+        numbers = (run.with_name(f"{run.name}-{stem}{number or ''}{suffix}") for number in range(10**6))
+        output = next(path for path in numbers if not (self._folder / path).exists())
+        return self.run([*words, "-o", str(output)], title, run, output)
+
+    async def call(self, words: Sequence[str]) -> tuple[str, int]:
+        """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
+        process = await asyncio.create_subprocess_exec(
+            *python_command("deepbots_cli", *words, *self._allowed(words[0])),
+            cwd=self._folder,
+            env=python_environment(),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        output, messages = await process.communicate()
+        code = process.returncode or 0
+        return (messages if code and not output else output).decode("utf-8", "replace"), code
+
+    @property
+    def training_task(self) -> Task | None:
+        """The newest command that trains the shown run."""
+        if self.training is None:
+            return None
+        tasks = (task for task in reversed(self.tasks.all) if task.record.words[0] in _TRAINING_VERBS)
+        return next((task for task in tasks if self._folder / task.record.run == self.training.path), None)
+
+    def show(self, task: Task) -> None:
+        """Show the output of a command."""
+        self.task = task
+        self._tell("task")
+
+    def watch(self, run: Path) -> None:
+        """Show the curve of a run."""
+        self.training = WatchedTraining(self._folder / run)
+        self._tell("training")
+
+    def new_run(self, stem: str) -> Path:
+        """Return the name of a new run directory, relative to the folder."""
+        stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)
+        taken = {path.name for path in (self._folder / RUNS_FOLDER).glob(f"{stem}-*")}
+        number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in taken)
+        return Path(RUNS_FOLDER, f"{stem}-{number}")
+
+    def _allowed(self, verb: str) -> list[str]:
+        """Return the options for files and Python functions that this server was started with."""
+        if verb not in _READING_VERBS:
+            return []
+        folders = [f"--allow-path={Path(folder).absolute()}" for folder in self._permissions.folders]
+        return [*folders, "--allow-code"] if self._permissions.code else folders
+
+    def _end_of(self, task: Task) -> str:
+        """Return a sentence about a command that has ended."""
+        code, run = task.exit_code, task.record.run
+        name = f"{task.record.title} of {run}" if run else task.record.title
+        if code == _INTERRUPTED:
+            return f"{name} was stopped"
+        if code:
+            return f"{name} has failed; the tab Commands shows why"
+        solved = (
+            read_listed(self._folder / run).solved
+            if run and task.record.words[0] in _TRAINING_VERBS
+            else None
+        )
+        return f"{name} has ended" + {True: ": solved", False: ": not solved", None: ""}[solved]
+
+    def adopt_running(self) -> None:
+        """Show the training that an earlier server has started, if it still runs."""
+        running = self.tasks.running
+        self._was_running = {task.path for task in running}
+        if running:
+            self.task = running[-1]
+            if self.task.record.run:
+                self.watch(Path(self.task.record.run))
+            self._tell("task")
+
+    def look(self) -> None:
+        """Notice commands that have ended."""
+        self.tasks.reap()
+        running = {task.path for task in self.tasks.running}
+        ended = self._was_running - running
+        self._was_running = running
+        for task in self.tasks.all:
+            if task.path in ended:
+                if self.training is not None and task.record.run:
+                    self.training.watch_again()
+                self._say(self._end_of(task))
+        if running or ended:
+            self._tell("task")
+
+    async def read_training(self) -> None:
+        """Read the curve again, if it is due."""
+        training = self.training
+        if training is not None and training.is_due:
+            await asyncio.to_thread(training.read)
+            self._tell("training")
