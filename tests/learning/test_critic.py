@@ -141,7 +141,8 @@ def test_the_environment_of_a_scenario_has_the_observation_alone(tmp_path: Path)
         assert world.observation_space.shape == (4,)
 
 
-@pytest.mark.parametrize("case", few(["PPO", "PPO in shards", "SAC", "RecurrentPPO", "rsl_rl.PPO"], ["SAC"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["PPO", "PPO in shards", "SAC", "RecurrentPPO", "rsl_rl.PPO"])
 def test_a_training_that_is_interrupted_continues_to_the_bit(tmp_path: Path, case: str) -> None:
     settings = {
         "PPO in shards": f"{PPO}, shards: 2",
