@@ -75,10 +75,10 @@ def divide(document: Document) -> AgentDocuments | None:
     agents = {
         name: _with_shared_training(section, root.entries.get(TRAIN)) for name, section in agents.items()
     }
-    if document.findings.errors or not _are_complete(document, agents):
+    if document.findings.errors:
         return None
-    sections = _sections(document, agents)
-    if sections is None:
+    sections = _sections(document, agents)  # first: a key that lacks may be there with a typo
+    if sections is None or not _are_complete(document, agents):
         return None
     drivers = _drivers(document, agents, sections)
     _report_shared_names(document)

@@ -285,7 +285,8 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
         choose = "(() => {{ const s = document.querySelectorAll('.filters select')[{}]; s.value = '{}';"
         choose += " s.dispatchEvent(new Event('change', {{bubbles: true}})); return true; }})()"
         tab.run(choose.format(1, "gyro"))
-        assert tab.run(visible_cards) == ["Balancer", "PitEscape", "Hover", "A1Velocity"]
+        with_gyro = ["Balancer", "BipedVelocity", "PitEscape", "Hover", "A1Velocity", "A1Rough"]
+        assert tab.run(visible_cards) == with_gyro
         tab.run(choose.format(0, "quadrotor"))
         assert tab.run(visible_cards) == ["Hover"]
         tab.run(choose.format(2, "SAC"))
@@ -294,6 +295,7 @@ def test_a_browser_filters_the_gallery_finds_words_and_fits_pages_to_a_phone(bui
             tab.run(choose.format(index, ""))
         tab.run(choose.format(3, "CPU over 5 min"))
         assert tab.run(visible_cards) == [
+            "BipedVelocity",
             "FindAndAvoid",
             "FindBallRandom",
             "PandaPush",

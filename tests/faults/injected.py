@@ -102,6 +102,10 @@ def _grouped(kinds: Sequence[Kind]) -> Iterable[list[Kind]]:
 
 
 def _fits(fault: Fault, style: str) -> bool:
+    if (
+        style == "one line" and fault.is_shared
+    ):  # such a line has no aliases, so it would have the fault twice
+        return False
     if fault.is_key:
         return style in (*OF_KEYS, "one line")
     return style not in IN_BLOCKS or not fault.in_flow

@@ -7,8 +7,9 @@ codes that name the mistake, and how much of the value is wrong: all of it, or a
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import yaml
 
@@ -31,6 +32,9 @@ OF_NAMES = frozenset(
             "failure",
             "robots",
             "objects",
+            "agents",
+            "driver",
+            "tiles",
             "sensors",
         ),
         *(
@@ -156,6 +160,7 @@ class Fault:
     is_key: bool = False
     in_flow: bool = False
     is_whole: bool = False
+    is_shared: bool = False
 
 
 @dataclass(frozen=True)
@@ -188,9 +193,20 @@ def pieces(node: yaml.Node, path: Path = (), in_flow: bool = False) -> Iterator[
 def faults(text: str) -> list[Fault]:
     """Every place in `text` where a mistake can be put, in order."""
     places_of_faults: list[Fault] = []
-    for piece in pieces(yaml.compose(text, yaml.CSafeLoader)):
-        if SETTLED.isdisjoint(piece.path) and (*piece.path, piece.node.value)[:2] != ("reset", "joints"):
-            places_of_faults.extend(_of_key(piece) if piece.is_key else _of_value(piece))
+    written = list(pieces(yaml.compose(text, yaml.CSafeLoader)))
+    uses = Counter(
+        piece.node.start_mark.index for piece in written
+    )  # the node of an alias is that of its anchor
+    done: set[int] = set()
+    for piece in written:
+        start = piece.node.start_mark.index
+        if start in done or not SETTLED.isdisjoint(piece.path):
+            continue
+        if (*piece.path, piece.node.value)[:2] == ("reset", "joints"):
+            continue
+        done.add(start)
+        for fault in _of_key(piece) if piece.is_key else _of_value(piece):
+            places_of_faults.append(replace(fault, is_shared=uses[start] > 1))
     return places_of_faults
 
 

@@ -178,8 +178,10 @@ def _resumed(run: Path) -> str:
     steps = max(int(path.name) for path in (run / "checkpoints").iterdir() if path.name.isdecimal())
     try:
         resume(run, total_timesteps=steps + 1, build=stand_in.build)
-    except DeepbotsError:
-        return "the run has changed" if _content(run) != before else ""
+    except DeepbotsError as error:
+        # Weights of another size are weights too: such a training begins, and ends when they become infinite.
+        is_refused = "the training diverged" not in str(error)
+        return "the run has changed" if is_refused and _content(run) != before else ""
     return ""
 
 

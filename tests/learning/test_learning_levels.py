@@ -252,7 +252,7 @@ def test_results_show_the_levels_and_an_evaluation_draws_all(
     assert json.loads(capsys.readouterr().out)["mean_level"] == result.levels.mean
 
 
-@pytest.mark.parametrize("engine", few(ENGINES, ["mujoco"]))
+@pytest.mark.parametrize("engine", few(["pybullet", "mujoco"], ["mujoco"]))
 def test_a_world_with_copies_of_a_robot_has_one_level(tmp_path: Path, engine: str) -> None:
     task = api.compile(
         "multi_cartpole",

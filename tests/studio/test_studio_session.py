@@ -316,7 +316,7 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             session.commands.task.stop()
             await running.until(lambda: not session.commands.task.is_running)
             await running.until(lambda: session.commands.training.listed.state != "training")
-            await running.until(lambda: any("mine-1 has ended" in notice for notice in running.notices))
+            await running.until(lambda: any("mine-1 was stopped" in notice for notice in running.notices))
             assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
             await session.read_runs()
             assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]
@@ -395,7 +395,7 @@ def test_studios_that_start_together_take_different_ports(tmp_path):
     finally:
         for process in begun:
             process.send_signal(signal.SIGINT)
-            process.wait(20)
+            process.wait(60)
             process.stdout.close()
 
 
@@ -407,4 +407,4 @@ def test_a_killed_studio_leaves_its_folder_to_the_next(folder):
             assert second.address.startswith("http://127.0.0.1:")
             third = Served(folder, "mine.yaml")
             assert third.address == ""
-            assert third.process.wait(20) == 2
+            assert third.process.wait(60) == 2
