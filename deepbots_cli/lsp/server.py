@@ -352,6 +352,8 @@ def _is_wanted(kind: str, only: Iterable[str] | None) -> bool:
 
 def _title(edit: Edit) -> str:
     old, new = (" ".join(text.split())[:_MAX_TITLE] for text in (edit.span.text, edit.text))
+    if not old and not new:
+        return "Correct the indentation"
     if new and not old:
         return f"Insert `{new}`"
     return f"Replace `{old}` with `{new}`" if new else f"Remove `{old}`"

@@ -148,13 +148,16 @@ class Commands:
         return f"{name} has ended" + {True: ": solved", False: ": not solved", None: ""}[solved]
 
     def adopt_running(self) -> None:
-        """Show the training that an earlier server has started, if it still runs."""
+        """Show the newest training, also one that an earlier server has started, and what still runs."""
         running = self.tasks.running
         self._was_running = {task.path for task in running}
+        trained = [
+            task for task in self.tasks.all if task.record.words[0] in _TRAINING_VERBS and task.record.run
+        ]
+        if trained:
+            self.watch(Path(trained[-1].record.run))
         if running:
             self.task = running[-1]
-            if self.task.record.run:
-                self.watch(Path(self.task.record.run))
             self._tell("task")
 
     def look(self) -> None:
@@ -173,7 +176,8 @@ class Commands:
 
     async def read_training(self) -> None:
         """Read the curve again, if it is due."""
-        training = self.training
-        if training is not None and training.is_due:
+        training, task = self.training, self.training_task
+        is_running = task is not None and task.is_running
+        if training is not None and training.is_due(is_running=is_running):
             await asyncio.to_thread(training.read)
             self._tell("training")

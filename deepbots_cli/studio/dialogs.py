@@ -57,15 +57,23 @@ async def new_scenario(session: Session) -> Path | None:
                 "template": ["--template", template.value],
                 "robot file": ["--urdf", str(robot.path or "")],
             }.get(kind.value, ["--from", shipped.value])
+            problem.set_text("")
+            button.set_enabled(False)
+            state.set_text("writing ...")
             try:
                 dialog.submit(await write_new(session, str(name.value or "").strip(), origin))
             except UsageError as error:
                 problem.set_text(str(error))
+            finally:
+                button.set_enabled(True)
+                state.set_text("")
 
         name.on("keydown.enter", write)
+        name.on_value_change(lambda: problem.set_text(""))
         with ui.row():
-            ui.button("Write", on_click=write).props("no-caps")
+            button = ui.button("Write", on_click=write).props("no-caps")
             ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
+            state = ui.label("").classes("studio-status").props('role="status"')
     written: Path | None = await dialog
     return written
 
@@ -76,6 +84,8 @@ async def write_new(session: Session, name: str, origin: list[str]) -> Path:
     Raises:
         UsageError: The name is not possible, or the command has failed.
     """
+    if not name:
+        raise UsageError("write a name")
     if not _NAME.fullmatch(name):
         raise UsageError("the name begins with a letter, and has letters, digits, _ and - only")
     if not origin[1]:

@@ -88,7 +88,7 @@ export default {
       this.writing.of([]),
       marks,
       CM.EditorState.languageData.of(() => completions),
-      CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350 }),
+      CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350, hideOnChange: true }),
       CM.EditorView.contentAttributes.of({ "aria-label": "text of the scenario", tabindex: "0" }),
       CM.EditorView.updateListener.of((update) => {
         if (update.docChanged && !update.transactions.some((each) => each.annotation(fromServer)))

@@ -29,15 +29,25 @@ _POLICY = (
     " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
 )
 _HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: %s; }
-.mantine-Notification-root[style*="orange"] { display: none !important; }</style><script>
+.mantine-Notification-root[style*="orange"] { display: none !important; }
+html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
+  display: grid; place-items: center; font: 15px sans-serif; color: #808080; }</style><script>
 addEventListener("keydown", (event) => {
   if (event.key == "F6" || (event.key == "Escape" && !event.defaultPrevented)) {
     event.preventDefault();
     parent.document.querySelector(".studio-enter")?.focus();
   }
-});</script>"""
+});
+const begin = Date.now();
+const look = setInterval(() => {
+  const text = document.body?.innerText ?? "";
+  const waits = !text || /Inactive|Connecting/.test(text);
+  document.documentElement.classList.toggle("waits", waits && Date.now() - begin < 60000);
+  if (!waits || Date.now() - begin > 60000) clearInterval(look);
+}, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of viser
-that the browser draws by software, which covers the robot; the keys that lead out of it."""
+that the browser draws by software, which covers the robot; the keys that lead out of it; a word in place of the
+controls until they are connected."""
 _GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20

@@ -27,7 +27,9 @@ _STYLE = Path(__file__).with_name("studio.css")
 _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
 _TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
-_PREFERS_DARK = "matchMedia('(prefers-color-scheme: dark)').matches"
+_PREFERS_DARK = """(() => { const chosen = localStorage.getItem("deepbots-studio-dark");
+  return chosen ? chosen == "yes" : matchMedia("(prefers-color-scheme: dark)").matches; })()"""
+_REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
 
 
 def add_style() -> None:
@@ -94,7 +96,7 @@ class StudioPage:
             self._outline.classes("studio-outline")
             self._status = ui.label("").classes("studio-status").props('role="status"')
             ui.space()
-            self._theme = ui.button("Dark", on_click=lambda: self._set_dark(not self._is_dark))
+            self._theme = ui.button("Dark", on_click=self._switch_dark)
             self._theme.props("dense flat no-caps")
 
     def _add_text(self) -> None:
@@ -412,6 +414,11 @@ class StudioPage:
                     ui.button(title, on_click=on_fix).props("dense outline no-caps").on_click(
                         lambda finding=finding, fix=fix: self._fix(file, finding, fix.title)
                     )
+
+    def _switch_dark(self) -> None:
+        """Change the colors, also for the next visits of this browser."""
+        self._set_dark(not self._is_dark)
+        ui.run_javascript(_REMEMBER_DARK.format("yes" if self._is_dark else "no"))
 
     def _set_dark(self, dark: bool) -> None:
         # A chosen value: with `None`, the page would follow the system, and editor and robot would not.

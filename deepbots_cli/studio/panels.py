@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -19,7 +20,9 @@ from deepbots_cli.studio.tasks import Task
 from deepbots_cli.studio.trainings import Curves
 
 Guarded = Callable[[Callable[[], Any]], None]
-_ADVISED_COMMANDS = ("resume", "eval", "lint", "try")
+_COMMAND = re.compile(r"`(deepbots [^`]+)`")
+"""A command in the text of an advice."""
+_ADVISED_COMMANDS = ("resume", "eval", "lint", "try", "diagnose")
 """The commands of a diagnosis that the page runs."""
 _NO_CAUSE = {
     True: "the task is solved, and no cause of a failure was found",
@@ -409,22 +412,32 @@ class RunsTab:
             if report is None:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
+            ui.label(f"Diagnosis of {path.name}").classes("studio-heading")
             if not report.get("causes"):
-                ui.label(f"{path.name}: {_NO_CAUSE[bool(report['solved'])]}")
+                ui.label(_NO_CAUSE[bool(report["solved"])])
             for cause in report.get("causes") or ():
-                self._add_cause(cause)
+                self._add_cause(path, cause)
 
-    def _add_cause(self, cause: dict[str, Any]) -> None:
+    def _add_cause(self, path: Path, cause: dict[str, Any]) -> None:
+        """Show a cause of a run, with buttons for what is advised."""
         ui.label(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
-        if cause.get("advice"):
-            ui.label(str(cause["advice"]))
-        command = shlex.split(str(cause.get("command") or ""))[1:]
+        advice = str(cause.get("advice") or "").replace(" RUN", f" {shlex.quote(str(path))}")
+        if advice:
+            ui.label(advice)
+        with ui.element("div").classes("studio-bar"):
+            for text in dict.fromkeys([str(cause.get("command") or ""), *_COMMAND.findall(advice)]):
+                self._add_advised_command(shlex.split(text)[1:])
+            self._add_advised_values(cause.get("settings") or {})
+
+    def _add_advised_command(self, command: list[str]) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
             ui.button(
                 f"Run deepbots {shlex.join(command)}", on_click=lambda: self._run_advised(command)
             ).props("dense outline no-caps")
-        values = {str(name): str(value) for name, value in (cause.get("settings") or {}).items()}
-        if values:
+
+    def _add_advised_values(self, settings: dict[str, Any]) -> None:
+        values = {str(name): str(value) for name, value in settings.items()}
+        if values and not self._session.has_values(values):
             shown = ", ".join(f"{name}: {value}" for name, value in values.items())
             ui.button(f"Write {shown}", on_click=lambda: self._write_advice(values)).props(
                 "dense outline no-caps"

@@ -107,10 +107,10 @@ class WatchedTraining:
         self._solved_return: float | None = None
         self._is_compiled = False
 
-    @property
-    def is_due(self) -> bool:
-        """Whether it is time to read the files again."""
-        return not self._ended and time.monotonic() >= self._due
+    def is_due(self, *, is_running: bool) -> bool:
+        """Return whether it is time to read the files again; `is_running` if a command works on the run, which
+        may have begun after the files were read last."""
+        return (is_running or not self._ended) and time.monotonic() >= self._due
 
     @property
     def seconds_left(self) -> float | None:

@@ -102,6 +102,8 @@ class Page:
         self._changed: dict[str, str] = {}
         self._changed_at = 0.0
         self._controls: Any = None
+        self._written: dict[str, str] = {}
+        """The parameters as the file has them, from which the sliders begin."""
         opened = source.open()
         if playing and opened.recording is not None:
             raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
@@ -215,6 +217,10 @@ class Page:
     def _build(self, players: Sequence[Player]) -> None:
         """Show worlds side by side. The panel stays as it is if it fits."""
         scene, playback, player = self.server.scene, self.playback, players[0]
+        self._written = {
+            name: self._written.get(name, text) if name in self._changed else text
+            for name, text in player.opened.parameters.items()
+        }
         controls = (
             [
                 (
@@ -227,7 +233,7 @@ class Page:
                 for each in players
             ],
             player.opened.drivers,
-            list(player.opened.parameters),
+            self._written,
         )
         scene.reset()
         if controls != self._controls:

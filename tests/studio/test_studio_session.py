@@ -317,6 +317,15 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             await running.until(lambda: not session.commands.task.is_running)
             await running.until(lambda: session.commands.training.listed.state != "training")
             await running.until(lambda: any("mine-1 was stopped" in notice for notice in running.notices))
+            # The curve goes on when the training does.
+            session.commands.run(
+                ["resume", "runs/mine-1", "--timesteps", "40000"], "resume", Path("runs/mine-1")
+            )
+            await running.until(
+                lambda: getattr(session.commands.training.listed, "state", "") == "training", 120
+            )
+            session.commands.task.stop()
+            await running.until(lambda: not session.commands.task.is_running)
             assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
             await session.read_runs()
             assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]

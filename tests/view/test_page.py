@@ -477,6 +477,21 @@ def test_a_changed_parameter_counts_at_the_same_seed():
         _run(page, lambda: "DB503" not in page.banner.content)
 
 
+def test_a_slider_begins_at_the_value_that_was_saved(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE)
+    with closing(Page(Showing(str(file)), port=0)) as page:
+
+        def fall_angle() -> float:
+            handles = page.server.gui._gui_input_handle_from_uuid.values()
+            return next(handle.value for handle in handles if handle.label == "fall_angle (deg)")
+
+        assert fall_angle() == 15.0
+        file.write_text(CARTPOLE.replace("15 deg", "12 deg", 1))
+        page.reload()
+        assert fall_angle() == 12.0
+
+
 def test_messages_are_shown_with_their_age():
     with closing(Page(Showing("cartpole_wireless"), port=0)) as page:
         page.step_once()
