@@ -41,7 +41,7 @@ test: dev ## the tests, with a few of many cases that show one fact
 	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: nightly
-nightly: dev ## every case of every test, and a long run over damaged files; takes about an hour
+nightly: dev ## every case of every test, and a long run over damaged files; takes one to two hours
 	$(PYTEST) -m "not editors" --hypothesis-profile nightly
 	$(MAKE) fuzz
 

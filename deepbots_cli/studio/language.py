@@ -6,7 +6,7 @@ they do in its protocol and in the editor of the page.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -136,6 +136,11 @@ class Language:
             return None
         text = assigned_text(root, source, setting_path(root, path), value, "")
         return None if text is None else difference(file.text, text)
+
+    def has_values(self, file: OpenFile, values: Mapping[str, str]) -> bool:
+        """Return whether the text of a file has these values, by the path of each, already."""
+        edits = (self.assignment(file, path, value) for path, value in values.items())
+        return all(edit is not None and file.text[edit.start : edit.end] == edit.new for edit in edits)
 
     def formatted(self, file: OpenFile) -> tuple[TextEdit, ...]:
         """Return the edits of `deepbots fmt`."""

@@ -437,7 +437,9 @@ class RunsTab:
 
     def _add_advised_values(self, settings: dict[str, Any]) -> None:
         values = {str(name): str(value) for name, value in settings.items()}
-        if values and not self._session.has_values(values):
+        session = self._session
+        file = session.files.get(session.current) if session.current is not None else None
+        if values and not (file is not None and session.language.has_values(file, values)):
             shown = ", ".join(f"{name}: {value}" for name, value in values.items())
             ui.button(f"Write {shown}", on_click=lambda: self._write_advice(values)).props(
                 "dense outline no-caps"

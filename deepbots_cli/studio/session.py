@@ -254,14 +254,6 @@ class Session:
             raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)
 
-    def has_values(self, values: Mapping[str, str]) -> bool:
-        """Return whether the text of the current scenario has these values already."""
-        file = self.files.get(self.current) if self.current is not None else None
-        if file is None:
-            return False
-        edits = (self.language.assignment(file, path, value) for path, value in values.items())
-        return all(edit is not None and file.text[edit.start : edit.end] == edit.new for edit in edits)
-
     # Commands
 
     async def tables(self) -> Tables:
