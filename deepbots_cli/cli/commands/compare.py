@@ -147,7 +147,7 @@ def _lines(comparison: Comparison) -> Iterator[str]:
     )
     has_success = all(group.success_defined for group in comparison.groups)
     yield table([_row(group, success_defined=has_success) for group in comparison.groups])
-    yield f"\nagainst {comparison.groups[0].name}"
+    yield f"\ndifference from {comparison.groups[0].name}"
     rows: list[Row] = []
     for entry in comparison.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
