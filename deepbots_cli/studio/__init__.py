@@ -15,7 +15,7 @@ page.py           the page: the text and its findings, and the parts around it
 robot_pane.py     the robot on the page
 panels.py         the tabs of the page: training, runs, commands
 inspect_tab.py    the tab with the tables of `deepbots inspect`
-dialogs.py        the dialog for a new scenario
+dialogs.py        the dialogs for a new scenario and for two versions of a file
 explain.py        explanations of words and findings, with links
 editor.py         the text editor of the page, with `editor.js`
 application.py    the application of the web server

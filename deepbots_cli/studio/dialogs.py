@@ -1,8 +1,10 @@
-"""The dialog for a new scenario: from a template, a shipped scenario or a robot file."""
+"""The dialogs for a new scenario (from a template, a shipped scenario or a robot file) and for two versions of a
+file."""
 
 from __future__ import annotations
 
 import re
+from difflib import unified_diff
 from pathlib import Path
 
 from nicegui import events, ui
@@ -10,12 +12,12 @@ from nicegui import events, ui
 from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document.shipped import scenario_names, scenario_path
 from deepbots_cli.errors import UsageError
+from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.session import Session
 
 MAX_ROBOT_BYTES = 10 << 20
+_MAX_DIFF_LINES = 300
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
-
-
 _SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 
@@ -124,3 +126,21 @@ class _RobotUpload:
                 ui.notify(f"{name} cannot be written: {error.strerror}", type="warning")
                 return
             self.path = path
+
+
+def compare_versions(file: OpenFile) -> None:
+    """Show the text of a file beside the text that another program has written."""
+    if file.outside is None:
+        return
+    lines = unified_diff(
+        file.outside.splitlines(), file.text.splitlines(), "on disk", "in the editor", lineterm=""
+    )
+    with (
+        ui.dialog().props('aria-label="Both versions of the file"') as dialog,
+        ui.card().classes("studio-dialog"),
+    ):
+        ui.label("Lines with - are on disk only, lines with + in the editor only.")
+        shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
+        ui.code(shown, language="diff").classes("studio-code")
+        ui.button("Close", on_click=dialog.close).props("flat no-caps")
+    dialog.open()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import urllib.parse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from nicegui import ui
@@ -119,3 +119,48 @@ def _section(text: str, anchor: str) -> str:
             following = (each.start() for each in headings[number + 1 :] if len(each[1]) <= len(heading[1]))
             return text[heading.start() : next(following, len(text))]
     return ""
+
+
+def show_explanation(
+    wanted: str, fixes_of: Callable[[str], Iterable[tuple[str, Callable[[], object]]]]
+) -> None:
+    """Open a dialog that explains words.
+
+    Args:
+        wanted: The first word; empty to ask for one.
+        fixes_of: It returns title and action of each fix of the findings with a code.
+    """
+    earlier: list[str] = []
+
+    def show(asked: str) -> None:
+        if not asked:
+            return
+        earlier.append(asked)
+        word.set_value(asked)
+        answer.set_content(explanation(asked))
+        back.set_enabled(len(earlier) > 1)
+        offered = list(fixes_of(asked))
+        fixes.clear()
+        fixes.set_visibility(bool(offered))
+        with fixes:
+            for title, act in offered:
+                ui.button(title, on_click=dialog.close).props("dense outline no-caps").on_click(act)
+
+    def show_typed() -> None:
+        show(str(word.value or "").strip())
+
+    def return_to_earlier() -> None:
+        earlier.pop()
+        show(earlier.pop())
+
+    with ui.dialog().props('aria-label="Explain"') as dialog, ui.card().classes("studio-dialog"):
+        with ui.row().classes("studio-wide"):
+            word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
+            word.classes("studio-grow").props("autofocus").on("keydown.enter", show_typed)
+            ui.button("Explain", on_click=show_typed).props("no-caps")
+            back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
+            ui.button("Close", on_click=dialog.close).props("flat no-caps")
+        fixes = ui.element("div").classes("studio-bar")
+        answer = linked(show).props('role="region" aria-label="Explanation" tabindex="0"')
+    show(wanted)
+    dialog.open()

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from difflib import unified_diff
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import background_tasks, ui
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.studio.dialogs import new_scenario
+from deepbots_cli.studio.dialogs import compare_versions, new_scenario
 from deepbots_cli.studio.editor import Editor
-from deepbots_cli.studio.explain import explanation, linked, rule_page
+from deepbots_cli.studio.explain import linked, rule_page, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.language import EditorFinding
@@ -22,7 +22,6 @@ from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.session import Session, Topic
 
 _MAX_FINDINGS, _MAX_FIXES = 50, 3
-_MAX_DIFF_LINES = 300
 _STYLE = Path(__file__).with_name("studio.css")
 _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
@@ -36,10 +35,6 @@ def add_style() -> None:
     """Add the style of the page to all pages."""
     ui.add_css(_STYLE.read_text("utf-8"), shared=True)
     ui.add_head_html(KEYS, shared=True)
-
-
-def _dialog(name: str) -> ui.dialog:
-    return ui.dialog().props(f'aria-label="{name}"')
 
 
 class StudioPage:
@@ -190,7 +185,7 @@ class StudioPage:
         with self._banner:
             if file.outside is not None:
                 ui.label(f"Another program has changed {file.path.name}.")
-                ui.button("Compare ...", on_click=self._compare_outside).props("dense flat no-caps")
+                ui.button("Compare ...", on_click=lambda: compare_versions(file)).props("dense flat no-caps")
                 ui.button("Take its text", on_click=lambda: self._resolve(file.take_outside)).props(
                     "dense flat no-caps"
                 )
@@ -220,20 +215,6 @@ class StudioPage:
         if self._file is not None:
             act()
             self._session.edited(self._file)
-
-    def _compare_outside(self) -> None:
-        file = self._file
-        if file is None or file.outside is None:
-            return
-        lines = unified_diff(
-            file.outside.splitlines(), file.text.splitlines(), "on disk", "in the editor", lineterm=""
-        )
-        with _dialog("Both versions of the file") as dialog, ui.card().classes("studio-dialog"):
-            ui.label("Lines with - are on disk only, lines with + in the editor only.")
-            shown = "\n".join(list(lines)[:_MAX_DIFF_LINES])
-            ui.code(shown, language="diff").classes("studio-code")
-            ui.button("Close", on_click=dialog.close).props("flat no-caps")
-        dialog.open()
 
     def _show_findings(self) -> None:
         file = self._file
@@ -369,51 +350,18 @@ class StudioPage:
             self._show_files()
 
     def _explain(self, wanted: str = "") -> None:
-        """Show what `deepbots explain` says about a word, and the fixes of the finding that it is the code
-        of."""
-        earlier: list[str] = []
+        """Open the explanation of a word, with the fixes of the findings that have it as their code."""
 
-        def show(asked: str) -> None:
-            if asked:
-                earlier.append(asked)
-                word.set_value(asked)
-                answer.set_content(explanation(asked))
-                back.set_enabled(len(earlier) > 1)
-                self._add_fixes(fixes, asked, dialog.close)
-
-        def return_to_earlier() -> None:
-            earlier.pop()
-            show(earlier.pop())
-
-        with _dialog("Explain") as dialog, ui.card().classes("studio-dialog"):
-            with ui.row().classes("studio-wide"):
-                word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
-                word.classes("studio-grow").props("autofocus").on(
-                    "keydown.enter", lambda: show(str(word.value or "").strip())
-                )
-                ui.button("Explain", on_click=lambda: show(str(word.value or "").strip())).props("no-caps")
-                back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
-                ui.button("Close", on_click=dialog.close).props("flat no-caps")
-            fixes = ui.element("div").classes("studio-bar")
-            answer = linked(show).props('role="region" aria-label="Explanation" tabindex="0"')
-        show(wanted)
-        dialog.open()
-
-    def _add_fixes(self, parent: ui.element, code: str, on_fix: Callable[[], object]) -> None:
-        """Show the fixes of the findings of a code in the present text."""
-        parent.clear()
-        parent.set_visibility(False)
-        file, language = self._file, self._session.language
-        if file is None:
-            return
-        with parent:
+        def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
+            file, language = self._file, self._session.language
+            if file is None:
+                return
             for finding in [each for each in language.findings(file.path) if each.code == code][:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
-                    parent.set_visibility(True)
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
-                    ui.button(title, on_click=on_fix).props("dense outline no-caps").on_click(
-                        lambda finding=finding, fix=fix: self._fix(file, finding, fix.title)
-                    )
+                    yield title, partial(self._fix, file, finding, fix.title)
+
+        show_explanation(wanted, fixes)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""
