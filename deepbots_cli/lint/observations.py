@@ -499,8 +499,8 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             else:
                 help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
-            is_open = near is not None and near not in supplied
-            fix = Fix.replacing(span, key, near, safe=False) if near and is_open else None
+            meant = None if near in supplied else near
+            fix = Fix.replacing(span, key, meant, safe=False) if meant else None
             yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
 
 

@@ -41,9 +41,9 @@ addEventListener("keydown", (event) => {
 const begin = Date.now();
 const look = setInterval(() => {
   const text = document.body?.innerText ?? "";
-  const waits = !text || /Inactive|Connecting/.test(text);
-  document.documentElement.classList.toggle("waits", waits && Date.now() - begin < 60000);
-  if (!waits || Date.now() - begin > 60000) clearInterval(look);
+  const waits = (!text || /Inactive|Connecting/.test(text)) && Date.now() - begin < 60000;
+  document.documentElement.classList.toggle("waits", waits);
+  if (!waits) clearInterval(look);
 }, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of viser
 that the browser draws by software, which covers the robot; the keys that lead out of it; a word in place of the
