@@ -514,7 +514,8 @@ class Observations(NamespaceReader):
             taken |= {key} if entry.value.typed.type.picture else set()
 
 
-_RECOMPUTED = ("achieved", "desired", "goal_reached")
+_PARTS = ("achieved", "desired")
+_RECOMPUTED = (*_PARTS, "goal_reached")
 
 
 class Goals(NamespaceReader):
@@ -523,15 +524,14 @@ class Goals(NamespaceReader):
     def __init__(self, namespace: Namespace) -> None:
         super().__init__(namespace)
         self._valued: dict[str, Expression] = {}
-        if namespace.scenario.goal is not None:
+        spec = namespace.scenario.goal
+        if spec is not None:
             namespace.built_in["goal_reached"] = self._reached
-            for name in ("achieved", "desired"):
-                namespace.define(
-                    name,
-                    Origin.GOAL,
-                    (*namespace.scenario.goal.path, name),
-                    partial(self._part, namespace.scenario.goal, name),
-                )
+            for name in _PARTS:
+                namespace.define(name, Origin.GOAL, (*spec.path, name), partial(self._part, spec, name))
+        elif self._values.is_invalid("goal"):
+            for name in _PARTS:
+                self._values.mark_invalid(name)
 
     def goal(self, rewards: Iterable[Expression]) -> Goal | None:
         """Return the goal; None without one, and after a finding. The terms of the reward must be such as
