@@ -27,6 +27,7 @@ from deepbots_cli.expressions.dimensions import ACCELERATION, TORQUE, UNITS, Dim
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     CORRECTED_LINE,
+    NO_NAMES,
     Components,
     FindingReporter,
     Known,
@@ -47,6 +48,7 @@ _HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
 """The comment behind a value on its line, if it contains a closing parenthesis."""
 _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
+_LEADING_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
 _COPY = re.compile(r"#\d")
 _KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
 _DEFINED_UNDER = {
@@ -304,7 +306,7 @@ class ValueReader:
             headline: str,
             help: str | None = None,
             replacement: Replacement | None = None,
-            names: Sequence[str] = (),
+            names: Table[str, str | None] = NO_NAMES,
             corrected: Callable[[str], str] | None = None,
         ) -> None:
             span, piece = text.part(start, end), text.text[start:end]
@@ -316,12 +318,13 @@ class ValueReader:
                 word in UNITS and word in self._invalid for word in _BARE_WORD.findall(text.text)
             ):
                 return  # a definition has the name of a unit, which is no name
+            is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"
-                and help is None
+                and (help is None or is_insertion)
                 and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
             ):
-                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
+                help, replacement = f"a `#` after a space begins a comment, which hides `{hidden[1]}`", None
                 help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
@@ -330,12 +333,30 @@ class ValueReader:
             if corrected is not None:
                 key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
                 help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
-            fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe) if replacement else None
+            fix = None
+            if replacement is not None and replacement.at is not None:
+                place = text.part(replacement.at - 1, replacement.at)
+                last = text.text[replacement.at - 1]
+                fix = Fix.replacing(place, last, f"{last}{replacement.text}", safe=replacement.safe)
+            elif replacement is not None:
+                fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe)
             written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)
+            if fix is None and len(written) == 1:
+                fix = self._definition_fix(written[0], names[written[0][1]])
             self.add(code, span, headline, help, labels=labels, fix=fix)
 
         return report
+
+    def _definition_fix(self, path: NodePath, meant: str | None) -> Fix | None:
+        """Return the fix that gives a number another unit where it is defined; None for a formula."""
+        node = descend(self.root, path)[0]
+        if meant is None or not isinstance(node, ScalarNode):
+            return None
+        number = _LEADING_NUMBER.match(node.text)
+        if number is None or float(number[0]) != float(meant.split()[0]):
+            return None
+        return Fix.replacing(node.part(0, len(node.text)), node.text, meant, safe=False)
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:

@@ -22,10 +22,14 @@ MAX_BESIDE = 8
 
 
 class Replacement(NamedTuple):
-    """The replacement of a word, and whether it is certain."""
+    """The text to write instead of a part of a text, and whether it is certain.
+
+    With `at` it is inserted at this offset instead, and replaces nothing.
+    """
 
     text: str
     safe: bool
+    at: int | None = None
 
 
 def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:

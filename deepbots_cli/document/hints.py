@@ -9,8 +9,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import yaml
 from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
@@ -19,6 +20,9 @@ from deepbots_cli.errors import counted
 
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""
+
+LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+"""The parser in C, or the one in Python (40 times slower) where PyYAML was built without libyaml."""
 
 # Syntax errors
 
@@ -34,7 +38,10 @@ _ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
 _MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)")
 _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
 _TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
+_CLOSING = {"{": "}", "[": "]"}
+_PAIR_BEHIND_COMMA = re.compile(r",\s*[A-Za-z_][\w.]*:\s")
 _MAX_SHOWN = 60
+_MAX_WRITTEN = 120
 _MAX_LINES_ABOVE = 200
 
 
@@ -220,13 +227,53 @@ def _brackets(problem: _Problem) -> Finding | None:
     if here == ":" and opening >= problem.line_start:
         return _second_colon(problem, "separate keys by commas, or put the value in quotes")
     if here in ("", ":", "-") or problem.line_start > opening:
-        sign, closing = ("{", "}") if text[opening] == "{" else ("[", "]")
-        return problem.finding(f"this `{sign}` is not closed", f"add the closing `{closing}`", opening)
+        above = problem.line_above(problem.line_start)
+        end = opening if above is None else above.start + len(problem.rest(above.start))
+        return _unclosed(problem, opening, max(end, opening + 1))
+    if here in ("}", "]"):
+        pair = _PAIR_BEHIND_COMMA.search(text, opening, problem.at)
+        finding = _unclosed(problem, opening, pair.start() if pair else problem.at)
+        if finding.fix is not None:
+            return finding
+        closing = _CLOSING[text[opening]]
+        if _is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
+            headline, help = f"`{here}` closes a `{text[opening]}`", f"write `{closing}`"
+            place = Span(problem.source, problem.at, problem.at + 1)
+            return problem.finding(headline, help, problem.at, fix=Fix((Edit(place, closing),), safe=False))
+        help = f"remove it, or write the opening `{'{' if here == '}' else '['}` before the first item"
+        return problem.finding(f"this `{here}` closes no bracket", help, problem.at)
     return problem.finding(
         f"unexpected `{here}` between brackets",
         "separate items by commas, or put the value in quotes",
         problem.at,
     )
+
+
+def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
+    """Report a bracket, which is probably to be closed at the offset `at`."""
+    sign = problem.source.text[opening]
+    closing = _CLOSING[sign]
+    text = f"{problem.source.text[:at]}{closing}{problem.source.text[at:]}"
+    end = text.find("\n", at)
+    line = text[text.rfind("\n", 0, at) + 1 : end if end >= 0 else len(text)]
+    written = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
+    help, fix = f"add the closing `{closing}`", None
+    if len(written) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
+        help = f"{help}: `{written}`"
+        fix = Fix((Edit(Span(problem.source, at, at), closing),), safe=False)
+    return problem.finding(f"this `{sign}` is not closed", help, opening, fix=fix)
+
+
+def _is_readable(text: str, end: int) -> bool:
+    """Return whether the YAML parser reads the text beyond the offset `end`."""
+    try:
+        for _ in yaml.parse(text, Loader=LOADER):
+            pass
+    except MarkedYAMLError as error:
+        return error.problem_mark is not None and error.problem_mark.index > end
+    except yaml.YAMLError:
+        return False
+    return True
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:

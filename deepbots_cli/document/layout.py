@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
+from deepbots_cli.document.hints import LOADER
 from deepbots_cli.document.nodes import (
     Entry,
     MappingNode,
@@ -28,7 +29,7 @@ from deepbots_cli.document.nodes import (
     node_at,
     to_data,
 )
-from deepbots_cli.document.parse import LOADER, parse
+from deepbots_cli.document.parse import parse
 
 _MAX_PASSES = 6
 _OPENING, _CLOSING = frozenset("{["), frozenset("}]")

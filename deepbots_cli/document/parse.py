@@ -44,8 +44,6 @@ the first event, so our own check would be too late."""
 _LIMIT_HELP = "simplify the file; ordinary scenarios are far below this limit"
 
 Event = Any  # the stubs of PyYAML allow events without marks
-LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-"""The parser in C, or the one in Python (40 times slower) where PyYAML was built without libyaml."""
 
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
 _BLOCKS = ("literal", "folded")
@@ -121,7 +119,7 @@ class _Builder:
         self.text = text
         self.findings = findings
         self.budget = budget
-        self.events: Iterator[Event] = yaml.parse(text, Loader=LOADER)
+        self.events: Iterator[Event] = yaml.parse(text, Loader=hints.LOADER)
         self.anchors: dict[str, Node | None] = {}
         self.end = 0  # the end of the last token
 

@@ -251,6 +251,7 @@ class _Checker:
             case syntax.Number():
                 return self._constant(node, (node,), None)
             case syntax.Binary():
+                self._require_unit(node)
                 left, right = self.each(self.visit, (node.left, node.right))
                 return (
                     self._when(node, left, right)
@@ -501,18 +502,37 @@ class _Checker:
         written = name.dotted
         symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
         if symbol is None:
-            unit, scaled = suggest_unit(written), prefixed_unit(written)
-            help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
-            if unit is not None:
-                help = f"did you mean `{unit.text}`?"
-            elif scaled is not None:
-                help = f"write it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
-            raise self._fault("DB501", name, f"unknown unit `{written}`", help, unit)
+            raise self._unknown_unit(name)
         if len(node.items) == 2:
             missing, help = "an operator", f"to multiply, write `*` before `{written}`"
             if symbol.type is not None and symbol.type.boolean:
                 missing, help = "`when`", f"write `when {written}` if it is the condition of a reward"
             raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
+
+    def _require_unit(self, node: syntax.Binary) -> None:
+        """Require that a name right behind a unit, as in `5 rad/sx`, is a value; otherwise it is a misspelled
+        unit."""
+        if not isinstance(node.left, syntax.Number) or not isinstance(node.right, syntax.Name):
+            return
+        is_in_unit = node.left.unit is not None and node.right.start == node.left.end + len(node.operator)
+        if is_in_unit and node.operator in ("*", "/") and not self._is_name(node.right):
+            raise self._unknown_unit(node.right)
+
+    def _is_name(self, node: syntax.Name) -> bool:
+        first = node.parts[0]
+        return any(
+            look(name) for look in (self._scope.lookup, self._scope.subject) for name in (first, node.dotted)
+        )
+
+    def _unknown_unit(self, name: syntax.Name) -> StopChecking:
+        written = name.dotted
+        unit, scaled = suggest_unit(written), prefixed_unit(written)
+        help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
+        if unit is not None:
+            help = f"did you mean `{unit.text}`?"
+        elif scaled is not None:
+            help = f"write it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
+        return self._fault("DB501", name, f"unknown unit `{written}`", help, unit)
 
     # operators
 

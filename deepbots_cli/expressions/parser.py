@@ -11,6 +11,7 @@ Parsing stops at the first error, because errors after it would be guesses.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable
 from functools import lru_cache
@@ -19,6 +20,7 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics import foreign
 from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.syntax import (
     MAX_LENGTH,
     Binary,
@@ -66,10 +68,11 @@ _PRECEDENCE = {
     "/": 6,
 }
 _NOT, _COMPARISON, _MINUS = 3, 4, 7
-_NEVER_CLOSED = "a parenthesis that is not closed"
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _CONDITIONAL_WORDS = frozenset({"if", "else", "when"})
 _CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
+_WHOLE_TEXT_WORDS = {"else", "when", "every", "each"}
+_CONDITION_OPERATORS = {"and", "or", "if", "<", "<=", ">", ">=", "==", "!="}
 _SLOT_ENDS = {
     "",
     ",",
@@ -364,7 +367,7 @@ class _Parser:
                 opening = _unclosed(self._tokens)
                 # The missing bracket belongs before the second comparison.
                 if opening is not None and opening.start < right.start:
-                    raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
+                    raise self._never_closed(opening, right.end)
                 raise _SyntaxError(
                     left.start, self._peek.end, "two comparisons in a row", "join them: `a < b and b < c`"
                 )
@@ -481,10 +484,20 @@ class _Parser:
         # An `else` belongs to an `if` before a parenthesis that nothing closes.
         is_cut_off = self._peek.text == "else" and _unclosed(self._tokens) is not None
         if not self._peek.text or is_cut_off:
-            raise _SyntaxError(opening.start, opening.end, _NEVER_CLOSED)
+            raise self._never_closed(opening)
         if self._peek.text != ")":
             raise self._misplaced()
         return self._next().end
+
+    def _never_closed(self, opening: Token, at: int | None = None) -> _SyntaxError:
+        """Return the error of a parenthesis, which is probably to be closed at the offset `at`."""
+        at = _closing_offset(self._tokens, opening) if at is None else at
+        written = f"{self._text[:at]}){self._text[at:]}"
+        help = f"add the closing `)`: `{' '.join(written.split())}`"
+        if len(written) > _MAX_SHOWN_CHARACTERS:
+            help = "add the closing `)`"
+        replacement = Replacement(")", safe=False, at=at)
+        return _SyntaxError(opening.start, opening.end, "a parenthesis that is not closed", help, replacement)
 
     def _misplaced(self, *, missing: bool = False) -> _SyntaxError:
         """Return the error at a token that cannot be here; `missing` if a value was due."""
@@ -672,6 +685,27 @@ def _unclosed(tokens: list[Token]) -> Token | None:
             return token
         closed += {")": 1, "(": -1}.get(token.text, 0)
     return None
+
+
+def _closing_offset(tokens: list[Token], opening: Token) -> int:
+    """Return where the parenthesis `opening`, which nothing closes, is probably to be closed.
+
+    Before the first operator that joins or compares conditions if it calls a function of numbers, otherwise
+    before a word that applies to the whole text, or at the end, where the component of a body's value stays
+    outside.
+    """
+    index = tokens.index(opening)
+    function = FUNCTIONS.get(tokens[index - 1].text) if index else None
+    takes_numbers = function is not None and not any(param.boolean for param in function.params)
+    ends = _WHOLE_TEXT_WORDS | (_CONDITION_OPERATORS if takes_numbers else set())
+    nesting = 0
+    for before, token in itertools.pairwise(tokens[index:]):
+        nesting += {"(": 1, ")": -1}.get(before.text, 0)
+        if nesting == 1 and token.text in ends:
+            return before.end
+    takes_parts = function is not None and any(param.kinds for param in function.params)
+    is_component = tokens[-3].text == "." and set(tokens[-2].text) <= set("xyz")
+    return tokens[-4 if takes_parts and is_component else -2].end
 
 
 def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replacement | None]:

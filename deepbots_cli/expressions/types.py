@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import Enum, IntEnum, StrEnum
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from deepbots_cli.diagnostics.nearest import Replacement
@@ -254,12 +255,15 @@ CORRECTED_LINE = "{corrected line}"
 """The placeholder in a help for the line to write, which the reader of the text fills in."""
 
 
+NO_NAMES: Mapping[str, str | None] = MappingProxyType({})
+
+
 class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text.
 
-    `replacement` is the text to write there instead, `names` are the named values that probably cause the
-    finding. `corrected` makes the whole right text from the text; the line with it replaces `CORRECTED_LINE`
-    in `help`.
+    `replacement` is the text to write there instead. `names` are the named values that probably cause the
+    finding, each with the value it probably should have (None if that is open). `corrected` makes the whole
+    right text from the text; the line with it replaces `CORRECTED_LINE` in `help`.
     """
 
     def __call__(
@@ -270,7 +274,7 @@ class FindingReporter(Protocol):
         headline: str,
         help: str | None = None,
         replacement: Replacement | None = None,
-        names: Sequence[str] = (),
+        names: Mapping[str, str | None] = NO_NAMES,
         corrected: Callable[[str], str] | None = None,
     ) -> None: ...
 

@@ -7,7 +7,7 @@ Truth values, dimensions and components must agree. A value that does not fit is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -24,6 +24,7 @@ from deepbots_cli.expressions.dimensions import (
 )
 from deepbots_cli.expressions.types import (
     CORRECTED_LINE,
+    NO_NAMES,
     Components,
     ComponentSelection,
     Constant,
@@ -63,7 +64,7 @@ def report_at(
     headline: str,
     help: str | None = None,
     replacement: Replacement | None = None,
-    names: Sequence[str] = (),
+    names: Mapping[str, str | None] = NO_NAMES,
     corrected: Callable[[str], str] | None = None,
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
@@ -136,7 +137,8 @@ def dimension_of(
             raise missing_unit(
                 value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
             )
-        help, names = _plain_names(first, value)
+        needed = value if first.type.dimension == NUMBER else first
+        help, names = _plain_names(needed.type.dimension, first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{first.type.description} is combined with {value.type.description}"
         raise report_at(report, "DB503", place, headline, help, names=names)
@@ -157,7 +159,7 @@ def require_dimension(
         return
     if is_bare_number(value):
         raise missing_unit(value, dimension, report, unit, noun)
-    help, names = _plain_names(value)
+    help, names = _plain_names(dimension, value)
     if help is None:
         help, names = _remedy(value, dimension)
     headline = f"{what} must be {_expected(dimension, noun)}; this is {value.type.description}"
@@ -194,9 +196,9 @@ def missing_unit(
     if len(constants) == len(ends):
         written = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
-        units: tuple[str, ...] = (unit if unit and largest >= 1 else str(dimension),)
-        if dimension == ANGLE:  # nobody writes an angle beyond a turn in radians
-            units = ("deg",) if largest > 2 * math.pi else ("deg", "rad")
+        units = _probable_units(dimension, largest)
+        if dimension != ANGLE and unit and largest >= 1:
+            units = (unit,)
         help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
         if len(units) == 1:
             replacement = Replacement(
@@ -216,54 +218,72 @@ def _number_text(number: float) -> str:
     return short if float(short) == number else repr(number)
 
 
-def _plain_names(*values: Typed) -> tuple[str | None, list[str]]:
-    """Return a hint for plain numbers that come from names, and the names: a definition probably lacks a
-    unit."""
-    names = {
-        name: text
-        for value in values
-        if value.type.dimension == NUMBER
-        for name, text in _named_numbers(value)
-        if text
-    }
+def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict[str, str | None]]:
+    """Return a hint for plain numbers that come from names, since a definition probably lacks a unit of
+    `dimension`; and the names, with the text of each where it is clear."""
+    plain = [value for value in values if value.type.dimension == NUMBER]
+    names = {name: text for value in plain for name, text in _named_numbers(value) if text}
     if not names:
-        return None, []
+        return None, {}
     listed = " and ".join(f"`{name}` is {text}, without a unit" for name, text in names.items())
-    it = "it should have" if len(names) == 1 else "one of them should have"
-    return f"{listed}; if {it} a unit, add it where you set the value (in the file or with `--set`)", list(
-        names
-    )
+    place = "where you set the value (in the file or with `--set`)"
+    if len(names) > 1:
+        return f"{listed}; if one of them should have a unit, add it {place}", dict.fromkeys(names)
+    ((name, text),) = names.items()
+    if not all(map(_is_proportional, plain)):
+        return f"{listed}; if it should have a unit, add it {place}", {name: None}
+    meant = [f"{text} {unit}" for unit in _probable_units(dimension, max(map(abs, map(float, text.split()))))]
+    written = " or ".join(f"`{name}: {one}`" for one in meant)
+    return f"{listed}: write {written} {place}", {name: meant[0] if len(meant) == 1 else None}
+
+
+def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
+    """Return the units that numbers up to `largest` probably have."""
+    if dimension != ANGLE:
+        return (str(dimension),)
+    return ("deg",) if largest > 2 * math.pi else ("deg", "rad")  # nobody writes three turns in radians
+
+
+def _is_proportional(value: Typed) -> bool:
+    """Return whether a sum or product has the unit of the numbers in it, since it divides by none."""
+    if not isinstance(value, Operation):
+        return True
+    return value.operator != "div" and all(map(_is_proportional, value.args))
 
 
 def _named_numbers(value: Typed) -> Iterator[tuple[str, str]]:
     """Yield the named fixed numbers in a sum or product, with the text of those without a unit."""
     if isinstance(value, Reference) and value.symbol.value is not None:
         is_plain = value.type.dimension == NUMBER
-        yield value.symbol.name, " ".join(f"{number:g}" for number in value.symbol.value) if is_plain else ""
+        yield value.symbol.name, " ".join(map(_number_text, value.symbol.value)) if is_plain else ""
     elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
         for part in value.args:
             yield from _named_numbers(part)
 
 
-def _remedy(value: Typed, needed: Dimension) -> tuple[str, list[str]]:
-    """Return the help for a value of another dimension, and the names whose unit may be wrong."""
+def _remedy(value: Typed, needed: Dimension) -> tuple[str, dict[str, str | None]]:
+    """Return the help for a value of another dimension, and the names whose unit may be wrong, with the
+    right text if there is one name."""
     dimension = value.type.dimension
     if needed == NUMBER:
         return (
             "remove its unit"
             if isinstance(value, Constant) and value.unit
             else f"divide by the unit: `/ {_divisor(dimension)}`"
-        ), []
+        ), {}
     if dimension == NUMBER:
-        return f"give one of its numbers a unit, as in `{needed.example}`", []
+        return f"give one of its numbers a unit, as in `{needed.example}`", {}
     if dimension / needed == ANGLE:
-        return "divide by the angle: `/ rad`", []
+        return "divide by the angle: `/ rad`", {}
     if needed / dimension == ANGLE:
-        return "multiply by the angle: `* rad`", []
-    names = [name for name, text in _named_numbers(value) if not text]
+        return "multiply by the angle: `* rad`", {}
+    names: dict[str, str | None] = {name: None for name, text in _named_numbers(value) if not text}
     of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
-    line = _line_with_unit(value, needed)
+    name, written = _with_unit(value, needed)
+    line = f"{name}: {written}" if name else written
     shown = f": `{line}`" if line else ""
+    if name in names and len(names) == 1:
+        names[name] = written
     if dimension == SPEED and needed == ANGULAR_VELOCITY:
         meant = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
         return f"correct the unit{of}{shown}; or, {meant}: {CORRECTED_LINE}", names
@@ -275,9 +295,9 @@ def _divisor(dimension: Dimension) -> str:
     return f"({unit})" if "/" in unit or "*" in unit else unit
 
 
-def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
-    """Return the only named number in a value, or the number itself, in a unit of the dimension that is
-    needed."""
+def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
+    """Return the name of the only named number in a value, or else of the number itself (none), and its text
+    in a unit of the dimension that is needed (None for several numbers)."""
     dimension = value.type.dimension
     if isinstance(value, Constant) and value.unit:
         name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
@@ -295,10 +315,9 @@ def _line_with_unit(value: Typed, needed: Dimension) -> str | None:
         ):
             numbers, unit = (degrees,), "deg"
     if len(numbers) != 1:
-        return None
+        return name, None
     unit = f"{unit}/s" if dimension / needed == TIME and "/" not in unit else str(needed)
-    written = f"{_number_text(numbers[0])} {unit}"
-    return f"{name}: {written}" if name else written
+    return name, f"{_number_text(numbers[0])} {unit}"
 
 
 def _references(value: Typed) -> Iterator[Reference]:

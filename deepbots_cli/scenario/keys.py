@@ -14,7 +14,13 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import TypeAdapter, ValidationError
 
-from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
+from deepbots_cli.diagnostics.nearest import (
+    MAX_BESIDE,
+    Replacement,
+    is_typo,
+    nearest_word,
+    suggest_replacement,
+)
 from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath, descend, to_data
 from deepbots_cli.scenario.base import (
@@ -39,6 +45,8 @@ _MAX_EXAMPLE_CHARACTERS = 120
 _MAX_LINE_CHARACTERS = 120
 _MAX_VALUE_CHARACTERS = 400
 """A longer value is not tried as an entry of another mapping: patterns of numbers take quadratic time."""
+_LIKE_A_MISSING_KEY = 0.7
+"""How like a missing key another key is at least, if it is probably the same one, misspelled."""
 _MAX_HOMES = 6
 _MAX_HOLDERS = 3
 """The number of mappings one level down that can have a name; above this, a suggestion is useless."""
@@ -111,7 +119,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
             kept = to_data(descend(root, (*path[:-1], kinds.key))[0])
             to_keep = f" to keep `{kinds.key}: {kept}`" if isinstance(kept, str) else ""
             return Suggestion(_beside(f"remove this line{to_keep}: {only}", section))
-    if near and is_typo(key, near.text):
+    if near and (is_typo(key, near.text) or _is_lacking(root, path[:-1], section, near.text)):
         return Suggestion(
             _beside(f"did you mean `{near.text}`? Write `{_line(root, path, near.text)}`", section), near
         )
@@ -127,6 +135,30 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     if elsewhere := _home_elsewhere(path[:-1], key):
         return Suggestion(f"`{key}` is a key {elsewhere}; {keys_of(section)}")
     return Suggestion(keys_of(section))
+
+
+def misspelled_key(
+    root: nodes.MappingNode, path: NodePath, missing: Sequence[str]
+) -> tuple[NodePath, Suggestion] | None:
+    """Return the path of the key in the section at `path` that is probably one of its `missing` keys, and
+    what to write for it; None if no key is like them."""
+    section = descend(root, path)[0]
+    words = section.entries.keys() if isinstance(section, nodes.MappingNode) else set()
+    for word in words if words.isdisjoint(missing) else ():
+        near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
+        if near is not None:
+            key = (*path, word)
+            help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
+            return key, Suggestion(help, Replacement(near, safe=False))
+    return None
+
+
+def _is_lacking(root: nodes.MappingNode, path: NodePath, section: type[Section], key: str) -> bool:
+    """Return whether the section at `path` requires the `key` and lacks it."""
+    node = descend(root, path)[0]
+    return section.model_fields[key].is_required() and not (
+        isinstance(node, nodes.MappingNode) and key in node.entries
+    )
 
 
 def _beside(help: str, section: type[Section]) -> str:

@@ -7,7 +7,7 @@ passes get all valid entries and nothing is reported twice.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -30,7 +30,14 @@ from deepbots_cli.scenario.base import (
     shape_at,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
-from deepbots_cli.scenario.keys import about_key, keys_of, listed, suggestion_for
+from deepbots_cli.scenario.keys import (
+    Suggestion,
+    about_key,
+    keys_of,
+    listed,
+    misspelled_key,
+    suggestion_for,
+)
 from deepbots_cli.scenario.scenario import VERSION, Scenario
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
@@ -157,14 +164,11 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         )
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
-        headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-        meant = suggestion_for(root, data, path)
-        fix = _fix(descend(root, path)[1], meant.replacement) if meant.is_fix else None
-        finding = Finding(
-            "DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix
-        )
-        return _Problem(path, finding, replacement=meant.replacement)
+        return _unknown_key(root, data, path, suggestion_for(root, data, path))
     node, key_node, _ = descend(root, path)
+    missing = error.get("ctx", {}).get("missing", ())
+    if misspelled := misspelled_key(root, path, missing):  # the section is of no kind without this key
+        return replace(_unknown_key(root, data, *misspelled), path=path)
     at_key = path[-1:] == ("[key]",) and not (isinstance(node, nodes.MappingNode) and "[key]" in node.entries)
     path = path[:-1] if at_key else path
     context = (
@@ -197,6 +201,16 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     fix = _fix(key_node if at_key else node, near)
     return _Problem(
         path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"]
+    )
+
+
+def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, meant: Suggestion) -> _Problem:
+    headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
+    fix = _fix(descend(root, path)[1], meant.replacement) if meant.is_fix else None
+    return _Problem(
+        path,
+        Finding("DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix),
+        replacement=meant.replacement,
     )
 
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import yaml
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli.diagnostics import Span
@@ -127,8 +127,8 @@ def test_any_assignment_gives_a_document(text: str) -> None:
 @given(TEXTS.map("a: ".__add__))
 def test_text_without_findings_has_the_data_that_pyyaml_reads(text: str) -> None:
     document = loads(text)
-    assume(document.root is not None and not len(document.findings))
-    assert texts(document.root) == yaml.load(text, yaml.CBaseLoader)
+    if document.root is not None and not len(document.findings):
+        assert texts(document.root) == yaml.load(text, yaml.CBaseLoader)
 
 
 @given(st.dictionaries(WORDS, DATA, max_size=5), st.sampled_from([None, 2]))

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import (
     ANGLE,
     FORCE,
@@ -130,4 +131,4 @@ def test_a_multiple_of_a_unit_is_never_taken_for_the_unit(typed, unit):
 
 
 def test_a_unit_in_capitals_is_the_unit():
-    assert suggest_unit("KG") == ("kg", False)
+    assert suggest_unit("KG") == Replacement("kg", safe=False)

@@ -16,7 +16,7 @@ from deepbots_cli.lint.fixes import Fixer
 from tests.faults.injected import ROOT, everything, sources
 from tests.faults.trying import Project
 from tests.few import few
-from tests.golden.cases import write
+from tests.golden.cases import mistakes, write
 
 TOP_LEVEL = re.compile(r"^(?=[a-z]\w*:)", re.MULTILINE)
 
@@ -75,6 +75,24 @@ def test_a_misspelled_name_in_quotes_is_put_right_between_them(project: Project)
         mended = applied(finding, case.text)
         assert mended[: case.at] == case.text[: case.at]
         assert mended.endswith(case.text[case.until :])
+
+
+@pytest.mark.parametrize(
+    ("slip", "right", "wrong", "code"), [pytest.param(*row, id=row[0]) for row in mistakes("restored")]
+)
+def test_the_fix_of_a_slip_gives_back_the_right_text(
+    tmp_path: Path, slip: str, right: str, wrong: str, code: str
+) -> None:
+    robots = ROOT / "robots" / "urdf"
+    text = (ROOT / "tests/scenario/cartpole.yaml").read_text(encoding="utf-8")
+    text = text.replace("../robots/urdf", robots.as_posix())
+    assert right in text
+    path = tmp_path / "slip.yaml"
+    path.write_text(text.replace(right, wrong, 1), encoding="utf-8")
+    fixer = Fixer([str(path)], api.load, unsafe=True)
+    (rewrite,) = fixer.fix()
+    assert rewrite.after.decode() == text
+    assert [finding.code for finding in fixer.fixed] == [code]
 
 
 @pytest.mark.slow
