@@ -56,6 +56,10 @@ class StudioPage:
                 self._robot = RobotPane(session, self._guarded)
             with ui.element("section").classes("studio-work").props('aria-label="Training and commands"'):
                 self._add_work()
+        with ui.element("nav").classes("studio-jump").props('aria-label="Parts of the page"'):
+            for name, label in (("text", "Text"), ("robot", "Robot"), ("work", "Training")):
+                scroll = f"() => document.querySelector('.studio-{name}').scrollIntoView()"
+                ui.button(label).props("flat no-caps").on("click", js_handler=scroll)
         ui.context.client.on_delete(session.listen(self._changed))
         ui.timer(0, self._start, once=True)
 
@@ -144,7 +148,7 @@ class StudioPage:
             self._command.update()
         elif topic == "notice" and self._session.notice:
             with self._list:
-                ui.notify(self._session.notice, position="bottom-right", multi_line=True)
+                ui.notify(self._session.notice, position="top", multi_line=True)
 
     def _show_files(self) -> None:
         session = self._session
@@ -209,7 +213,7 @@ class StudioPage:
         if self._session.scenarios() or len(self._session.files) > 1:
             self._guarded(lambda: self._session.close_file(file.path))
         else:
-            ui.notify("write another scenario first: New ...", position="bottom-right")
+            ui.notify("write another scenario first: New ...", position="top")
 
     def _resolve(self, act: Callable[[], None]) -> None:
         if self._file is not None:
@@ -278,7 +282,7 @@ class StudioPage:
         fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
         fix = next(fixes, None)
         if fix is None:
-            ui.notify("the text has changed since; try again", position="bottom-right")
+            ui.notify("the text has changed since; try again", position="top")
         else:
             self._apply(file, fix.edits)
 
@@ -293,7 +297,7 @@ class StudioPage:
         try:
             act()
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="bottom-right", multi_line=True)
+            ui.notify(str(error), type="warning", position="top", multi_line=True)
 
     def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
         file = self._session.files.get(path)
@@ -318,7 +322,7 @@ class StudioPage:
             if edits:
                 self._apply(self._file, edits)
             else:
-                ui.notify("the layout is canonical already, or the file has errors", position="bottom-right")
+                ui.notify("the layout is canonical already, or the file has errors", position="top")
 
     def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""

@@ -36,6 +36,10 @@ _FIRST_STEPS = (
     "Press Train: the robot learns, and its learning curve appears here.",
     "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn.",
 )
+_EXPLORING = (
+    "Lines are the training, where the policy also tries actions at random, so its return is lower. Dots are"
+    " evaluations without them."
+)
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
 _COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
@@ -80,6 +84,8 @@ class TrainingTab:
                 with ui.element("li"):
                     ui.label(step)
         self._is_dark = False
+        self._note = ui.label(_EXPLORING).classes("studio-status")
+        self._note.set_visibility(False)
         self._chart = ui.echart(_options(Curves(), has_successes=False, dark=False)).classes("studio-chart")
         self._chart.set_visibility(False)
         self._drawn: object = None
@@ -114,6 +120,7 @@ class TrainingTab:
         if run is None:
             self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
             self._chart.set_visibility(False)
+            self._note.set_visibility(False)
             self._drawn = None
             return
         evaluates = ", evaluating ..." if is_running and run.state == "finished" else ""
@@ -123,6 +130,7 @@ class TrainingTab:
         if key != self._drawn:
             self._drawn = key
             self._chart.set_visibility(bool(training.curves.returns))
+            self._note.set_visibility(bool(training.curves.returns and training.curves.evaluations))
             self._chart.options.clear()
             self._chart.options.update(
                 _options(training.curves, has_successes=run.success_rate is not None, dark=self._is_dark)
@@ -165,11 +173,14 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
 
 def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, Any]:
     """Return the chart of a training as ECharts takes it."""
-    lines = [_line("return", curves.returns, 0), _line("evaluated return", curves.evaluations, 0, marks=True)]
+    lines = [
+        _line("return in training", curves.returns, 0),
+        _line("evaluated return", curves.evaluations, 0, marks=True),
+    ]
     has_successes = has_successes or bool(curves.successes)
     if has_successes:
         lines += [
-            _line("success", _percent(curves.successes), 1),
+            _line("success in training", _percent(curves.successes), 1),
             _line("evaluated success", _percent(curves.evaluated_successes), 1, marks=True),
         ]
     terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
@@ -178,11 +189,16 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
     marks = [*stages, *_goals(curves)]
     if marks:
         lines[0]["markLine"] = {"data": marks, "symbol": "none", "silent": True, "label": text}
-    axis = {"axisLabel": text, "nameTextStyle": text, "splitLine": {"lineStyle": {"color": _GRID_COLOR}}}
+    axis = {
+        "nameLocation": "middle",
+        "axisLabel": text,
+        "nameTextStyle": text,
+        "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
+    }
     return {
         "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
-        "grid": {"left": 56, "right": 56, "top": 40, "bottom": 36},
+        "grid": {"left": 66, "right": 66, "top": 40, "bottom": 36},
         "tooltip": {"trigger": "axis"},
         "legend": {
             "type": "scroll",
@@ -191,12 +207,13 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
             "inactiveColor": "#666666" if dark else "#bbbbbb",
             "selected": {line["name"]: False for line in terms},
         },
-        "xAxis": {"type": "value", "name": "timesteps", "nameLocation": "middle", "nameGap": 22, **axis},
+        "xAxis": {"type": "value", "name": "timesteps", "nameGap": 22, **axis},
         "yAxis": [
-            {"type": "value", "name": "return", "scale": True, **axis},
+            {"type": "value", "name": "return", "nameGap": 46, "scale": True, **axis},
             {
                 "type": "value",
                 "name": "success %",
+                "nameGap": 40,
                 "min": 0,
                 "max": 100,
                 **axis,
@@ -248,12 +265,12 @@ class RunsTab:
             {"name": name, "label": label, "field": name, "align": align, "sortable": True}
             for name, label, align in (
                 ("name", "run", "left"),
-                ("when", "when", "left"),
                 ("state", "state", "left"),
-                ("steps", "steps", "right"),
                 ("return", "return", "right"),
                 ("success", "success", "right"),
                 ("solved", "solved", "left"),
+                ("steps", "steps", "right"),
+                ("when", "when", "left"),
                 ("change", "changed since the run before", "left"),
             )
         ]
@@ -281,12 +298,12 @@ class RunsTab:
             self._timesteps.classes("studio-number")
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
-        ).props('dense flat wrap-cells hide-pagination no-data-label="no runs yet"')
+        ).props('dense flat wrap-cells hide-pagination hide-selected-banner no-data-label="no runs yet"')
         self._table.classes("studio-table")
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
-        self._table.on("rowClick", self._toggle, [[], ["name"], None])
+        self._table.on("rowClick", self._select, [["ctrlKey", "metaKey", "shiftKey"], ["name"], None])
         self._table.on_select(lambda _: self._show_buttons())
         self._show_buttons()
         self._advice = ui.element("div").classes("studio-advice")
@@ -323,13 +340,15 @@ class RunsTab:
             raise UsageError(f"select {'one run' if number == 1 else f'{number} runs'} in the table first")
         return [Path(RUNS_FOLDER, name) for name in names]
 
-    def _toggle(self, event: events.GenericEventArguments) -> None:
-        """Select the row that was clicked, or no longer."""
-        name = event.args[1]["name"]
-        selected = [row for row in self._table.selected if row["name"] != name]
-        if len(selected) == len(self._table.selected):
-            selected += [row for row in self._table.rows if row["name"] == name]
-        self._table.selected = selected
+    def _select(self, event: events.GenericEventArguments) -> None:
+        """Select the row that was clicked, and no other one unless a key for several is pressed."""
+        keys, row, _ = event.args
+        name = row["name"]
+        selected = {each["name"] for each in self._table.selected}
+        chosen = (
+            selected ^ {name} if any(keys.values()) else {name} - selected if selected == {name} else {name}
+        )
+        self._table.selected = [each for each in self._table.rows if each["name"] in chosen]
         self._show_buttons()
 
     def _show_buttons(self) -> None:
@@ -397,7 +416,7 @@ class RunsTab:
         try:
             (path,) = self._selected()
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="bottom-left")
+            ui.notify(str(error), type="warning", position="top")
             return
         self._advice.clear()
         with self._advice:
@@ -498,8 +517,9 @@ class CommandTab:
         if shown == self._shown:
             return
         self._shown = shown
+        starting = "starting ..." if code is None and not shown[2] else ""
         ended = "" if code in (None, 0) else f"\nended with exit code {code}"
-        self._text.set_text(f"{shown[2]}{ended}")
+        self._text.set_text(f"{starting}{shown[2]}{ended}")
         # The element is missing until its tab is opened.
         self._output.client.run_javascript(
             f"const output = getHtmlElement({self._output.id});"
