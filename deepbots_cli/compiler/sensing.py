@@ -476,7 +476,8 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
 MAX_TICKS = 100_000
 """The longest period and latency in timesteps. Older readings are useless to a policy, and every reading of
 this time is kept in memory."""
-_NUMERIC_SENSOR_KEYS = ("noise", "bias", "drift", "resolution", "range")
+_NUMERIC_KEYS = ("noise", "bias", "drift", "resolution", "range")
+"""The keys of sensors that read numbers."""
 
 
 def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
@@ -485,14 +486,16 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
     drawn = len(namespace.fields.variations)
     latency = _latency(namespace, spec)
     if typed.boolean or typed.picture:
-        tells = "takes pictures" if typed.picture else "reads true or false"
-        keys: tuple[str, ...] = _NUMERIC_SENSOR_KEYS[:-2] if typed.picture else _NUMERIC_SENSOR_KEYS
-        if isinstance(spec, Radar):  # its range is that of its targets
-            keys = keys[:-1]
+        readings = "takes pictures" if typed.picture else "reads true or false"
+        keys = list(_NUMERIC_KEYS)
+        if typed.picture or isinstance(spec, Radar):
+            keys.remove("range")  # of the distances in the picture, or of the targets
+        if typed.picture:
+            keys.remove("resolution")  # of the picture
         for key in keys:
             if key in spec.model_fields_set:
                 namespace.values.add_at_key(
-                    "DB403", (*spec.path, key), f"a sensor that {tells} has no `{key}`", "remove it"
+                    "DB403", (*spec.path, key), f"a sensor that {readings} has no `{key}`", "remove it"
                 )
         model = NoiseModel(latency=latency)
     else:

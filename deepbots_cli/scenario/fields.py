@@ -133,15 +133,15 @@ def _range_replacement(value: object) -> str | None:
     """Return the range that is meant by two numbers in a list or with another sign between them, or by a
     range for each component."""
     if isinstance(value, Mapping):
-        given = list(value.values())
+        items = list(value.values())
     elif isinstance(value, list):
-        given = value
+        items = value
     else:
-        given = []
-    parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in given]
+        items = []
+    parts = [re.fullmatch(_SCALAR_RANGE, part) if isinstance(part, str) else None for part in items]
     if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
         lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
-        return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(given) else None
+        return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(items) else None
     if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
         return f"{value[0]:g} .. {value[1]:g}"
     ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None

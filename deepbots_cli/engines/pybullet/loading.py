@@ -308,9 +308,9 @@ def _terrain(client: int, ground: Terrain) -> Body:
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
-    made = _ground_body(client, number, Friction(lateral=ground.friction))
-    made.initial_pose = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
-    return made
+    body = _ground_body(client, number, Friction(lateral=ground.friction))
+    body.initial_pose = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
+    return body
 
 
 def _drawn_terrain(

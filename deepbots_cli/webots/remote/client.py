@@ -56,8 +56,8 @@ class Session:
             Exception: The method raises it.
         """
         unused, self._unused = self._unused, []
-        given = replaced(arguments, Proxy, lambda one: Reference(one._number, ""))
-        value = self._ask(Call(number, method, given, options, unused))
+        references = replaced(arguments, Proxy, lambda one: Reference(one._number, ""))
+        value = self._ask(Call(number, method, references, options, unused))
         return replaced(value, Reference, self._proxy)
 
     def fail(self, description: str) -> None:
@@ -154,20 +154,20 @@ def _proxy_class(real: type, bases: tuple[type, ...]) -> type:
 def _classes() -> dict[str, type]:
     """Return a proxy class for each class of the module `controller` whose objects stay on the server."""
     kinds = (Device, tree.Node, tree.Field, supervisor.Robot, supervisor.Keyboard)
-    found: dict[type, type] = {}
+    proxies: dict[type, type] = {}
 
     def proxy_of(real: type) -> type:
-        if real not in found:
+        if real not in proxies:
             inner = [proxy_of(base) for base in real.__bases__ if issubclass(base, kinds)]
             root = _Root if issubclass(real, supervisor.Robot | supervisor.Keyboard) else Proxy
-            found[real] = _proxy_class(real, tuple(inner) or (root,))
-        return found[real]
+            proxies[real] = _proxy_class(real, tuple(inner) or (root,))
+        return proxies[real]
 
     for module in _MODULES:
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, kinds):
                 proxy_of(value)
-    return {real.__name__: proxy for real, proxy in found.items()}
+    return {real.__name__: proxy for real, proxy in proxies.items()}
 
 
 CLASSES: dict[str, Any] = _classes()
