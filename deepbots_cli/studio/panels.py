@@ -26,8 +26,9 @@ _ADVISED_COMMANDS = ("resume", "eval", "lint", "try", "diagnose")
 """The commands of a diagnosis that the page runs."""
 _NO_CAUSE = {
     True: "the task is solved, and no cause of a failure was found",
-    False: "no known cause was found; look at the robot of the run, at the endings in its report, and compare it"
-    " with a run before the last change",
+    False: "no known cause was found; let a script of the scenario drive the robot: if it fails, too, the task may"
+    " be too hard. Look at the robot of the run and at the endings in its report, and compare it with a run"
+    " before the last change",
 }
 _FIRST_STEPS = (
     "Change the text at the left, and save it with Ctrl+S: the robot begins anew. Below the text is what"
