@@ -43,7 +43,6 @@ from deepbots_cli.rollout.source import GROUP_RECORD_NAME, SourceKind, folder_ki
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
-    from deepbots_cli.learning.signals import Interruption
 
 MAX_RETRIES = 20
 
@@ -243,7 +242,9 @@ def train_group(
         on_evaluation: As for `train`, for each training in this process.
         executor: Where the trainings run; the result does not depend on it. By default they run in this
             process, one after the other.
-        options: The options of `train`, including `runs` and `build`.
+        runs: The folder in which a default one is made.
+        build: As for `train`.
+        options: Further options of `train`.
 
     Raises:
         UsageError: The folder exists, a seed is given twice, or the settings are invalid for training.
@@ -308,19 +309,20 @@ def resume_group(
             f"{resumed.path} is a group of `train --retry`; continue it with: deepbots resume"
             f" {quote(str(resumed.path))}"
         )
-    totals = {"total_timesteps": total_timesteps, "stop_when_solved": stop_when_solved}
-    followers = {
-        name: tuple(names)
-        for name, names in (("callbacks", callbacks), ("loggers", loggers))
-        if names is not None
+    options = {
+        "callbacks": None if callbacks is None else tuple(callbacks),
+        "loggers": None if loggers is None else tuple(loggers),
+        "total_timesteps": total_timesteps,
+        "stop_when_solved": stop_when_solved,
     }
+    changes = {name: value for name, value in options.items() if value is not None}
     with run_lock(resumed.path):
-        if followers:
+        if callbacks or loggers:
             from deepbots_cli.learning.sb3 import plugins
 
-            plugins.check(followers.get("callbacks", ()), followers.get("loggers", ()))
-            resumed = resumed.changed(**followers)
-        changes = followers | {name: value for name, value in totals.items() if value is not None}
+            plugins.check(callbacks or (), loggers or ())
+        if changes:  # a later call continues with them if this one is interrupted
+            resumed = resumed.changed(**changes)
         compiled = resumed.compiled(permissions=permissions)
         return _train_seeds(resumed, compiled, changes, on_seed, progress, build, executor, on_evaluation)
 
@@ -338,20 +340,23 @@ def _train_seeds(
     """Train or continue every seed that is not finished, with `changes` of the options that the group began
     with."""
     seeds, options = group.record.seeds, group.record.options
-    skipped = tuple(seed for seed in seeds if _is_complete(group.run(seed), changes))
+    skipped = tuple(seed for seed in seeds if _is_complete(group, seed, changes))
     left = [seed for seed in seeds if seed not in skipped]
-    items = [_SeedTraining(group.run(seed), seed, compiled, options, changes) for seed in left]
+    items = [
+        _SeedTraining(group.run(seed), seed, compiled, options, _changes_of(group, seed, changes))
+        for seed in left
+    ]
     trained: list[TrainingResult] = []
     failed: dict[int, str] = {}
     with ExitStack() as stack:
         on_workers: CallOptions = {}
         if executor.is_here:
-            begins = [
-                None if on_seed is None else partial(on_seed, seed, number, len(seeds))
+            begins = {
+                seed: None if on_seed is None else partial(on_seed, seed, number, len(seeds))
                 for number, seed in enumerate(seeds, 1)
-            ]
+            }
             own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
-            items = [replace(item, own=own, begin=begins[seeds.index(item.seed)]) for item in items]
+            items = [replace(item, own=own, begin=begins[item.seed]) for item in items]
         else:
             if build is not None or on_evaluation is not None or isinstance(progress, Reporter):
                 raise UsageError(
@@ -410,17 +415,46 @@ def _log_of(group: Path, item: _SeedTraining) -> Path:
     return group / WORKERS_FOLDER / f"seed-{item.seed}.log"
 
 
-def _is_complete(run: Path, changes: Mapping[str, Any]) -> bool:
+def _is_complete(group: Group, seed: int, changes: Mapping[str, Any]) -> bool:
     """Return whether nothing is left to train. A damaged run counts as incomplete, so that its error is
     reported."""
     try:
-        record = RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
+        record = _record_of(group, seed)
     except DeepbotsError:
         return False
     if record is None or record.status != "finished":
         return False
-    goal = changes.get("total_timesteps")
-    return goal is None or (record.result is not None and record.result.steps >= goal)
+    steps = record.result.steps if record.result is not None else 0
+    if "total_timesteps" in changes:
+        return steps >= changes["total_timesteps"]
+    missed = _missed_changes(group, record)
+    if "stop_when_solved" in missed:
+        return "total_timesteps" not in missed and steps >= record.total_timesteps
+    return not missed
+
+
+def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the changes for a run: those of this call, and those of an earlier one that did not reach it."""
+    try:
+        record = _record_of(group, seed)
+    except DeepbotsError:
+        return changes
+    return changes if record is None else {**_missed_changes(group, record), **changes}
+
+
+def _missed_changes(group: Group, record: RunRecord) -> dict[str, Any]:
+    """Return the options of a group with which a run has not continued yet."""
+    total, missed = group.record.total_timesteps, dict[str, Any]()
+    if total is not None and record.total_timesteps < total:
+        missed["total_timesteps"] = total
+    if record.stop_when_solved and not group.record.stop_when_solved:
+        missed["stop_when_solved"] = False
+    return missed
+
+
+def _record_of(group: Group, seed: int) -> RunRecord | None:
+    run = group.run(seed)
+    return RunRecord.read(run) if folder_kind(run) is SourceKind.RUN else None
 
 
 def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:

@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean
@@ -118,6 +119,30 @@ def test_an_interrupted_group_goes_on_and_skips_what_is_finished(
     assert (again.trained, again.skipped) == ((), (0, 1, 4))
     longer = resume_group(tmp_path / "group", total_timesteps=300, build=stand_in.build)
     assert all(result.steps >= 300 for result in longer.trained)
+
+
+def test_a_group_goes_on_with_the_options_of_a_resume_that_was_interrupted(tmp_path: Path) -> None:
+    group = train_group(SCENARIO, (0, 1), runs=tmp_path, build=stand_in.build).group
+
+    def end_after_one(seed: int, number: int, count: int) -> bool:
+        return number < 2
+
+    longer = resume_group(group, total_timesteps=400, on_seed=end_after_one, build=stand_in.build)
+    assert longer.waiting == (1,)
+    resume_group(group, build=stand_in.build)
+    assert [Run.open(group / f"seed-{seed}").record.total_timesteps for seed in (0, 1)] == [400, 400]
+    assert resume_group(group, build=stand_in.build).skipped == (0, 1)
+
+
+def test_a_group_that_trains_to_the_end_continues_seeds_that_stopped_as_solved(tmp_path: Path) -> None:
+    training = replace(SHORT, total_timesteps=2_000)
+    easy = stand_in.compiled(training=training, solved=Solved(2, mean_return=-1e6))
+    begun = train_group(easy, (0,), runs=tmp_path, build=stand_in.build)
+    assert begun.trained[0].steps < training.total_timesteps
+    group = begun.group
+    (result,) = resume_group(group, stop_when_solved=False, build=stand_in.build).trained
+    assert result.steps >= training.total_timesteps
+    assert resume_group(group, build=stand_in.build).skipped == (0,)
 
 
 def test_a_seed_that_diverges_does_not_end_the_others(tmp_path: Path) -> None:
