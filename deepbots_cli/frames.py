@@ -69,7 +69,8 @@ def roll_pitch_yaw(q: Quaternion) -> Triple:
     """Return roll, pitch and yaw (rad) of a unit quaternion, about the fixed axes x, y and z in this
     order.
 
-    Where the pitch is 90 degrees, only the difference of roll and yaw counts: the roll is 0.
+    Where the pitch is 90 or -90 degrees, only the difference or the sum of roll and yaw counts: the roll is
+    0.
     """
     x, y, z, w = q
     down = 2 * (w * y - z * x)
@@ -86,7 +87,7 @@ def normalized(q: Quaternion) -> Quaternion:
 
 
 def leveled(turned: Quaternion) -> Quaternion:
-    """Return the yaw of a rotation alone; none where its forward axis is vertical."""
+    """Return the yaw of a rotation alone; the identity where its forward axis is vertical."""
     x, y, _ = rotate(turned, (1.0, 0.0, 0.0))
     return quaternion(0.0, 0.0, atan2(y, x) if hypot(x, y) > 1e-9 else 0.0)
 

@@ -485,8 +485,8 @@ class BatchEngine(Bindable, Protocol):
     def step(self, substeps: int, running: NDArray[np.bool_] | None = None) -> None:
         """Advance all worlds, or only those that are `running`."""
 
-    def begin_episodes(self, worlds: Sequence[int]) -> None:
-        """Take over the episodes that the members of these worlds have begun."""
+    def begin_episodes(self) -> None:
+        """Take over the episodes that members have begun."""
 
     def non_finite_worlds(self) -> NDArray[np.intp]:
         """Return the numbers of the worlds whose state is not finite."""

@@ -20,7 +20,7 @@ from deepbots_cli.compiler.namespace import (
     SupervisorScope,
 )
 from deepbots_cli.compiler.values import SourceText
-from deepbots_cli.document.layout import move_fix
+from deepbots_cli.document.edits import move_to_augment_fix
 from deepbots_cli.document.nodes import MappingNode, NodePath
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import NUMBER
@@ -399,7 +399,7 @@ class Observations(NamespaceReader):
         """Report DB609: the policy sees signals and parameters only under `augment`."""
         root, augment = self._values.root, self._spec.augment
         if self._namespace.origin(name) is Origin.SIGNAL:
-            fix = move_fix(root, name, "signals", "augment")
+            fix = move_to_augment_fix(root, name)
             written = " ".join(self._values.text(("signals", name)).text.split())
             what, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
         elif isinstance(augment, dict) and augment:

@@ -5,7 +5,8 @@ parse.py    YAML text to nodes, within limits
 hints.py    YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake
 nodes.py    Scalar, Sequence, Mapping; paths, walking, changed trees
 load.py     a scenario with the files that it extends and includes, `remove` and `--set`, as one Document
-layout.py   nodes to text: the canonical layout, written trees, removed entries
+layout.py   nodes to text: the canonical layout, and written trees
+edits.py    edits that keep the other text: an entry removed, moved or set
 shipped.py  the scenarios and robots that come with deepbots
 """
 

@@ -1,4 +1,4 @@
-"""Nodes and YAML text: the canonical layout of a file, a tree written as YAML, an entry removed or moved.
+"""Nodes and YAML text: the canonical layout of a file, and a tree written as YAML.
 
 The canonical layout changes white space between tokens, and nothing else. Two passes make it: `_spaced` sets
 the blanks within lines, `_indented` the indentation. The text inside a scalar moves with its line and stays
@@ -16,17 +16,13 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from deepbots_cli.diagnostics import Edit, Findings, Fix, Source, Span
+from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.hints import LOADER
 from deepbots_cli.document.nodes import (
-    Entry,
     MappingNode,
     Node,
-    NodePath,
     ScalarNode,
     SequenceNode,
-    descend,
-    node_at,
     to_data,
 )
 from deepbots_cli.document.parse import parse
@@ -253,21 +249,23 @@ def _nest(levels: list[str], kind: str) -> None:
 # Writing a tree
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]")
-_WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n", "~"})
+_WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
+_UNSAFE_IN_QUOTES = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff]")
+"""Characters that YAML does not read, or reads as line breaks, and that JSON does not escape."""
 
 
 def to_yaml(node: Node) -> str:
     """Return block-style YAML that reads back as the same values, without comments."""
-    return "\n".join(_lines(node, "")) + "\n"
+    return ("\n".join(_lines(node, "")) or "{}") + "\n"
 
 
 def _lines(node: Node, pad: str) -> Iterator[str]:
     match node:
         case ScalarNode():
-            yield pad + (_text(node.text) if isinstance(node.value, str) else node.text)
+            yield pad + (plain_or_quoted(node.text) if isinstance(node.value, str) else node.text)
         case MappingNode(entries=entries):
             for key, entry in entries.items():
-                yield from _under(f"{pad}{_text(key)}:", entry.value, pad)
+                yield from _under(f"{pad}{plain_or_quoted(key)}:", entry.value, pad)
         case SequenceNode(items=items):
             for item in items:
                 yield from _under(f"{pad}-", item, pad)
@@ -284,179 +282,9 @@ def _under(head: str, value: Node, pad: str) -> Iterator[str]:
         yield from lines
 
 
-def _text(text: str) -> str:
+def plain_or_quoted(text: str) -> str:
     """Return a plain word where that is safe, else a text in double quotes with the escapes of JSON."""
     if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
         return text
-    return json.dumps(text, ensure_ascii=False)
-
-
-# Removing or moving an entry
-
-_REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
-_COMMA = re.compile(r"[ \t]*,[ \t]*")
-
-
-def removal_fix(root: Node, path: NodePath) -> Fix | None:
-    """Return the fix that removes the entry at `path`, with its lines or with a comma beside it.
-
-    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with
-    other text.
-    """
-    holder, _, steps = descend(root, path[:-1])
-    if steps < len(path) - 1 or not isinstance(holder, MappingNode) or len(holder.entries) < 2:
-        return None
-    entry = holder.entries.get(str(path[-1]))
-    if entry is None or not entry.key.span.source is entry.value.span.source is holder.span.source:
-        return None
-    source, start, _ = entry.key.span
-    text, end = source.text, entry.value.span.end
-    if not holder.span.text.startswith("{"):
-        start = text.rfind("\n", 0, start) + 1
-        rest = _REST_OF_LINE.match(text, end)
-        end = rest.end() if rest and not text[start : entry.key.span.start].strip() else start
-    elif comma := _COMMA.match(text, end):
-        end = comma.end()
-    else:
-        before = text[:start].rstrip()
-        start = len(before) - 1 if before.endswith(",") else end
-    return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
-
-
-_SPECIAL_IN_BRACKETS = re.compile(r"[,{}\[\]#\n]|: ")
-
-
-def move_fix(root: MappingNode, name: str, section: str, target: str) -> Fix | None:
-    """Return the fix that moves the entry `name` from one section of the scenario to another, its comment
-    with it.
-
-    The name is added to a target that is a list of names. None where the text does not allow it.
-    """
-    holder, new = root.entries.get(section), root.entries.get(target)
-    entry = holder.value.entries.get(name) if holder and isinstance(holder.value, MappingNode) else None
-    if (
-        holder is None
-        or entry is None
-        or not entry.key.span.source is holder.key.span.source is holder.value.span.source
-    ):
-        return None
-    source = holder.key.span.source
-    is_only = isinstance(holder.value, MappingNode) and len(holder.value.entries) == 1
-    if new is not None and isinstance(new.value, MappingNode) and new.key.span.source is not source:
-        new = None  # that of an extended file, to which a section of this one adds
-    if new is None and is_only:
-        return Fix((Edit(holder.key.span, target),), safe=False)
-    if new is not None and isinstance(new.value, SequenceNode):
-        last = new.value.items[-1].span if new.value.items and new.value.span.text.startswith("[") else None
-        at = Span(last.source, last.end, last.end) if last else None
-        return Fix((Edit(at, f", {name}"),), safe=False) if at else None
-    removal = removal_fix(root, (section,) if is_only else (section, name))
-    if removal is None:
-        return None
-    removed = removal.edits[0].span
-    in_block = removed.text.endswith("\n") and not holder.value.span.text.startswith("{")
-    lines = (
-        [removed.text]
-        if in_block and not is_only
-        else [f"  {source.text[entry.key.span.start : entry.value.span.end]}\n"]
-    )
-    written = _insertion(source, lines[0], holder.key.span, target, new)
-    return Fix((Edit(*written), *removal.edits), safe=False) if written else None
-
-
-def _insertion(
-    source: Source, line: str, section: Span, target: str, new: Entry | None
-) -> tuple[Span, str] | None:
-    """Return the place for the `line` of an entry and its text: below the last entry of a section, or in a
-    new section above another one."""
-    text = source.text
-    if new is None:
-        start = text.rfind("\n", 0, section.start) + 1
-        return (Span(source, start, start), f"{target}:\n{line}") if start == section.start else None
-    entries = new.value.entries.values() if isinstance(new.value, MappingNode) else ()
-    ends = [
-        entry.value.span.end
-        for entry in entries
-        if entry.key.span.source is entry.value.span.source is source
-    ]
-    if not ends or new.value.span.source is not source:
-        return None
-    if new.value.span.text.startswith("{"):
-        plain = line.strip()
-        return (
-            None
-            if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2])
-            else (Span(source, max(ends), max(ends)), f", {plain}")
-        )
-    column = (
-        min(source.position(entry.key.span.start)[1] for entry in entries if entry.key.span.source is source)
-        - 1
-    )
-    is_aligned = len(line) - len(line.lstrip(" ")) == column
-    if not is_aligned and line.count("\n") > 1:
-        return None
-    rest = _REST_OF_LINE.match(text, max(ends))
-    end = rest.end() if rest else text.find("\n", max(ends)) + 1
-    return (
-        (Span(source, end, end), " " * column + line.lstrip(" ")) if end and text[end - 1] == "\n" else None
-    )
-
-
-# Setting a value
-
-
-def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str, comment: str) -> str | None:
-    """Return the text of a file with another value at `path`, and a comment, if any, behind it on its line;
-    everything else stays as it is.
-
-    A key that the file does not have, because it extends another one or has a default, is added to the
-    innermost section that it has. A comment that begins with the same word is replaced. None where the text
-    does not allow it.
-    """
-    node, _, steps = descend(root, path)
-    if steps == len(path) and node.span.source is source:
-        start, end, new = node.span.start, node.span.end, value
-    else:
-        # `descend` has gone through these nodes.
-        while steps and node_at(root, *path[:steps]).span.source is not source:  # type: ignore[union-attr]
-            steps -= 1
-        holder = node_at(root, *path[:steps])
-        keys = [_text(str(key)) for key in path[steps:]]
-        if not isinstance(holder, MappingNode):
-            return None
-        entry = f"{keys[-1]}: {value}"
-        for key in reversed(keys[steps == 0 : -1]):
-            entry = f"{key}: {{{entry}}}"
-        added = _addition(source, holder, f"{keys[0]}:\n  {entry}" if steps == 0 and len(keys) > 1 else entry)
-        if added is None:
-            return None
-        start, end, new = added
-    text = source.text[:start] + new + source.text[end:]
-    if not comment:
-        return text
-    line_start = text.rfind("\n", 0, start + len(new.rstrip())) + 1
-    line_end = _END_OF_LINE.search(text, start + len(new.rstrip()))
-    assert line_end is not None  # it also matches the end of the text
-    line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", text[line_start : line_end.start()])
-    return f"{text[:line_start]}{line}  # {comment}{text[line_end.start() :]}"
-
-
-_END_OF_LINE = re.compile(r"\r?\n|\Z")
-
-
-def _addition(source: Source, holder: MappingNode, entry: str) -> tuple[int, int, str] | None:
-    """Return the place for an entry in a mapping of a file and its indentation: behind the last entry."""
-    own = [each for each in holder.entries.values() if each.key.span.source is source]
-    ends = [
-        max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own
-    ]
-    if holder.span.text.startswith("{"):
-        at = max(ends, default=holder.span.start + 1)
-        return at, at, f", {entry}" if ends else entry
-    if not ends:
-        return None
-    column = min(source.position(each.key.span.start).column for each in own) - 1
-    rest = _REST_OF_LINE.match(source.text, max(ends))
-    at = rest.end() if rest else source.text.find("\n", max(ends)) + 1 or len(source.text)
-    before = "" if source.text[at - 1 : at] == "\n" else "\n"
-    return at, at, before + "\n".join(" " * column + line for line in entry.split("\n")) + "\n"
+    quoted = json.dumps(text, ensure_ascii=False)
+    return _UNSAFE_IN_QUOTES.sub(lambda match: f"\\u{ord(match[0]):04x}", quoted)

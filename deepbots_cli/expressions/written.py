@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.syntax import NUMBER
 
-_WORD = r"(?:[A-Za-z]+|%)(?:\^-?\d)?"
-_UNIT = re.compile(rf"{NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
+_NAME = "|".join(map(re.escape, sorted(UNITS, key=len, reverse=True)))
+_WORD = rf"(?:{_NAME})(?!\w)(?:\^-?\d)?"
+_UNIT = re.compile(rf"(?<![\w.]){NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
 _USUAL = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
-_COMPOUND = re.compile(rf"(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
+_COMPOUND = re.compile(rf"(?<![\w.])(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
 MAX_TEXT = 10_000
 """The maximum number of letters of an expression that are searched for a unit."""
 

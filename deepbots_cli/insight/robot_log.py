@@ -22,8 +22,7 @@ from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.rollout.robot_logs import EVENT_PREFIXES
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
-"""The smallest number of steps in a log, and the largest number of its steps and of the simulation that are
-compared."""
+"""The smallest and the largest number of steps of a log that are compared."""
 DIFFERENT = 0.2
 """The Kolmogorov-Smirnov distance from which two distributions may be called different. Steps of an episode
 depend on each other, so a test of significance that takes them for independent would find a difference in
@@ -98,14 +97,14 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
             origin = stamp if origin is None else origin
             kind, text = str(content.get("kind", "")), str(content.get("text", ""))
             if topic == "/event" and kind == "episode" and text.isdecimal():
-                episodes.append(_begun(len(episodes), stamp - origin, before))
+                episodes.append(_new_episode(len(episodes), stamp - origin, before))
             elif topic == "/event":
                 before.append((stamp - origin, kind, text))
                 if episodes:
                     episodes[-1].take(before)
             else:
                 if not episodes:
-                    episodes.append(_begun(0, 0.0, before))
+                    episodes.append(_new_episode(0, 0.0, before))
                 episode = episodes[-1]
                 if content.get("posture") == "safe":
                     episode.safe_steps += 1
@@ -113,18 +112,19 @@ def logged_episodes(path: Path, note: Callable[[str], object] = lambda text: Non
                     episode.steps += 1
                     episode.seconds = max(episode.seconds, stamp - origin - episode.begun)
                     answer = float(content.get("answer", 0.0))
-                    episode.answers += [answer] * (answer > 0.0)
+                    if answer > 0.0:
+                        episode.answers.append(answer)
     except (OSError, ValueError, TypeError) as error:
         raise UsageError(f"{path} cannot be read as a log of `deepbots serve --log`: {error}") from error
     if before:
-        episodes = [_begun(0, 0.0, before)]
+        episodes = [_new_episode(0, 0.0, before)]
     if not episodes:
         raise UsageError(f"{path} contains no step: the robot sent no complete set of values")
     return episodes
 
 
-def _begun(number: int, begun: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:
-    episode = LoggedEpisode(number, begun)
+def _new_episode(number: int, start: float, events: list[tuple[float, str, str]]) -> LoggedEpisode:
+    episode = LoggedEpisode(number, start)
     episode.take(events)
     return episode
 
@@ -274,7 +274,7 @@ def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldC
     last = int(inside[-1]) if len(inside) else -1
     since = float(times[last + 1]) if last + 1 < len(times) - MIN_STEPS // 2 else None
     parts = [there[first : first + len(here)] for first in range(0, len(there) - len(here) // 2, len(here))]
-    chance = max((distance(part, there) for part in parts), default=0.0) if len(parts) > 1 else 0.0
+    chance = max(distance(part, there) for part in parts) if len(parts) > 1 else 0.0
     advice = _advice(number, here, there) if number.sensor else ""
     robot, simulated = ((float(values.mean()), float(values.std())) for values in (here, there))
     comparison = FieldComparison(

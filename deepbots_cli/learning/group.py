@@ -425,8 +425,9 @@ def _is_complete(group: Group, seed: int, changes: Mapping[str, Any]) -> bool:
     if record is None or record.status != "finished":
         return False
     steps = record.result.steps if record.result is not None else 0
-    if "total_timesteps" in changes:
-        return steps >= changes["total_timesteps"]
+    goal: int | None = changes.get("total_timesteps")
+    if goal is not None:
+        return steps >= goal
     missed = _missed_changes(group, record)
     if "stop_when_solved" in missed:
         return "total_timesteps" not in missed and steps >= record.total_timesteps

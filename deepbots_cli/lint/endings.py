@@ -52,11 +52,7 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
             yield Finding(
                 "DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes
             )
-        elif (
-            own := []
-            if ending.foreign
-            else context.analysis.own_contacts(context.analysis.scalars(ending)[0])
-        ):
+        elif own := _own_contacts(context.analysis, ending):
             headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
             yield Finding(
                 "DB801",
@@ -72,9 +68,15 @@ def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:
     return TRUTH if ending.foreign else analysis.ranges_in(0.0, INF).of(analysis.scalars(ending)[0])
 
 
+def _own_contacts(analysis: Analysis, ending: Expression) -> list[str]:
+    """Return the contacts between links of one robot in an ending, as text."""
+    return [] if ending.foreign else analysis.own_contacts(analysis.scalars(ending)[0])
+
+
 def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
-    for touch in _impossible_contacts(analysis, ending):
-        thing, *others = sorted(touch.subjects, key=lambda name: name not in analysis.intangible)
+    touches = _impossible_contacts(analysis, ending)
+    if touches:
+        thing, *others = sorted(touches[0].subjects, key=lambda name: name not in analysis.intangible)
         other = others[0] if others else "a"
         return (
             f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of"
@@ -381,21 +383,24 @@ class SolidProfile(NamedTuple):
     """A solid part around the vertical through the origin of a body: a disc of some radius (m) at each height
     from `low` to `high` (m).
 
-    A `ball` has its full radius in the middle.
+    A ball has its full radius in the middle.
     """
 
     low: float
     high: float
     radius: float
-    ball: bool = False
+    is_ball: bool = False
+
+    @property
+    def middle(self) -> float:
+        return (self.low + self.high) / 2
 
     def width(self, low: float, high: float) -> float:
         """Return the largest radius between two heights."""
-        if not self.ball:
+        if not self.is_ball:
             return self.radius
-        middle = (self.low + self.high) / 2
-        off = max(0.0, low - middle, middle - high)
-        return sqrt(max(0.0, self.radius**2 - off**2))
+        offset = max(0.0, low - self.middle, self.middle - high)
+        return sqrt(max(0.0, self.radius**2 - offset**2))
 
 
 @rule("DB807")
@@ -412,15 +417,8 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
         ):
             continue
         for entry in comparisons(analysis, ending):
-            asked = (asked for asked in thresholds(entry, analysis.ranges) if not asked.above)
-            reason = next(
-                (
-                    reason
-                    for reason in (_unreachable(analysis, threshold) for threshold in asked)
-                    if reason is not None
-                ),
-                None,
-            )
+            upper = (each for each in thresholds(entry, analysis.ranges) if not each.above)
+            reason = next(filter(None, (_unreachable(analysis, threshold) for threshold in upper)), None)
             if reason is not None:
                 words, help = reason
                 also = (
@@ -476,7 +474,10 @@ def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) ->
     for a in first:
         for b in second:
             low, high = max(a.low, b.low), min(a.high, b.high)
-            if high > low:
+            if a.is_ball and b.is_ball:
+                apart = (a.radius + b.radius) ** 2 - (a.middle - b.middle) ** 2
+                distance = max(distance, sqrt(max(0.0, apart)))
+            elif high > low:
                 distance = max(distance, a.width(low, high) + b.width(low, high))
     return distance
 
@@ -518,11 +519,11 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
-    """Return the part of a shape that is solid for certain; of a shape that may topple, the sphere within
-    it."""
+    """Return the part of a shape that is solid for certain. A shape that may topple has one only if it is a
+    sphere."""
     match shape:
         case Sphere(radius):
-            return [SolidProfile(height - radius, height + radius, radius, ball=True)]
+            return [SolidProfile(height - radius, height + radius, radius, is_ball=True)]
         case Box(size) if upright:
             return [SolidProfile(height - size[2] / 2, height + size[2] / 2, min(size[0], size[1]) / 2)]
         case Cylinder(radius, length) | Capsule(radius, length) if upright:

@@ -63,7 +63,7 @@ class LintResult:
     def editable(self) -> dict[Source, Path]:
         """The files of the project; shipped ones are not edited."""
         project = files.project_root(next(iter(self.files)).parent)
-        shipped_data = [root.resolve() for root in shipped.data_roots()]
+        shipped_data = shipped.data_roots()
         return {
             source: path
             for path, source in self.files.items()
@@ -175,7 +175,7 @@ class Fixer:
         if finding.code in _PER_SCENARIO and finding.span.source is not next(iter(linted.files.values())):
             return False
         source = finding.span.source
-        return finding.code != "DB901" or has_same_values(source, _apply(source, finding.fix.edits))
+        return finding.code != "DB901" or has_same_values(source, edited(source, finding.fix.edits))
 
     def _try(self, name: str, fixes: list[Finding], before: dict[str, LintResult], drafts: Drafts) -> bool:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
@@ -200,7 +200,7 @@ class Fixer:
             by_source.setdefault(edit.span.source, []).append(edit)
         paths = linted.editable
         return {
-            paths[source]: self._byte_order_mark(paths[source], source) + _apply(source, edits).encode()
+            paths[source]: self._byte_order_mark(paths[source], source) + edited(source, edits).encode()
             for source, edits in by_source.items()
         }
 
@@ -233,9 +233,11 @@ def _are_fixed(fixes: Sequence[Finding], before: LintResult, after: LintResult) 
     return not _counted(fixes) & (_counted(after.findings) - others)
 
 
-def _apply(source: Source, edits: Iterable[Edit]) -> str:
+def edited(source: Source, edits: Iterable[Edit]) -> str:
+    """Return the text of a source after edits that do not overlap."""
     text = source.text
-    for edit in sorted(edits, key=lambda edit: edit.span.start, reverse=True):
+    # Of edits with the same start, the insertion is applied last, since its text is not to be removed.
+    for edit in sorted(edits, key=lambda edit: (edit.span.start, edit.span.end), reverse=True):
         text = text[: edit.span.start] + edit.text + text[edit.span.end :]
     return text
 

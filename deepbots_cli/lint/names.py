@@ -9,7 +9,7 @@ from math import pi
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding
-from deepbots_cli.document.layout import removal_fix
+from deepbots_cli.document.edits import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
 from deepbots_cli.expressions.types import (

@@ -314,7 +314,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Take over the start of an episode from single worlds."""
-        self.engine.begin_episodes(list(worlds))
+        self.engine.begin_episodes()
         rows = list(self.rows.of(worlds))
         for part in (self, *self.controllers.values()):
             part.take_over(rows)
@@ -424,7 +424,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
                 except EngineError as error:
                     self._errors[world] = str(error)
                 member.reset()  # so that nothing that reads it fails
-            self.engine.begin_episodes(lost.tolist())
+            self.engine.begin_episodes()
 
     def ranges(self, action: Any) -> Column:
         """Return the numbers of an action, a column each, within [-1, 1]."""

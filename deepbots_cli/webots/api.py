@@ -31,21 +31,17 @@ MISSING: Mapping[str, str] = {
     " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
     " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
-    "DistanceSensor": "",
     "TouchSensor": "getLookupTable",
     "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance setExposure"
     " setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
     " getRecognitionObjects getRecognitionSamplingPeriod getRecognitionSegmentationImage"
     " getRecognitionSegmentationImageArray hasRecognitionSegmentation isRecognitionSegmentationEnabled"
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
-    "RangeFinder": "",
-    "Lidar": "",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
     "Pen": "setInkColor write",
     "Microphone": "enable getSampleData getSampleSize",
-    "Altimeter": "",
     "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
     "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",

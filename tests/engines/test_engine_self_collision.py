@@ -109,7 +109,7 @@ def test_a_batch_collides_as_single_worlds_do():
     for engine in (single, *batch.members):
         engine.reset()
         engine.torque_motor("robot", ["left_hinge", "right_hinge"], [10.0, 10.0])([-2.0, 2.0])
-    batch.begin_episodes(range(2))
+    batch.begin_episodes()
     touched = 0
     for _ in range(60):
         batch.step(4)

@@ -117,7 +117,7 @@ def test_wrenches_of_a_batch_are_those_of_single_worlds(watched):
     for engine in (single, *batch.members):
         engine.reset()
         engine.velocity_motor("robot", ["knee"], [100.0])([0.4])
-    batch.begin_episodes(range(3))
+    batch.begin_episodes()
     assert not np.any(readers[0]())
     for _ in range(30):
         batch.step(4)

@@ -332,7 +332,7 @@ def test_forces_are_those_of_single_worlds():
         engine.reset()
     for engine in (single, batch.members[1]):
         engine.place("marble2", (0.0, 0.0, 0.4), (0, 0, 0, 1))
-    batch.begin_episodes([0, 1])
+    batch.begin_episodes()
     for _ in range(30):
         batch.step(4)
         single.step(4)
@@ -351,7 +351,7 @@ def test_force_vectors_are_those_of_single_worlds():
     of_member = batch.members[1].contact_force_vector(parts[0])
     for engine in (single, *batch.members):
         engine.reset()
-    batch.begin_episodes([0, 1])
+    batch.begin_episodes()
     for _ in range(30):
         batch.step(4)
         single.step(4)
@@ -366,7 +366,7 @@ def test_more_contacts_than_a_batch_adds_up_are_an_error():
     read = batch.contact_force(("tray", None))
     for member in batch.members:
         member.reset()
-    batch.begin_episodes([0, 1])
+    batch.begin_episodes()
     batch.step(4)
     with pytest.raises(
         EngineError, match=r"^world 0: a link of 'tray' has 44 contacts, but a batch supports at most 32"
@@ -382,7 +382,7 @@ def test_members_change_and_read_their_own_worlds():
         member.reset()
     batch.members[1].place("marble0", (0.1, 0.2, 0.9), (0, 0, 0, 1))
     assert [read()[0] for read in poses] == [(-0.36, -0.36, 0.15), (0.1, 0.2, 0.9), (-0.36, -0.36, 0.15)]
-    batch.begin_episodes(range(3))
+    batch.begin_episodes()
     batch.step(4, np.array([False, True, False]))
     assert [read()[0][2] < start for read, start in zip(poses, (0.15, 0.9, 0.15), strict=True)] == [
         False,

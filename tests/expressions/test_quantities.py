@@ -21,6 +21,7 @@ from deepbots_cli.expressions.dimensions import (
     prefixed_unit,
     suggest_unit,
 )
+from deepbots_cli.expressions.written import units_in
 
 exponents = st.integers(-4, 4) | st.fractions(-2, 2, max_denominator=4)
 dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents).map(lambda any: any * NUMBER)
@@ -132,3 +133,17 @@ def test_a_multiple_of_a_unit_is_never_taken_for_the_unit(typed, unit):
 
 def test_a_unit_in_capitals_is_the_unit():
     assert suggest_unit("KG") == Replacement("kg", safe=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "units"),
+    [
+        ("arm_2m - 1 cm", ["cm"]),
+        ("joint_1h * 2 rad/s", ["rad/s"]),
+        ("0.5 m*gain", ["m"]),
+        ("5 cm/max(2, 1)", ["cm"]),
+        ("3 mm/s*gain + 2 N*m", ["mm/s", "N*m"]),
+    ],
+)
+def test_the_units_of_a_text_are_those_behind_numbers(text: str, units: list[str]) -> None:
+    assert [unit.text for unit in units_in(text)] == units

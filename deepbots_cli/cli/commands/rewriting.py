@@ -20,7 +20,8 @@ from deepbots_cli.cli.command import option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Permissions, files, shipped, to_data
-from deepbots_cli.document.layout import assigned_text, canonical_text
+from deepbots_cli.document.edits import assigned_text
+from deepbots_cli.document.layout import canonical_text
 from deepbots_cli.document.load import setting_path
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
@@ -153,7 +154,7 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     """
     opened = Source.open(name, permissions, SourceKind.SCENARIO)
     file = opened.path.resolve()
-    if any(file.is_relative_to(root.resolve()) for root in shipped.data_roots()):
+    if any(file.is_relative_to(root) for root in shipped.data_roots()):
         raise UsageError(
             f"{file.name} comes with deepbots; copy it with `deepbots new mine --from {file.stem}`, and name"
             " the copy: mine.yaml"

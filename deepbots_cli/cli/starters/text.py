@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from deepbots_cli.document.layout import plain_or_quoted
+
 _COLUMN, _WIDTH = 40, 110
-_PLAIN = re.compile(r"(?:package://|(?:\.\./)+)?[A-Za-z_][A-Za-z0-9_./-]*")
-_OTHER_YAML = frozenset({"true", "false", "null", "yes", "no", "on", "off", "y", "n"})
+_PATH = re.compile(r"(?:package://|(?:\.\./)+)[A-Za-z_][A-Za-z0-9_./-]*")
 
 
 def templates() -> Environment:
@@ -29,8 +29,7 @@ def templates() -> Environment:
 
 def yaml_name(name: str) -> str:
     """Return a name of a robot file as YAML."""
-    plain = _PLAIN.fullmatch(name) and name.lower() not in _OTHER_YAML
-    return name if plain else json.dumps(name, ensure_ascii=False)
+    return name if _PATH.fullmatch(name) else plain_or_quoted(name)
 
 
 def flow_collection(items: Sequence[str] | Mapping[str, str], key: str, indent: int = 6) -> str:

@@ -101,10 +101,10 @@ def _is_entry(lines: Sequence[str], number: int) -> bool:
     if not 1 <= number <= len(lines):
         return False
     line = lines[number - 1].strip()
-    return line.startswith(tuple(_OPTIONAL)) is False and ": " in line and not line.startswith("#")
+    return ": " in line and not line.startswith((*_REQUIRED, "#"))
 
 
-_OPTIONAL = ("deepbots:", "name:", "urdf:", "timestep:")
+_REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
 """Keys without which no scenario is left."""
 
 
@@ -283,17 +283,21 @@ def _filled(lines: list[str]) -> list[str]:
         elif line == f"{key}:" and key in _PLACEHOLDERS:
             result += [line, f"  {_PLACEHOLDERS[key]}    # a placeholder"]
         else:
-            result.append(f"{line[: len(line) - len(line.lstrip())]}# {line.strip()}")
+            result.append(f"{line[: _indentation(line)]}# {line.strip()}")
     return result
 
 
 def _has_entry(lines: Sequence[str], position: int) -> bool:
-    """Return whether a line that is not a comment follows, with more indentation."""
-    indent = len(lines[position]) - len(lines[position].lstrip())
+    """Return whether an entry, which is neither a comment nor a section, follows with more indentation."""
     for line in lines[position + 1 :]:
         if not line.strip() or line.strip().startswith("#"):
             continue
-        if len(line) - len(line.lstrip()) <= indent:
+        if _indentation(line) <= _indentation(lines[position]):
             return False
-        return not line.strip().endswith(":") or _has_entry(lines, lines.index(line, position + 1))
+        if not line.strip().endswith(":"):
+            return True
     return False
+
+
+def _indentation(line: str) -> int:
+    return len(line) - len(line.lstrip())

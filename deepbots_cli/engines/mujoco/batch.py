@@ -15,7 +15,7 @@ were computed before.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from functools import partialmethod
 from math import inf
@@ -214,7 +214,7 @@ class MuJoCoBatch:
         self.write_mask: Column | None = None
         """The worlds that motors are written in, as truth values; None for all."""
         self._sensors: dict[Sensor, int] = {}
-        """Contact sensors, and the column of the readings of each in `touched`."""
+        """The sensors of the model by number, which is also their column in `touched`."""
         self.touched: Column = np.zeros((count, 0), bool)
         self._outputs: dict[str, Column] = {}
         """The arrays that a step computes and that are read after it."""
@@ -371,8 +371,8 @@ class MuJoCoBatch:
         for output in self._outputs.values():
             output[index] = 0.0
 
-    def begin_episodes(self, worlds: Iterable[int]) -> None:
-        """Take over the episodes that the members of these worlds have begun."""
+    def begin_episodes(self) -> None:
+        """Take over the episodes that members have begun."""
         self.take_commands()
         self._forget()
 
@@ -657,7 +657,7 @@ class MuJoCoBatch:
             apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
             apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
             for place in absent:
-                apart[[not pools[place][0] for pools, *_ in self._memories]] = inf
+                apart[[not memory[0][place][0] for memory in self._memories]] = inf
             return apart
 
         return read

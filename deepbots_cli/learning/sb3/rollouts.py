@@ -1,6 +1,6 @@
 """Rollouts from fragments: actors, and the rollout buffer filled with the experience of an actor.
 
-They do what `collect_rollouts` of the library does, with the same random numbers in the same order, so that
+They do what `collect_rollouts` of Stable-Baselines3 does, with the same random numbers in the same order, so that
 weights are equal to the bit.
 """
 
@@ -232,10 +232,10 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
     rewards, normalizer = fragment.rewards.copy(), model.get_vec_normalize_env()
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
-        for number, done in enumerate(ends):
-            internals.update_returns(normalizer, rewards[number])
-            rewards[number] = normalizer.normalize_reward(rewards[number])
-            normalizer.returns[done] = 0
+        for step, dones in enumerate(ends):
+            internals.update_returns(normalizer, rewards[step])
+            rewards[step] = normalizer.normalize_reward(rewards[step])
+            normalizer.returns[dones] = 0
     for number, ending in fragment.endings:
         if ending.timed_out:
             seen, _ = model.policy.obs_to_tensor(prepared(model, ending.observation))

@@ -71,11 +71,11 @@ def _scalar(value: Any) -> str:
 
 def number(value: float) -> str:
     """Return a number with all of its digits."""
-    return repr(value).removesuffix(".0")
+    return repr(float(value)).removesuffix(".0")
 
 
 def numbers(values: Sequence[float]) -> str:
-    return " ".join(number(float(value)) for value in values)
+    return " ".join(number(value) for value in values)
 
 
 def world_text(nodes: Iterable[NodeText]) -> str:
