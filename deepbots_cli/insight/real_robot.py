@@ -66,7 +66,7 @@ from deepbots_robot.topics import ACTION, action_field
 RESET_BY_ROBOT = "robot_reset"
 """The `ended_by` of an episode in which the robot began the next one."""
 SILENT = "robot_silent"
-"""The `ended_by` of an episode in which the robot stopped to send values."""
+"""The `ended_by` of an episode in which the robot stopped sending values."""
 _OF_LINES = ("cross_track_error", "arc_length")
 """The facts that follow from the position of a body."""
 _OVERLAID = (
@@ -101,9 +101,15 @@ class Measurable:
 
     def facts_of(self, reading: Reading) -> Iterator[Fact]:
         """Yield the facts that a reading measures, in the order of its numbers."""
+        yield from filter(None, self.facts_by_number(reading))
+
+    def facts_by_number(self, reading: Reading) -> Iterator[Fact | None]:
+        """Yield the fact that each number of a reading measures; None if it measures none."""
         for tree in reading.trees:
             if isinstance(tree, EngineRead) and tree.function in _OVERLAID:
                 yield self.fact(tree)
+            else:
+                yield None
 
     def fact(self, read: EngineRead) -> Fact:
         return read.function, self._deployment.subjects(read), read.component
@@ -255,7 +261,7 @@ class MeasuredWorld(EngineProxy):
         return read() if fact is None else fact
 
 
-class _Stop(Exception):  # noqa: N818  not an error
+class _LinkClosed(Exception):  # noqa: N818  not an error
     """The end of the link."""
 
 
@@ -272,7 +278,7 @@ class RobotEpisodes:
     ) -> None:
         self._measured, self._answers = SimpleQueue[Any](), SimpleQueue[Any]()
         self._readings = readings
-        self._known = Measurable(program, readings)
+        self._measurable = Measurable(program, readings)
         self._restarted, self._is_silent = False, False
         self._action: Any = None
         self._thread: threading.Thread | None = None
@@ -280,7 +286,7 @@ class RobotEpisodes:
         self.error: BaseException | None = None
         self.is_over = False
         """Whether all episodes have ended."""
-        wrap: Callable[[Engine], Engine] = lambda made: MeasuredWorld(made, program, self._exchange)  # noqa: E731
+        wrap: Callable[[Engine], Engine] = lambda engine: MeasuredWorld(engine, program, self._exchange)  # noqa: E731
         self.environment: Supervisor = api.build(program, engine=engine, permissions=permissions, wrap=wrap)
         assert isinstance(self.environment.engine, MeasuredWorld)
         self._world = self.environment.engine
@@ -326,8 +332,8 @@ class RobotEpisodes:
     def close(self, *, is_silent: bool = False) -> None:
         """End a running episode. It counts as an episode if it ends because the robot `is_silent`."""
         self._is_silent = is_silent
-        self._measured.put(None if is_silent else _Stop())
-        self._measured.put(_Stop())
+        self._measured.put(None if is_silent else _LinkClosed())
+        self._measured.put(_LinkClosed())
         if self._thread is not None:
             self._thread.join(5.0)
 
@@ -358,7 +364,7 @@ class RobotEpisodes:
                     break
                 if number + 1 < count and not self._restarted:
                     self._answers.put(None)
-        except _Stop:
+        except _LinkClosed:
             pass
         except BaseException as error:  # noqa: BLE001  it is raised again where the server runs
             self.error = error
@@ -389,7 +395,7 @@ class RobotEpisodes:
         no commands until then."""
         while True:
             values = self._measured.get()
-            if isinstance(values, _Stop):
+            if isinstance(values, _LinkClosed):
                 raise values
             if values is None:
                 waiting = False
@@ -406,7 +412,7 @@ class RobotEpisodes:
         )
         self._answers.put({**action, **self._watch.commands()})
         values = self._measured.get()
-        if isinstance(values, _Stop):
+        if isinstance(values, _LinkClosed):
             raise values
         if values is None:
             self._restarted = True
@@ -418,14 +424,15 @@ class RobotEpisodes:
         for reading in self._readings:
             if reading.device is None and reading.info.name in values:
                 numbers = np.asarray(values[reading.info.name]).reshape(-1).tolist()
-                self._world.facts.update(zip(self._known.facts_of(reading), numbers, strict=False))
+                facts = zip(self._measurable.facts_by_number(reading), numbers, strict=True)
+                self._world.facts.update((fact, number) for fact, number in facts if fact is not None)
 
     def _of_device(self, name: str) -> Sequence[Any]:
         value = self._values[name]
         return (value,) if value.dtype == np.uint8 else value.reshape(-1).tolist()
 
     def _goals(self) -> dict[str, Any]:
-        """Return the parameters that the robot was given, as options of a reset."""
+        """Return the values of inputs with the source `goal`, as options of `reset`."""
         goals = {}
         for reading in self._readings:
             if reading.info.source == "goal" and reading.info.name in self._values:

@@ -114,14 +114,15 @@ class ScenarioFacts:
     def _success_trees(self) -> list[Scalar]:
         trees: list[Scalar] = []
         for ending in self.program.successes:
-            for comparison in comparisons(self._analysis, ending):
-                trees += [
-                    tree
-                    for side in comparison.node.args
-                    for tree in self._analysis.lowered(side, comparison.value.owner)
-                ]
-            if ending.foreign is None and not trees:
-                trees += self._analysis.scalars(ending)
+            compared = [
+                tree
+                for comparison in comparisons(self._analysis, ending)
+                for side in comparison.node.args
+                for tree in self._analysis.lowered(side, comparison.value.owner)
+            ]
+            if not compared and ending.foreign is None:
+                compared = list(self._analysis.scalars(ending))
+            trees += compared
         goal = self.program.agent.goal
         return [*trees, *(goal.achieved.scalars if goal is not None else ())]
 

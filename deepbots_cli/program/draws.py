@@ -112,7 +112,7 @@ class EpisodeDraws:
         copies = self.program.agent.copies
         robot = copies.robot if copies else ""
         entries: dict[str, EpisodeDraw] = {}
-        for body, entry in self._found():
+        for body, entry in self._all_draws():
             entry = entry._replace(is_of_copy=bool(robot) and body == robot)
             # A value may be given for several bodies in one place.
             entries[entry.key if entry.name in entries else entry.name] = entry
@@ -132,7 +132,7 @@ class EpisodeDraws:
         """The vectors that are set as a whole, of which some components may be fixed."""
         return {entry.name: entry for entry in self.program.settable_draws if entry.components}
 
-    def _found(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
+    def _all_draws(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
         """Yield each draw with the body that it belongs to, if it belongs to one."""
         reset, agent = self.program.reset, self.program.agent
         robot = agent.copies.robot if agent.copies else None
@@ -162,9 +162,8 @@ class EpisodeDraws:
                     if value.redraw is None and not _reads(value, changing)
                 )
                 yield from ((robot_name, entry) for value in lasting for entry in _draws(value))
-        noises = [
-            value.noise for value in (*(entry.value for entry in agent.observation), *self.program.signals)
-        ]
+        noises = [entry.noise for entry in agent.observation]
+        noises += [value.noise for value in self.program.signals]
         noises += [agent.goal.achieved.noise] if agent.goal else []
         yield from ((robot, entry) for noise in noises if noise is not None for entry in _draws(noise.std))
         for variation in reset.variations:

@@ -345,6 +345,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
         self.frames[:, :, lost] = 0.0
+        self.goal[:, lost] = 0.0
 
     def info(self, row: int) -> dict[str, Any]:
         """Return the info of a row for the last step of an episode, as its agent gives it."""

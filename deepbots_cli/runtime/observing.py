@@ -29,7 +29,7 @@ class Observer:
     def __init__(self, program: Program) -> None:
         agent = program.agent
         self._inputs, self._goal = agent.inputs, agent.goal
-        self._refusal = self._refusal_for(program)
+        self._unsupported = self._unsupported_for(program)
         self._achieved: dict[str, Scalar] = {}
         sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
         texts = {number: entry.value.text for entry in agent.observation for number, _ in entry.value.numbers}
@@ -68,12 +68,12 @@ class Observer:
             UsageError: The policy sees more than present values; a name is missing or unknown; a value is not
                 finite; the goal is missing or has another size.
         """
-        if self._refusal:
-            raise UsageError(self._refusal)
+        if self._unsupported:
+            raise UsageError(self._unsupported)
         goal = self._desired(desired)
         self._require_complete(values)
         numbers = [
-            float(values[each.name])
+            float(bool(values[each.name]))
             if each.truth
             else (scale if each.clipped else scale_freely)(float(values[each.name]), each.low, each.high)
             for each in self._inputs
@@ -112,7 +112,7 @@ class Observer:
         unknown = [name for name in values if name not in self.values]
         if missing:
             texts = [
-                f"{name} (no message holds it; the scenario computes `{self._computed[name]}`)"
+                f"{name} (no message contains it; the scenario computes `{self._computed[name]}`)"
                 if name in self._computed
                 else name
                 for name in missing
@@ -130,7 +130,7 @@ class Observer:
             if not is_finite:
                 raise UsageError(f"the value of {name} is {number}; it must be finite")
 
-    def _refusal_for(self, program: Program) -> str:
+    def _unsupported_for(self, program: Program) -> str:
         """Return why the present values are not enough for an observation; empty if they are."""
         if program.agent.images:
             return (

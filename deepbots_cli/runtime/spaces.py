@@ -129,7 +129,7 @@ def mask_of_space(space: gym.Space[Any], masks: Sequence[NDArray[np.int8]]) -> A
 
 
 def canonical_action(space: gym.Space[Any], action: Any) -> Any:
-    """Return the action as generated code takes it (int or array), or None if it is none of this space."""
+    """Return the action as generated code takes it (int or array); None if it is not in the space."""
     try:
         if isinstance(space, gym.spaces.Dict):
             parts = (
@@ -285,8 +285,6 @@ class ObservedFrames:
         """Return the reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays
         (k,) a number.
 
-        Only scenarios with a goal have `compute_reward`; learners check for this method to recognize them.
-
         Raises:
             UsageError: The scenario has no goal, or the arrays do not fit it.
         """
@@ -325,16 +323,18 @@ class ObservedColumns(ABC):
     def set_observation(self, *numbers: Any) -> None:
         """Let the policies see these numbers in the newest frame."""
         frame = self.frames[self.newest]
-        for row, number in zip(frame, numbers, strict=True):
+        for column, number in zip(frame, numbers, strict=True):
             if self.running is None:
-                row[:] = number
+                column[:] = number
             else:
-                np.copyto(row, np.broadcast_to(number, self.count), where=self.running, casting="same_kind")
+                np.copyto(
+                    column, np.broadcast_to(number, self.count), where=self.running, casting="same_kind"
+                )
         if not np.isfinite(frame).all():
             worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self.lost)
             if len(worlds):
-                rows = np.flatnonzero(~np.isfinite(frame).all(axis=1))
-                names = ", ".join(dict.fromkeys(self.agent.numbers[row].name for row in rows))
+                places = np.flatnonzero(~np.isfinite(frame[:, worlds]).all(axis=1))
+                names = ", ".join(dict.fromkeys(self.agent.numbers[place].name for place in places))
                 raise self.failed(int(worlds[0]), f"the observation {names} is not finite")
 
     def next_frame(self) -> None:
@@ -350,6 +350,9 @@ class ObservedColumns(ABC):
             np.float32
         )
         self.goal = where_running(self.running, seen, self.goal)
+        lost = np.flatnonzero(~np.isfinite(self.goal).all(axis=0) & ~self.lost)
+        if len(lost):
+            raise self.failed(int(lost[0]), "the goal is not finite")
         meant = middle + half * self.goal.astype(float)
         return meant[: self._size], meant[self._size :]
 

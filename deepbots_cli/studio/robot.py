@@ -131,7 +131,11 @@ class Robot:
         """Run the process, and start it again after a crash."""
         while self.crashes < _MAX_CRASHES:
             self.state = None
-            process = self._process = await _open_process()
+            try:
+                process = self._process = await _open_process()
+            except OSError as error:
+                self.problem = f"the simulation cannot be started: {error.strerror}"
+                break
             request = RobotRequest(
                 reference=self.reference,
                 driver=self.driver,
@@ -147,9 +151,13 @@ class Robot:
             if self.state is not None and self.state.state == "failed":
                 self.problem = self.state.text
                 break
+            self.state = None
             self.crashes += 1
-            self.problem = f"the process of the simulation ended ({_ended_by(code)}); it was started again"
-            self._on_change()
+            if self.crashes < _MAX_CRASHES:
+                self.problem = (
+                    f"the process of the simulation ended ({_ended_by(code)}); it was started again"
+                )
+                self._on_change()
         else:
             self.problem = (
                 f"the process of the simulation ended {_MAX_CRASHES} times; change the file, or press Restart"
@@ -167,13 +175,13 @@ class Robot:
                 continue
             if not line:
                 return
-            with suppress(ValidationError):  # a print of a library
+            try:
                 self.state = RobotState.model_validate_json(line)
-                if self.state.loaded >= self._loads:
-                    self._deadline = None
-                if self.state.state == "running":
-                    self.problem = ""
-                self._on_change()
+            except ValidationError:  # a print of a library
+                continue
+            if self.state.loaded >= self._loads:
+                self._deadline, self.problem = None, ""
+            self._on_change()
 
     def _send(self, command: Command) -> None:
         self._write(f"{command.model_dump_json()}\n")

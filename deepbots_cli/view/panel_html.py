@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from statistics import fmean
 from typing import Any
 
@@ -29,22 +30,13 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
         )
     if agent.action is not None:
         yield _head("commands" if layout.of_robot else "action")
-        yield from (
-            _bar(field, value)
-            for field, value in list(zip(layout.action, agent.action, strict=True))[:_MAX_ROWS]
-        )
+        yield from _limited(_bar(*each) for each in zip(layout.action, agent.action, strict=True))
     if agent.allowed:
         options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
         forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
         yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
     yield _head("reported by the robot" if layout.of_robot else "observation")
-    yield from (
-        _bar(field, value)
-        for field, value in list(zip(layout.observation, agent.observation, strict=True))[:_MAX_ROWS]
-    )
-    left = len(layout.observation) - _MAX_ROWS
-    if left > 0:
-        yield _row(f"and {left} more, see Plots", "")
+    yield from _limited(_bar(*each) for each in zip(layout.observation, agent.observation, strict=True))
 
 
 def training_rows(
@@ -73,15 +65,27 @@ def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]
             continue
         age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', no new message in this step'}"
         yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")
-        for entry, value in list(zip(layout.messages[key], message.values, strict=True))[:_MAX_ROWS]:
-            yield _row(entry.name, "" if value is None else entry.text(value))
+        values = zip(layout.messages[key], message.values, strict=True)
+        yield from _limited(
+            _row(entry.name, "" if value is None else entry.text(value)) for entry, value in values
+        )
 
 
-def notice(title: str, text: str, color: str) -> str:
+def _limited(rows: Iterable[str]) -> Iterator[str]:
+    """Yield the first rows, and how many more there are."""
+    rows = iter(rows)
+    yield from islice(rows, _MAX_ROWS)
+    left = sum(1 for _ in rows)
+    if left:
+        yield _row(f"and {left} more, see Plots", "")
+
+
+def notice(title: str, content_html: str, color: str) -> str:
+    """Return a banner. `title` is escaped; `content_html` is inserted as it is."""
     return (
         "<div style='margin:0.4em 0.8em;padding:0.4em 0.7em;border-left:0.35em solid"
         f" {color};background:rgba(128,128,128,0.12)'>"
-        f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{text}</div></div>"
+        f"<b>{html.escape(title)}</b><div style='font-size:0.85em'>{content_html}</div></div>"
     )
 
 

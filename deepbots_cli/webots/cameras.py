@@ -42,7 +42,7 @@ class _Optics(Sensor):
         try:
             require_opengl()
         except EngineError as error:
-            raise EngineError(f"{self._spec.type} '{self._spec.name}' {error}") from error
+            raise EngineError(f"{self._spec.type} '{self._spec.name}' cannot draw: {error}") from error
 
     def _require_size(self) -> None:
         from deepbots_cli.webots.rendering import MAX_PIXELS

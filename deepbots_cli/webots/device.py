@@ -82,7 +82,7 @@ class Sensor(Device, ABC):
         """Measure."""
 
     def forget(self) -> None:
-        """Do what a reset of the world needs."""
+        """Discard the state from before a reset of the world."""
 
 
 class ScalarSensor(Sensor):

@@ -40,10 +40,7 @@ NEAR_M, FAR_M = 0.01, 1000.0
 CONE_SIDES = 32
 MAX_PIXELS = 4096
 """The largest width and height of a picture."""
-UNAVAILABLE = (
-    "cannot see, because MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or"
-    " libosmesa6)"
-)
+UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
 
 
 _OPEN: WeakSet[Pictures] = WeakSet()

@@ -384,6 +384,16 @@ def test_a_parameter_in_the_observation_is_no_sensor_that_detects_nothing(tmp_pa
     assert "sensor_without_reading" not in causes_of(training)
 
 
+@pytest.mark.parametrize(
+    "successes", ["{far: abs(x) > 0.3 m, hit: collided(cart)}", "{hit: collided(cart), far: abs(x) > 0.3 m}"]
+)
+def test_terms_towards_any_of_the_successes_count(successes):
+    rewards = ["reward={near: abs(x) / m, bump: 1 when collided(cart)}"]
+    compiled = api.compile("cartpole", overrides=[*rewards, f"termination.success={successes}"])
+    facts = ScenarioFacts(compiled.program, compiled.units)
+    assert set(facts.terms_towards_success) == {"near", "bump"}
+
+
 def test_a_value_is_shown_in_the_unit_of_the_file(tmp_path):
     compiled = api.compile(
         "cartpole", overrides=["observation.x=-40 .. 40 cm", "parameters.fall_angle=0.2 rad"]

@@ -41,6 +41,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import compare_seeds, interquartile_mean, mean_interval
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
+from deepbots_cli.rollout import Episode
 
 SHORT = Training(
     "PPO",
@@ -203,6 +204,13 @@ def test_the_gate_of_a_group_stops_when_the_other_seeds_cannot_change_the_answer
     [(_, met, reason)] = gates.requirements_of_group(evaluation, 30)
     assert met == (successes >= 15)
     assert f"the remaining {30 - done} episodes cannot change the result" in reason
+
+
+def test_a_group_goes_on_while_its_last_episode_can_reach_the_required_rate() -> None:
+    gates = Gates(min_success=0.55, min_return=None, solved=False)  # 0.55 * 200 is more than 110 in binary
+    episodes = [Episode(0.0, 1, number < 109, None) for number in range(199)]
+    assert not gates.decided_of_group(episodes, planned=200)
+    assert gates.decided_of_group([*episodes, Episode(0.0, 1, True, None)], planned=200)
 
 
 def test_two_groups_are_compared_by_their_seeds_though_their_scenario_is_the_same(

@@ -153,6 +153,13 @@ def test_noise_may_be_drawn_for_an_episode(small: Make) -> None:
     assert np.ptp(deviations) > 0.002
 
 
+def test_drawn_noise_of_an_observed_value_is_in_info(small: Make) -> None:
+    sections = "signals: {at: 0 m * step}\naugment: [at]\nreward: {pay: drive}\n"
+    noise = "observation={at: {range: -1 .. 1 m, noise: uniform(0.01 .. 0.05 m)}}"
+    drawn = small(sections, noise).reset(seed=1)[1]["drawn"]
+    assert 0.01 <= drawn["observation.at.noise"] <= 0.05
+
+
 def test_noise_is_the_same_for_the_same_seed(small: Make) -> None:
     np.testing.assert_array_equal(noisy(small, "1 cm", count=20), noisy(small, "1 cm", count=20))
 
@@ -278,14 +285,14 @@ def test_a_goal_policy_observes_without_an_environment_what_the_environment_obse
             "panda_reach",
             "miss.z",
             (0.5, 0.0, 0.5),
-            r"missing: miss\.z \(no message holds it; the scenario computes `target - position\(panda",
+            r"missing: miss\.z \(no message contains it; the scenario computes `target - position\(panda",
         ),
         ("panda_reach", "panda.tip.x", (0.5, 0.0, 0.5), r"missing: panda\.tip\.x$"),
         (
             "panda_push",
             "achieved.y",
             (0.5, 0.0),
-            r"missing: achieved\.y \(no message holds it; the scenario computes `position\(block\)\.xy`\)",
+            r"missing: achieved\.y \(no message contains it; the scenario computes `position\(block\)\.xy`\)",
         ),
         (
             "panda_reach",

@@ -135,6 +135,14 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
     assert not list(tmp_path.iterdir())
 
 
+def test_the_training_of_one_world_updates_as_often_per_step_as_that_of_many(tmp_path: Path):
+    settings = "train.environments=8", "train.train_freq=2", "train.learning_rate=1e-3 -> 1e-4"
+    exported("find_ball", tmp_path, *settings)
+    text = (tmp_path / "controllers/train/train.py").read_text()
+    assert "train_freq=16," in text
+    assert "learning_rate=lambda left: 0.0001 + left * (0.001 - 0.0001)," in text
+
+
 def test_the_command_lists_differences_and_overwrites_nothing(tmp_path: Path):
     folder = tmp_path / "out"
 

@@ -351,9 +351,10 @@ def _evaluate_in_engine(
             cases = learning.evaluate_cases(run, stages=details, executor=executor, **options)
         scripted: Sequence[EvaluationResult] = ()
         if baselines:
-            del options["model"], options["deterministic"]
-            options["episodes"] = result.episodes
-            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **options)
+            of_policy = ("model", "deterministic")
+            others = {name: value for name, value in options.items() if name not in of_policy}
+            others["episodes"] = result.episodes
+            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **others)
     label = scenario_label(run, request.scenario, request.overrides, chosen["scenario"])
     return _EngineEvaluations(result, cases, scripted, label)
 
@@ -559,8 +560,9 @@ class Gates:
         """
         if self.min_success is None or self.min_return is not None or self.solved:
             return False
-        successes, required = sum(episode.is_success for episode in episodes), self.min_success * planned
-        return successes >= required or successes + planned - len(episodes) < required
+        successes = sum(episode.is_success for episode in episodes)
+        least, most = successes / planned, (successes + planned - len(episodes)) / planned
+        return least >= self.min_success or most < self.min_success
 
     def requirements_of_group(self, group: GroupResult, planned: int) -> list[Requirement]:
         """Return the answers for the means over the seeds of a group."""

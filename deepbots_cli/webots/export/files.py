@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.text import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.program.task import Schedule
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
 from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static_gaps
@@ -28,8 +30,11 @@ OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 _LEARNERS = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
 _SETTINGS = (
     *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "learning_rate", "ent_coef"),
-    *("buffer_size", "learning_starts", "train_freq", "gradient_steps"),
+    *("buffer_size", "learning_starts", "train_freq", "gradient_steps", "tau"),
 )
+_OFF_POLICY = ("DQN", "SAC", "TD3", "DDPG")
+_PER_WORLD = ("n_steps", "train_freq")
+"""The settings that count the steps of each world."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +52,7 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
 
     Raises:
         ScenarioError: The scenario has errors.
-        UsageError: Webots cannot hold the scenario; the message has a sentence for each reason.
+        UsageError: The scenario cannot be exported; the message has a sentence for each reason.
         MissingExtraError: MuJoCo is not installed.
     """
     from deepbots_cli import engines
@@ -57,9 +62,8 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     _require_none(compiled.program, gaps)
     project = project_of(compiled)
     recorder = Recorder(engines.create("mujoco", project.world))
-    task = project.supervisor(recorder)
-    dynamic_gaps(recorder, task, gaps)
-    task.close()
+    with closing(recorder), closing(project.supervisor(recorder)) as task:
+        dynamic_gaps(recorder, task, gaps)
     _require_none(compiled.program, gaps)
     return WebotsProject(compiled, project, _remotes(project, task), gaps)
 
@@ -185,13 +189,17 @@ def _learner(program: Program) -> dict[str, Any]:
     hyperparameters = {}
     if training is not None and name in _LEARNERS:
         hyperparameters = {entry.name: entry.value for entry in training.hyperparameters}
+    if training is not None and name in _OFF_POLICY:
+        hyperparameters.setdefault("train_freq", 1)
     # There is one world, and not as many as in a training of deepbots.
     worlds = training.environments if training is not None else 1
-    settings = []
+    settings: list[tuple[str, str | float]] = []
     for key in _SETTINGS:
         value = hyperparameters.get(key)
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            settings.append((key, value * worlds if key == "n_steps" else value))
+        if isinstance(value, Schedule):
+            settings.append((key, f"lambda left: {value.end!r} + left * ({value.start!r} - {value.end!r})"))
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            settings.append((key, value * worlds if key in _PER_WORLD else value))
     default = "PPO" if program.agent.choices else "SAC"
     return {
         "algorithm": name if name in _LEARNERS else default,
@@ -214,14 +222,18 @@ def policy_of_run(run: Any, model: Any) -> bytes:
 
     Raises:
         MissingExtraError: onnx is not installed.
-        UsageError: The policy remembers, or cannot be exported.
+        UsageError: The policy is recurrent, or cannot be exported.
     """
     try:
         from deepbots_cli.insight.export.network import policy_graph
         from deepbots_cli.learning import policy
     except ModuleNotFoundError as error:
+        if (error.name or "").startswith("deepbots"):
+            raise
         raise MissingExtraError("export", "exporting a policy") from error
     learner = policy.loaded(run, model)
     if learner.network().memory is not None:
-        raise UsageError("the policy of this run remembers, which the export to Webots does not")
+        raise UsageError(
+            "the policy of this run is recurrent; the export to Webots has policies without memory only"
+        )
     return policy_graph(learner, run.program)
