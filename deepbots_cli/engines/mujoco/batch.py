@@ -15,21 +15,30 @@ were computed before.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partialmethod
 from math import inf
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from mujoco.batch import Batch
 
 from deepbots_cli import frames
-from deepbots_cli.engines.curves import TorqueCurve, torque_curve
+from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.mujoco import motors
 from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.batch_motors import (
+    MOTOR_FIELDS,
+    BatchMotor,
+    CurvedMotor,
+    Pushes,
+    TrackingMotor,
+    cells,
+)
+from deepbots_cli.engines.mujoco.batch_sensors import FORCE_SLOTS, Observer, Sensor, model_with_sensors
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, _link
-from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder, finite_limit
+from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
 from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
@@ -45,31 +54,7 @@ if TYPE_CHECKING:
 
     Column = NDArray[Any]
 
-MOTOR_FIELDS = (
-    *("actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
-    *("dof_armature", "dof_invweight0", "jnt_actfrclimited", "jnt_actfrcrange"),
-)
-"""The arrays of a model that motors write."""
 VARIED_FIELDS = ("opt.gravity", *VARIED_ARRAYS)
-OBSERVED_FIELDS = ("geom_group", "body_mass", "body_ipos", "body_subtreemass")
-"""The arrays of a model that positions, velocities and rays depend on."""
-FORCE_SLOTS = 32
-"""Contacts of a link whose forces a batch adds up."""
-SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
-
-
-class Sensor(NamedTuple):
-    """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
-    forces of up to `FORCE_SLOTS` contacts, the sum of all forces as a vector, the force or the torque of the
-    joint that carries `one`, or the distance of two geoms.
-
-    Each side is a link number, and whether the links below it belong to it. For a distance, the number is
-    that of a geom.
-    """
-
-    one: tuple[int, bool]
-    other: tuple[int, bool] | None
-    measures: Literal["touch", "forces", "force", "joint_force", "joint_torque", "distance"] = "touch"
 
 
 class BatchMember(EngineProxy):
@@ -435,7 +420,7 @@ class MuJoCoBatch:
         if self._armature is None:
             usual = self.nominal.dof_armature[dofs][None]
             return usual
-        usual = self._armature[_cells(worlds, dofs)]
+        usual = self._armature[cells(worlds, dofs)]
         return usual
 
     def _weigh(self, index: int, armature: Column) -> None:
@@ -800,331 +785,6 @@ class MuJoCoBatch:
         if isinstance(bound, CurvedMotor) and curve is not None:
             bound.bind_curve(worlds, curve)
         return bound
-
-
-class Observer:
-    """Links, rays and distances of all worlds in their present state, from the same model without contacts
-    and motors."""
-
-    def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
-        self._batch, self._threads = batch, threads
-        self._distances: dict[Sensor, int] = {}
-        self._stage, self._built = int(mj.mjtStage.mjSTAGE_POS), -1
-        self._bound: set[str] = set()
-        self.is_current = False
-
-    def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
-        """Return the places in `sensordata` of the distances between geoms."""
-        sensors = [Sensor((one, False), (other, False), "distance") for one, other in pairs]
-        return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
-
-    def read(self, name: str) -> Column:
-        """Return an array of MuJoCo's data, with a row per world."""
-        batch = self._batch
-        if self._built != len(self._distances):
-            model, off = model_with_sensors(batch._builder, batch.nominal, self._distances), mj.mjtDisableBit
-            model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION
-            self._views, self._built = Batch(model, batch.count, self._threads), len(self._distances)
-            self._bound.clear()
-        bound: Column = self._views.bind(name)
-        stage = int(mj.mjtStage.mjSTAGE_VEL) if name == "cvel" else self._stage
-        if not self.is_current or name not in self._bound or stage > self._stage:
-            self._bound.add(name)
-            self._stage = max(stage, self._stage)
-            self._views.state[:] = batch.state
-            for field in OBSERVED_FIELDS:
-                if field in batch.rows:
-                    self._views.expand(field)[:] = batch.rows[field]
-            self._views.forward(stage=self._stage)
-            self.is_current = True
-        return bound
-
-    def cast(self, starts: Column, ways: Column, own: Sequence[int]) -> Column:
-        """Return the free distance of rays, -1 if they meet nothing; geoms of `own` are not seen."""
-        groups = self._views.expand("geom_group")
-        kept = groups[:, own]
-        groups[:, own] = HIDDEN_GROUP
-        free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
-        groups[:, own] = kept
-        return free
-
-
-class Pushes:
-    """One push per world for the next substep: the pushes that the members bound at the same position in
-    their order; see `motors.pusher`."""
-
-    def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
-        self.waits, self.links, self._values = (
-            np.zeros(count, bool),
-            np.zeros(count, int),
-            np.zeros((count, 6)),
-        )
-        self._frame = frame
-
-    def begin(self, world: int) -> None:
-        self.waits[world], self._values[world] = False, 0.0
-
-    def give(self, world: int, link: int, force: Triple, torque: Triple) -> None:
-        self.waits[world], self.links[world] = True, link
-        self._values[world] += (*force, *torque)
-
-    def take(self, worlds: Column, turned: Column, center: Column) -> Column:
-        """Return force and torque at the center of mass in the axes of the world, a row per world."""
-        values, turn = self._values[worlds].T, tuple(turned)
-        self.waits[worlds], self._values[worlds] = False, 0.0
-        force, torque = tuple(values[:3]), tuple(values[3:])
-        if self._frame == "link":
-            force, torque = frames.rotate(turn, force), frames.rotate(turn, torque)
-        if center.any():
-            torque = frames.add(torque, frames.cross(force, frames.rotate(turn, tuple(center))))
-        return np.array((*force, *torque)).T
-
-
-class BatchMotor:
-    """A motor on the same joints of all worlds, which exerts torques, or pulls as a spring where it has
-    gains; see `motors.Motor`."""
-
-    is_soft = False
-
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
-        self._batch, self._model = batch, batch.nominal
-        self.joints = tuple(joints)
-        count = batch.count
-        self.rivals: list[BatchMotor] = []
-        """The motors that drive some of the same joints."""
-        self.waits = np.zeros(count, bool)
-        """The worlds in which gains are renewed in each substep."""
-        self._given, self._targets, self._limits, self._stiffness, self._damping = (
-            np.zeros((count, len(joints))) for _ in range(5)
-        )
-        self._is_spring = False
-        self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
-        """The worlds whose joints it drives, and those whose members have commanded it since."""
-        self._acts = motors.array_index([batch.single._motors.actuators[joint] for joint in joints])
-        self._dofs = motors.array_index(self._model.jnt_dofadr[list(joints)].tolist())
-        self._joint_index = motors.array_index(self.joints)
-
-    def bind(
-        self,
-        worlds: slice,
-        limits: Sequence[float],
-        stiffness: Sequence[float] | None,
-        damping: Sequence[float] | None,
-    ) -> None:
-        """Set the limits and gains of some worlds, which are in force from the next command."""
-        self._limits[worlds] = [finite_limit(limit) for limit in limits]
-        self._is_spring = stiffness is not None
-        self._stiffness[worlds], self._damping[worlds] = stiffness or 0.0, damping or 0.0
-        self._is_active[worlds] = False
-
-    def writer(self, world: int) -> MotorWriter:
-        """Return the motor of one world; commands are carried out before the world goes on."""
-
-        def write(targets: Sequence[float]) -> None:
-            if any(rival._is_given[world] for rival in self.rivals):
-                self._batch.take_commands()
-            self._given[world] = targets
-            self._is_given[world] = self._batch.has_commands = True
-
-        return write
-
-    def __call__(self, targets: Any) -> None:
-        """Command all worlds, or those of the batch's `write_mask`, with a column per joint."""
-        rows = np.empty(self._targets.shape)
-        for number, target in enumerate(targets):
-            rows[:, number] = target
-        chosen = self._batch.write_mask
-        worlds: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
-        self.write(rows[worlds], worlds)
-
-    def command(self) -> None:
-        """Carry out the commands of members."""
-        if self._is_given.any():
-            worlds = np.flatnonzero(self._is_given)
-            self._is_given[:] = False
-            self.write(self._given[worlds], worlds)
-
-    def write(self, targets: Column, worlds: Any) -> None:
-        """Write targets with a row per world of these."""
-        if not self._is_active[worlds].all():
-            self._activate(np.arange(len(self._is_active))[worlds][~self._is_active[worlds]])
-        self._exert(targets, worlds)
-
-    def _exert(self, targets: Column, worlds: Any) -> None:
-        limits = self._limits[worlds]
-        wanted = (
-            self._stiffness[worlds] * targets
-            if self._is_spring
-            else np.minimum(np.maximum(targets, -limits), limits)
-        )
-        self._batch.ctrl[_cells(worlds, self._acts)] = wanted
-
-    def _activate(self, worlds: Column) -> None:
-        """Drive the joints in these worlds; see `motors.Motor`."""
-        rows, limits, joints = self._batch.rows, self._limits[worlds], _cells(worlds, self._joint_index)
-        acts, dofs = _cells(worlds, self._acts), _cells(worlds, self._dofs)
-        bias = rows["actuator_biasprm"]
-        bias[acts] = 0.0
-        if self._is_spring:
-            bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
-        rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
-        rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
-        rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = (
-            not self.is_soft,
-            self.is_soft,
-        )
-        rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack(
-            [-limits, limits], axis=-1
-        )
-        for rival in self.rivals:
-            rival._is_active[worlds] = rival.waits[worlds] = False
-        self._is_active[worlds] = True
-
-    def renew(self, goes: Column) -> None:
-        """Renew gains in those worlds that go on, before a substep."""
-
-    def begin(self, world: int) -> None:
-        """Begin an episode in a world."""
-        self._is_active[world] = self._is_given[world] = self.waits[world] = False
-
-
-class CurvedMotor(BatchMotor):
-    """A motor whose largest torque falls with its speed; see `TorqueCurve.bounds`, which computes the same
-    for one world."""
-
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
-        super().__init__(batch, joints)
-        self._stall, self._fastest = np.zeros(self._targets.shape), np.ones(self._targets.shape)
-
-    def bind_curve(self, worlds: slice, curve: TorqueCurve) -> None:
-        """Set the curve of some worlds."""
-        self._stall[worlds], self._fastest[worlds] = curve
-
-    def _activate(self, worlds: Column) -> None:
-        super()._activate(worlds)
-        self.waits[worlds] = True
-
-    def renew(self, goes: Column) -> None:
-        worlds = np.flatnonzero(self.waits & goes)
-        if not len(worlds):
-            return
-        stall, limits = self._stall[worlds], self._limits[worlds]
-        share = self._batch.qvel[_cells(worlds, self._dofs)] / self._fastest[worlds]
-        low, high = (
-            np.minimum(np.maximum(end, 0.0), limits) for end in (stall * (1.0 + share), stall * (1.0 - share))
-        )
-        self._batch.rows["actuator_forcerange"][_cells(worlds, self._acts)] = np.stack([-low, high], axis=-1)
-
-
-class TrackingMotor(BatchMotor):
-    """A velocity motor, or a servo with a `rate` (1/s); see `motors.Motor.tracking_writer`, which computes
-    the same for one world."""
-
-    is_soft = True
-
-    def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
-        super().__init__(batch, joints)
-        model, self._rate, self._step = self._model, rate, self._model.opt.timestep
-        self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
-        inertias = model.dof_M0[self._dofs]
-        self._moved = 1.0 / model.dof_invweight0[self._dofs]
-        self._stiffest = motors.MAX_GAIN * inertias / self._step
-        self._least = 4.0 * inertias * rate if rate else inertias / self._step
-        self._gains = np.full(self._targets.shape, np.nan)
-
-    def _activate(self, worlds: Column) -> None:
-        super()._activate(worlds)
-        self._gains[worlds] = np.nan
-
-    def _exert(self, targets: Column, worlds: Any) -> None:
-        self._targets[worlds] = targets
-        self.waits[worlds] = (self._aim(worlds) < self._least).any(axis=1)
-
-    def renew(self, goes: Column) -> None:
-        worlds = np.flatnonzero(self.waits & goes)
-        if len(worlds):
-            self._aim(worlds)
-
-    def _aim(self, worlds: Any) -> Column:
-        """Return the gains, which are renewed."""
-        batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
-        wanted = (targets - batch.qpos[_cells(worlds, self._places)]) * self._rate if self._rate else targets
-        off = np.maximum(
-            np.abs(wanted - batch.qvel[_cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted)
-        )
-        near = limits / self._stiffest
-        gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)
-        batch.ctrl[_cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
-        aimed: Column = gains
-        renewed = (gains != self._gains[worlds]).any(axis=1)
-        if not renewed.all():
-            worlds, gains = np.arange(batch.count)[worlds][renewed], gains[renewed]
-        added, bias = gains * self._step, batch.rows["actuator_biasprm"]
-        self._gains[worlds] = gains
-        bias[..., 2][_cells(worlds, self._acts)] = -gains
-        if self._rate:
-            bias[..., 1][_cells(worlds, self._acts)] = -gains * self._rate
-        usual = batch.usual_armature(worlds, self._dofs)
-        batch.rows["dof_armature"][_cells(worlds, self._dofs)] = usual + added
-        batch.rows["dof_invweight0"][_cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
-        return aimed
-
-
-_FOUND, _FORCE = mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE
-_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
-    "touch": ((_FOUND,), 0, 1),
-    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
-    "force": ((_FORCE,), 3, 1),
-}
-"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
-world frame), and the number of contacts."""
-
-_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
-
-
-def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
-    """Return a copy of the compiled model with sensors."""
-    if not sensors:
-        return copy(model)
-    spec, kinds = builder._spec.copy(), mj.mjtObj
-    for place, sensor in enumerate(sensors):
-        subjects = {}
-        for (kind, name), part_name in zip(
-            (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
-        ):
-            if part_name is not None:
-                number, whole = part_name
-                link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
-                is_geom = sensor.measures == "distance"
-                subjects[kind] = kinds.mjOBJ_GEOM if is_geom else link
-                subjects[name] = (model.geom if is_geom else model.body)(number).name
-        if sensor.measures == "distance":
-            spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
-        elif sensor.measures in _SITE_SENSORS:
-            site = spec.body(subjects["objname"]).add_site(name=f"s{place}")
-            spec.add_sensor(type=_SITE_SENSORS[sensor.measures], objtype=kinds.mjOBJ_SITE, objname=site.name)
-        else:
-            fields, reduced, slots = _CONTACT_SENSORS[sensor.measures]
-            added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
-            added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
-    compiled = spec.compile()
-    compiled.opt.disableflags, compiled.opt.jacobian, compiled.stat.meaninertia = (
-        model.opt.disableflags,
-        model.opt.jacobian,
-        model.stat.meaninertia,
-    )
-    for name in ("dof_simplenum", "body_sameframe", "geom_sameframe", *VARIED_ARRAYS):
-        getattr(compiled, name)[:] = getattr(model, name)
-    return compiled
-
-
-def _cells(worlds: Any, places: Any) -> tuple[Any, Any]:
-    """Return the index of these places in the rows of these worlds, each a slice or an array."""
-    return (
-        (worlds, places)
-        if isinstance(worlds, slice) or isinstance(places, slice)
-        else (worlds[:, None], places)
-    )
 
 
 def _field(model: Any, name: str) -> Column:
