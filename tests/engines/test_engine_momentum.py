@@ -79,7 +79,7 @@ def test_momenta_of_a_batch_are_those_of_single_worlds():
         engine.set_parameter("mass", ("robot", "weight"), 1.5 * WEIGHT)
         engine.place("robot", (0, 0, 1), (0, 0, 0, 1), (0, 1, 0), (0.3, 0.2, 0.5))
         engine.torque_motor("robot", ["hinge"], [1.0])([0.4])
-    batch.begin_episodes(range(3))
+    batch.begin_episodes()
     for _ in range(10):
         np.testing.assert_allclose(readers[0]()[:, 1], readers[1](), rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(of_member(), readers[1](), rtol=1e-9, atol=1e-12)
