@@ -7,6 +7,7 @@ processes.py      the processes of `--workers` and `--cluster`
 exits.py          exceptions to exit codes
 terminal.py       output, color, progress
 tables.py         tables as text
+gates.py          the requirements of `eval`, `robustness` and `transfer` on their result
 records.py        results of trainings and evaluations as text, JSON and CSV
 matches.py        policies and scripts of two agents against each other
 trainings.py      the results of `train` and `resume`

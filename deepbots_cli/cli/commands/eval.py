@@ -1,5 +1,5 @@
 """`deepbots eval`: a run or a group in its scenario, its cases and several engines, and the requirements on
-its result (`Gates`)."""
+its result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import processes, records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
@@ -31,17 +30,15 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.gates import Gates, Requirement
 from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
-from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.group import Group
-from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.run import ModelRef, Run
-from deepbots_cli.learning.statistics import Interval, Verdict, gate_mean, gate_rate
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
 
@@ -50,8 +47,6 @@ if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.keeping import KeptModel
-    from deepbots_cli.program import Program
-    from deepbots_cli.rollout import Episode
     from deepbots_cli.rollout.policies import StopCondition
 
 
@@ -316,9 +311,7 @@ def _evaluate_run(
             result = evaluations[-1].result
             records.write_evaluation(run, evaluations[-1].as_json())
             of = f"{result.engine}: " if len(scenarios) > 1 else ""
-            requirements += [
-                (f"{of}{words}", met, reason) for words, met, reason in gates.requirements(result, count)
-            ]
+            requirements += [requirement.with_words(of) for requirement in gates.requirements(result, count)]
     if request.csv is not None:
         rows = [each for one in evaluations for each in (one.result, *one.cases, *one.baselines)]
         records.write_csv(request.csv, rows)
@@ -477,130 +470,6 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
         )
 
 
-Requirement = tuple[str, bool, str]
-"""A requirement, whether it is met, and the reason."""
-
-
-@dataclass(frozen=True)
-class Gates:
-    """The requirements of `--min-success`, `--min-return` and `--require-solved`."""
-
-    min_success: float | None
-    min_return: float | None
-    solved: bool
-
-    def check(self, program: Program) -> None:
-        """Check that the scenario has what the requirements need.
-
-        Raises:
-            UsageError: The scenario lacks success, or `solved`.
-        """
-        solved = program.agent.solved
-        if self.solved or self.min_success is not None or self.min_return is not None:
-            check_common_measure(program, "require something of one: --agent NAME")
-        if self.min_success is not None and not program.defines_success:
-            others = "--min-return" if solved is None else "--min-return or --require-solved"
-            raise UsageError(
-                f"--min-success: {program.name} defines no success; use {others}, or add"
-                " `termination.success` or a `goal` to the scenario"
-            )
-        if self.solved and solved is None:
-            others = "--min-success or --min-return" if program.defines_success else "--min-return"
-            raise UsageError(
-                f"--require-solved: {program.name} has no `solved` criterion; use {others},"
-                " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
-            )
-
-    def verdicts(
-        self, episodes: Sequence[Episode], planned: int, bounds: Interval
-    ) -> Iterator[tuple[str, Verdict]]:
-        """Yield each requirement of a number in words, and its answer after these of `planned` episodes;
-        `bounds` are those of a return."""
-        if self.min_success is not None:
-            successes = sum(episode.is_success for episode in episodes)
-            yield (
-                f"success rate of at least {self.min_success:g}",
-                gate_rate(self.min_success, successes, len(episodes), planned),
-            )
-        if self.min_return is not None:
-            returns = [episode.total_return for episode in episodes]
-            yield (
-                f"mean return of at least {self.min_return:g}",
-                gate_mean(self.min_return, returns, planned, bounds),
-            )
-
-    def decided(self, episodes: Sequence[Episode], planned: int, bounds: Interval) -> bool:
-        """Return whether every requirement is certainly met, or one certainly not."""
-        answers = [verdict.met for _, verdict in self.verdicts(episodes, planned, bounds)]
-        return bool(answers) and (False in answers or None not in answers)
-
-    def stop_condition(self, program: Program, planned: int) -> StopCondition | None:
-        """Return the condition that ends the episodes once every requirement of a number is certain; None if
-        all planned episodes are needed."""
-        return (
-            None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
-        )
-
-    def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
-        """Return the answers for a run. A requirement that another one has left undecided is left out."""
-        remarks = in_parentheses(result.circumstances)
-        requirements = [("the task is solved", bool(result.solved), result.answer)] if self.solved else []
-        answers = self.verdicts(result.outcomes, planned, result.possible_returns)
-        requirements += [
-            (words, verdict.met, verdict.reason) for words, verdict in answers if verdict.met is not None
-        ]
-        return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
-
-    def decided_of_group(self, episodes: Sequence[Episode], planned: int) -> bool:
-        """Return whether the remaining planned episodes of all runs cannot change the answer to
-        `--min-success`.
-
-        Other requirements need all episodes, because a confidence sequence does not cover other seeds, and
-        returns have no limit.
-        """
-        if self.min_success is None or self.min_return is not None or self.solved:
-            return False
-        successes = sum(episode.is_success for episode in episodes)
-        least, most = successes / planned, (successes + planned - len(episodes)) / planned
-        return least >= self.min_success or most < self.min_success
-
-    def requirements_of_group(self, group: GroupResult, planned: int) -> list[Requirement]:
-        """Return the answers for the means over the seeds of a group."""
-        count, left = len(group.evaluations), planned - sum(result.episodes for result in group.evaluations)
-        over = f"over {count} seed{'' if count == 1 else 's'}"
-        over += f"; the remaining {left} episodes cannot change the result" if left > 0 else ""
-        unsolved = [result.run.name for result in group.evaluations if not result.solved]
-        requirements = []
-        if self.solved:
-            requirements.append(
-                (
-                    "the task is solved",
-                    not unsolved,
-                    f"not solved by {', '.join(unsolved)}" if unsolved else "solved by every seed",
-                )
-            )
-        if self.min_success is not None:
-            met = group.success_rate >= self.min_success
-            requirements.append(
-                (
-                    f"success rate of at least {self.min_success:g}",
-                    met,
-                    f"mean success rate {group.success_rate:.4g} {over}",
-                )
-            )
-        if self.min_return is not None:
-            met = group.mean_return >= self.min_return
-            requirements.append(
-                (
-                    f"mean return of at least {self.min_return:g}",
-                    met,
-                    f"mean return {group.mean_return:.4g} {over}",
-                )
-            )
-        remarks = in_parentheses(words for each in group.evaluations for words in each.circumstances)
-        return [(f"{words}{remarks}", met, reason) for words, met, reason in requirements]
-
-
 def _evaluate_group(request: _Request, **chosen: Any) -> None:
     """Evaluate a group in each engine; `chosen` are further options of `evaluate_group`."""
     group, gates = Group.open(request.source), request.gates
@@ -631,8 +500,7 @@ def _evaluate_group(request: _Request, **chosen: Any) -> None:
             engine = result.evaluations[0].engine if len(scenarios) > 1 else None
             of = "" if engine is None else f"{engine}: "
             requirements += [
-                (f"{of}{words}", met, reason)
-                for words, met, reason in gates.requirements_of_group(result, planned)
+                requirement.with_words(of) for requirement in gates.requirements_of_group(result, planned)
             ]
             groups.append(result)
             if not request.as_json:

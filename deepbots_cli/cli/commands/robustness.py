@@ -21,8 +21,8 @@ from deepbots_cli.cli.command import (
     known_engine,
     option,
 )
-from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.gates import Gates
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.learning.run import ModelRef

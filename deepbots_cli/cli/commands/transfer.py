@@ -26,8 +26,8 @@ from deepbots_cli.cli.command import (
     known_engine,
     option,
 )
-from deepbots_cli.cli.commands.eval import Gates
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.gates import Gates
 from deepbots_cli.cli.records import number, percent, with_interval
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import Permissions
