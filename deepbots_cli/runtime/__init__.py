@@ -9,7 +9,8 @@ agents.py       several agents in one world: the seat of each, and the environme
 agent_batch.py  the same in a batch of worlds
 forward_pass.py the actions of a policy for several rows, whatever the number of worlds
 parallel.py     several agents as an environment of PettingZoo, and its window
-spaces.py       action and observation spaces, forms of actions, observed frames, rewards for other goals
+spaces.py       action and observation spaces, forms of actions, rewards for other goals
+observations.py the observations of policies while an episode runs
 observing.py    observations from named values, without a world
 formulas.py     functions that generated code calls: pure ones, ones with memory, terms in Python
 messages.py     channels of messages, and their formats

@@ -27,7 +27,8 @@ from deepbots_cli.runtime.columns import where_running
 from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.endings import EpisodeEnds
 from deepbots_cli.runtime.failures import infinite_reward, without_option
-from deepbots_cli.runtime.spaces import Column, ObservedColumns, by_part, compose_rows, joined
+from deepbots_cli.runtime.observations import ObservedColumns
+from deepbots_cli.runtime.spaces import Column, by_part, compose_rows, joined
 from deepbots_cli.runtime.supervisor import Supervisor
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]

@@ -22,9 +22,9 @@ from deepbots_cli.runtime.endings import EpisodeEnd
 from deepbots_cli.runtime.failures import infinite_reward, without_option, without_value
 from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.messages import excerpt
+from deepbots_cli.runtime.observations import ObservedFrames
 from deepbots_cli.runtime.overview import FollowingView
 from deepbots_cli.runtime.spaces import (
-    ObservedFrames,
     action_space,
     canonical_action,
     compose_action,
