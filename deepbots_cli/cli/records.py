@@ -540,9 +540,13 @@ def _side_json(side: Side) -> dict[str, Any]:
 # Recordings
 
 
-def recorded_rows(ends: Iterable[tuple[int, WorldFrame]]) -> list[Row]:
-    """Return a row for each episode of a recording, by its number and its last frame."""
-    rows = [(number, frame, next(iter(frame.agents.values())).episode_return) for number, frame in ends]
+def recorded_rows(ends: Iterable[tuple[int, WorldFrame]], *, have_rivals: bool = False) -> list[Row]:
+    """Return a row for each episode of a recording, by its number and its last frame. Of agents that compete,
+    the return is None: their returns have no useful sum."""
+    rows = [
+        (number, frame, None if have_rivals else next(iter(frame.agents.values())).episode_return)
+        for number, frame in ends
+    ]
     return [
         {
             "episode": number,
@@ -557,7 +561,8 @@ def recorded_rows(ends: Iterable[tuple[int, WorldFrame]]) -> list[Row]:
 
 
 def recorded_table(rows: Sequence[Row]) -> str:
-    return table([{name: value for name, value in row.items() if name != "ended_by"} for row in rows])
+    hidden = {"ended_by", *(name for row in rows for name, value in row.items() if value is None)}
+    return table([{name: value for name, value in row.items() if name not in hidden} for row in rows])
 
 
 # Files

@@ -479,8 +479,8 @@ def _target(
     """Return the path to replace, and its last key as written, followed by the keys of a section that is
     added below it.
 
-    A key may be new. The mapping around it must exist, unless it is a section of the scenario, or directly
-    inside one.
+    A key may be new. The mapping around it must exist, unless it is a section of the scenario or of an agent,
+    or directly inside one.
     """
     dotted = path.text.strip()
     start = path.text.index(dotted)
@@ -518,7 +518,8 @@ def _target(
     near = nearest_word(name, reached.entries, _CUTOFF)
     if name and not below:
         return (*steps, name), [_key(path, at, end)]
-    if len(steps) <= 1 and name and all(below) and not near:
+    is_section = len(steps) <= (2 if steps[:1] == ("agents",) else 1)
+    if is_section and name and all(below) and not near:
         keys = []
         for step in (name, *below):
             keys.append(_key(path, at, at + len(step)))

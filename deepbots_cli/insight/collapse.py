@@ -93,7 +93,7 @@ _OFF_POLICY: Mapping[str, _Scale] = {
 )
 def fell_apart(evidence: TrainingEvidence) -> Numbers | None:
     fall = evidence.decline
-    if fall is None:
+    if fall is None or evidence.rivals:  # less success against a rival is its gain: `rival_improved`
         return None
     text, numbers = fall.text, {name: value for name, value in fall.as_json().items() if name != "text"}
     if (paid := _return_meanwhile(evidence, fall)) is not None and paid[1] >= paid[0]:

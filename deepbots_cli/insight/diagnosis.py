@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
@@ -47,7 +48,7 @@ from deepbots_cli.insight.rewards import (
     standing_still_pays,
     term_dominates,
 )
-from deepbots_cli.insight.rivals import rival_too_strong, strategies_cycle
+from deepbots_cli.insight.rivals import rival_improved, rival_too_strong, strategies_cycle
 from deepbots_cli.insight.stages import (
     criterion,
     criterion_text,
@@ -125,7 +126,8 @@ _EXPLAINED = {
     "reward_exploited": {"reward_apart_from_success", "exploration_collapsed", "success_needs_exploration"},
     "ending_early_pays": {"exploration_collapsed", "success_never_seen"},
     "missed_condition": {"success_plateau"},
-    "rival_too_strong": {"success_never_seen", "one_ending"},
+    "rival_too_strong": {"success_never_seen", "one_ending", "rival_improved"},
+    "rival_improved": {"one_ending"},
 }
 """For each cause, the causes that it implies, which are then not listed: a policy that repeats the action
 that pays most is not reported as exploring too little."""
@@ -461,8 +463,11 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
     }
     # If the training continues, a policy that has learned the task may still discover a reward without
     # success.
+    learned = has_learned(evidence)
     concerned = [
-        finding for finding in linted.findings if finding.code in _EXPLOITS or not has_learned(evidence)
+        finding
+        for finding in linted.findings
+        if finding.code in _EXPLOITS or not (learned or _is_of_robot_file(finding))
     ]
     findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
     if not findings:
@@ -484,6 +489,11 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
         "path": linted.arguments,
         "copy": copy,
     }
+
+
+def _is_of_robot_file(finding: Finding) -> bool:
+    """Return whether a finding is in a robot file, which hardly explains what a policy does not learn."""
+    return finding.span.source.name.endswith(".urdf")
 
 
 # Learning
@@ -891,6 +901,7 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     silent_terms,
     # Other agents
     rival_too_strong,
+    rival_improved,
     strategies_cycle,
     # The learner
     learning_rate_too_high,

@@ -96,6 +96,7 @@ def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
     model = None if result is None else result.best_model
     if (
         model is None
+        or evidence.rivals  # agents that compete keep the newest model
         or model.measure != "mean_return"
         or not evidence.run.program.defines_success
         or not evidence.is_last_stage

@@ -30,6 +30,7 @@ from deepbots_cli.insight.statements import (
     statements_about,
 )
 from deepbots_cli.insight.trace import Trace
+from deepbots_cli.learning.episodes import agent_returns
 
 
 def explain(trace: Trace) -> list[Statement]:
@@ -254,7 +255,7 @@ def conditions(trace: Trace) -> Numbers | None:
     return {"ending": name, "conditions": measured, "parts": "; ".join(texts)}
 
 
-@statement("terms", "The return is {total}: {parts}. Percentages are shares of the sum of absolute values.")
+@statement("terms", "{total}: {parts}. Percentages are shares of the sum of absolute values.")
 def terms(trace: Trace) -> Numbers | None:
     if not trace.steps:
         return None
@@ -266,11 +267,19 @@ def terms(trace: Trace) -> Numbers | None:
     }
     return {
         "return": trace.returns,
-        "total": f"{trace.returns:.4g}",
+        "total": _total(trace, sums),
         "terms": sums,
         "shares": shares,
         "parts": list_text([f"{name} {sums[name]:+.4g} ({share:.0%})" for name, share in shares.items()]),
     }
+
+
+def _total(trace: Trace, sums: Mapping[str, float]) -> str:
+    """Return the beginning of a sentence about the return, of agents that compete the return of each."""
+    if not trace.program.has_rivals:
+        return f"The return is {trace.returns:.4g}"
+    returns = agent_returns(trace.program.members, sums)
+    return f"The returns are {list_text([f'{name} {value:.4g}' for name, value in returns.items()])}"
 
 
 @statement(

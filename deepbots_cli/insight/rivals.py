@@ -1,9 +1,10 @@
-"""Causes in the other agents: a rival that is too strong to learn against, and strategies that beat one another
-in turn."""
+"""Causes in the other agents: a rival that is too strong to learn against or gets better, and strategies that beat
+one another in turn."""
 
 from __future__ import annotations
 
 from itertools import combinations
+from shlex import quote
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ _HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
 _EARLY = 0.4
 """The share of the steps after which a rival that is too strong has been so in the rest of the training. A
 rival that wins only in the end may lose again."""
+_CHANGE = 0.2
+"""The change of a success rate from which a rival got better."""
 _PARTS = 3
 """The number of parts of the rest, in each of which the rival is too strong."""
 
@@ -48,6 +51,37 @@ def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
                 "since": int(episodes.steps[parts[0][0]]),
                 "own": Percentage(episodes.successes[late].mean()),
                 "other": Percentage(successes[late].mean()),
+            }
+    return None
+
+
+@statement(
+    "rival_improved",
+    "The rival got better: `{agent}` succeeded in {own_before} of the episodes up to {since} steps, and in"
+    " {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival that also"
+    " learns, less success does not show that `{agent}` acts worse than before.",
+    advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no better than"
+    " these, let one learn while the other keeps its policy, with `turns` under `train`.",
+)
+def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
+    quarters = np.array_split(np.arange(len(evidence.all_episodes.steps)), 4)
+    if min(map(len, quarters)) < MIN_EPISODES:
+        return None
+    own = [float(evidence.all_episodes.successes[quarter].mean()) for quarter in quarters]
+    best = int(np.argmax(own[:-1]))
+    for name, successes in evidence.rivals.items():
+        other = [float(successes[quarter].mean()) for quarter in quarters]
+        if own[best] - own[-1] >= _CHANGE and other[-1] - other[best] >= _CHANGE:
+            return {
+                "likelihood": 0.7,
+                "agent": evidence.agent,
+                "rival": name,
+                "since": int(evidence.all_episodes.steps[quarters[best][-1]]),
+                "own_before": Percentage(own[best]),
+                "own": Percentage(own[-1]),
+                "other_before": Percentage(other[best]),
+                "other": Percentage(other[-1]),
+                "run": quote(str(evidence.run.path)),
             }
     return None
 

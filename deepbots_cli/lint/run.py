@@ -121,9 +121,10 @@ def all_findings(
     kept, unused = suppress(
         findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
     )
-    packaged = {id(robot.file.source) for robot in models if robot.spec.urdf.startswith("package://")}
+    # By name, because each of several agents reads the robot files.
+    packaged = {robot.file.source.name for robot in models if robot.spec.urdf.startswith("package://")}
     ours = [
-        finding for finding in kept if finding.severity == "error" or id(finding.span.source) not in packaged
+        finding for finding in kept if finding.severity == "error" or finding.span.source.name not in packaged
     ]
     return _limited([*ours, *unused])
 

@@ -165,8 +165,10 @@ def render_picture(
         _write_legend(draw, shown)
         frame = path[-1]
         agent = next(iter(frame.agents.values()))
-        state = frame.ending or "not ended"
-        _write(draw, (8, shot.height - 22), f"{state}, {frame.time:.1f} s, return {agent.episode_return:.2f}")
+        caption = f"{frame.ending or 'not ended'}, {frame.time:.1f} s"
+        if not player.program.has_rivals:
+            caption += f", return {agent.episode_return:.2f}"
+        _write(draw, (8, shot.height - 22), caption)
     return image
 
 

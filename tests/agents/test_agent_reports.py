@@ -87,6 +87,17 @@ def test_a_rival_that_is_only_better_is_not_too_strong(hopeless: Path, own: floa
     assert "rival_too_strong" not in [each.cause for each in diagnose(planted)]
 
 
+def test_a_rival_that_got_better_is_no_fall_of_the_policy(hopeless: Path) -> None:
+    training = evidence_of(hopeless, "right")
+    count = len(training.all_episodes)
+    training.all_episodes.successes = np.arange(count) < count / 2
+    planted = replace(training, rivals={"left": (np.arange(count) >= count / 2).astype(float)})
+    causes = {cause.cause: cause for cause in diagnose(planted)}
+    assert "`right` succeeded in 100% of the episodes" in causes["rival_improved"].text
+    assert "`left` went from 0% to 100%" in causes["rival_improved"].text
+    assert not causes.keys() & {"fell_apart", "kept_by_return"}
+
+
 def with_games(run: Path, *games: PoolGames) -> TrainingEvidence:
     training = evidence_of(run, "left")
     result = training.run.record.result

@@ -18,7 +18,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime.agents import joint_action, seats_of
-from tests.agents.carts import OF_ONE, OF_TWO
+from tests.agents.carts import CARTS, OF_ONE, OF_TWO
 
 
 def _noisy(carts: str) -> str:
@@ -253,3 +253,22 @@ def test_a_value_that_the_robot_of_another_agent_sends_is_named_so(several: Path
     )
     (error,) = [finding for finding in api.lint(several) if finding.severity == "error"]
     assert error.headline == "`right` sends `angle` to its agent `right`, and not to `left`"
+
+
+def test_a_setting_below_an_agent_may_add_the_section_of_its_training(tmp_path: Path) -> None:
+    (tmp_path / "carts.yaml").write_text(CARTS, encoding="utf-8")
+    compiled = api.compile(tmp_path / "carts.yaml", overrides=["agents.right.train.gamma=0.9"])
+    training = compiled.program.members["right"].program.agent.training
+    assert training is not None
+    assert {entry.name: entry.value for entry in training.hyperparameters}["gamma"] == 0.9
+
+
+def test_warnings_about_the_robot_file_of_a_package_are_left_out_for_several_agents(tmp_path: Path) -> None:
+    robot = "urdf: package://pybullet_data/racecar/racecar.urdf"
+    text = CARTS.replace("urdf: cartpole", robot).replace("pole_hinge", "left_steering_hinge_joint")
+    text = text.replace("wheel_*", '"*_wheel_joint"').replace(".pole)", ".chassis)")
+    (tmp_path / "cars.yaml").write_text(text, encoding="utf-8")
+    assert "DB307" not in [finding.code for finding in api.lint(tmp_path / "cars.yaml")]
+    assert [
+        finding.severity for finding in api.lint(tmp_path / "cars.yaml") if finding.severity == "error"
+    ] == []

@@ -263,7 +263,9 @@ def command(
     )
     with closing_player(source, driver) as world:
         ends = _draw_episodes(world, kind, files, wanted, shot, options)
-    _show_files(kind, files, wanted, ends, as_json=as_json)
+        have_rivals = world.program.has_rivals
+    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True), have_rivals=have_rivals)
+    _show_files(kind, files, rows, as_json=as_json)
 
 
 def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
@@ -322,8 +324,13 @@ class _Episodes:
         """Choose the first failed episodes of the last evaluation of a run, or of one of its models.
 
         Raises:
-            UsageError: There is none.
+            UsageError: There is none, or agents compete.
         """
+        if ref.run.program.has_rivals:
+            raise UsageError(
+                "the agents compete, so what one fails another one wins; draw episodes by number with --episode,"
+                f" or explain one: deepbots diagnose {quote(str(ref.run.path))} --episode failed --agent NAME"
+            )
         _, kept = last_evaluation(ref)
         numbers = kept.failed(ref.run.program)[:maximum]
         if not numbers:
@@ -403,11 +410,8 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
     return kind
 
 
-def _show_files(
-    kind: str, files: Sequence[Path], wanted: _Episodes, ends: Sequence[WorldFrame], *, as_json: bool
-) -> None:
+def _show_files(kind: str, files: Sequence[Path], rows: Sequence[Row], *, as_json: bool) -> None:
     """Print the files with their episodes."""
-    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True))
     per_file = [rows] if len(files) == 1 else [[row] for row in rows]
     data = {
         "files": [{**_made(drawn), "episodes": listed} for drawn, listed in zip(files, per_file, strict=True)]
@@ -428,7 +432,9 @@ def _lines(kind: str, files: Sequence[Path], rows: Sequence[Row]) -> Iterator[st
         yield records.recorded_table(rows)
     for file, row in zip(files, rows, strict=False):
         size = f"{file.stat().st_size / 1000:,.0f} kB"
-        end = f"{row['ending'] or 'not ended'} after {row['time_s']:.2f} s, return {row['return']:.2f}"
+        end = f"{row['ending'] or 'not ended'} after {row['time_s']:.2f} s"
+        if row["return"] is not None:
+            end += f", return {row['return']:.2f}"
         if kind == PICTURE:
             yield str(file)
         elif kind == RECORDING_SUFFIX:

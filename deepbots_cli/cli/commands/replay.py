@@ -106,7 +106,8 @@ def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> No
             (each.number, player.begin(0, each.number), player.seek(len(each.steps)))
             for each in read.episodes
         ]
-    rows = records.recorded_rows((number, last) for number, _, last in ends)
+        have_rivals = player.program.has_rivals
+    rows = records.recorded_rows(((number, last) for number, _, last in ends), have_rivals=have_rivals)
     origin = {
         name: read.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
     }
