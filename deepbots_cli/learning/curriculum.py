@@ -192,14 +192,12 @@ class Curriculum:
         """Restore a state that `state` returned.
 
         Raises:
-            RunError: It does not fit the stages of the scenario, or the worlds of the training.
+            RunError: It does not fit the stages of the scenario.
+            ValueError: It does not fit the worlds of the training.
         """
         names = [stage.name for stage in self.stages[self._skipped :][:-1]]
         if [stage.name for stage in state.ends] != names[: len(state.ends)]:
             raise RunError("the finished stages in the checkpoint do not match the scenario")
         self.completed = list(state.ends)
         self._begin(state.first_step)
-        try:
-            self._recent.restore(state.recent, state.worlds)
-        except ValueError as error:
-            raise RunError(f"the curriculum in the checkpoint: {error}") from error
+        self._recent.restore(state.recent, state.worlds)
