@@ -51,9 +51,12 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     if checked.findings.errors or checked.program is None or checked.namespace is None:
         return
     if checked.agents:
-        yield from _of_agents(
+        root = checked.document.root
+        shares_endings = root is not None and "termination" in root.entries
+        for finding in _of_agents(
             [list(static_findings(own, preview=preview)) for own in checked.agents.values()]
-        )
+        ):
+            yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
         for joint in JOINT_RULES:
             yield from exceptions_as_findings(
                 f"the rule {joint.code}",
@@ -76,6 +79,15 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         if preview or not RULES[code].preview:
             finder = exceptions_as_findings(f"the rule {code}", source, partial(_found, check))
             yield from (finding for finding in finder if not cascade.is_consequence(finding))
+
+
+def _about_shared_ending(finding: Finding) -> Finding:
+    """Return a finding about the sign of a reward, whose ending may not be that of all agents."""
+    help = (
+        "`termination` is the same for all agents; if an ending is a success of one of them, write it under"
+        f" `endings`, as in `caught: {{when: ..., success: NAME}}`; otherwise {finding.help}"
+    )
+    return replace(finding, help=help, fix=None)
 
 
 _UNUSED = "DB205"

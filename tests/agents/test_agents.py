@@ -272,3 +272,12 @@ def test_warnings_about_the_robot_file_of_a_package_are_left_out_for_several_age
     assert [
         finding.severity for finding in api.lint(tmp_path / "cars.yaml") if finding.severity == "error"
     ] == []
+
+
+def test_a_cost_of_a_shared_success_is_explained_by_the_endings_of_agents(tmp_path: Path) -> None:
+    text = CARTS.replace("near: -0.1 * apart / m", "met: -10 when met").partition("endings:")[0]
+    text += "termination: {success: {met: apart < 0.5 m}}\n"
+    (tmp_path / "carts.yaml").write_text(text, encoding="utf-8")
+    (finding,) = (each for each in api.lint(tmp_path / "carts.yaml") if each.code == "DB703")
+    assert "write it under `endings`" in (finding.help or "")
+    assert finding.fix is None
