@@ -39,17 +39,16 @@ BY_HAND = ROOT / "docs" / "measured.md"
 HEAD = """\
 # Results
 
-Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves and commands.
+Trained policies beside those of the [paper](https://doi.org/10.1007/978-3-030-49186-4_6). Names link to curves.
 
 ## Beside the paper
 """
 BESIDE = """\
-Over all seeds. Solved: [new starts confirm it](judging.md); in the paper, training episodes did. Pages list
-differences."""
+Solved: [new starts confirm it](judging.md); in the paper, training episodes did."""
 OTHERS = """\
 ## Other scenarios
 
-Success, or mean return (without %), in held-out episodes; median CPU of trainings.
+Success, or mean return (without %), held out; median CPU of trainings.
 """
 METHOD = """\
 ## Method
@@ -58,7 +57,7 @@ METHOD = """\
 - **Held-out episodes** have their own seeds.
 - [**Intervals**](statistics.md) of 95 % are over episodes of all seeds, and leave out how trainings differ.
 - **Simulated hours** count the steps of all environments.
-- **CPU** covers training and evaluation, on two cores of x86_64, and varies by a fifth.
+- **CPU** covers training and evaluation on two cores, and varies by a fifth.
 - [**Webots**](webots.md#measured): projects.\
 """
 
@@ -174,7 +173,7 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
     where = f" ({', '.join(missed)})" if linked and missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
     text += (
-        f"of {words['reached'] + words['not reached']} further goals (stretch), {words['reached']} reached; "
+        f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
     )
     hand = _by_hand()
     text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
