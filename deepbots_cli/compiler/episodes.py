@@ -671,7 +671,10 @@ def success_help(limits: Truncation, timestep: float, instead: str, has_failures
     seconds = limits.max_time or (limits.max_steps or 0) * timestep
     if has_failures and seconds:
         lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
-        success = f"`{lasting}`, if an episode without a failure is a success, or another condition"
+        success = (
+            f"`{lasting}` (95 % of the longest episode), if an episode without a failure is a success, or"
+            " another condition"
+        )
     else:
         success = "`success: {reached: CONDITION}`, with a condition such as `distance(cart, ball) < 10 cm`"
     return f"under `termination`, write {success}; or require a return: `{instead}`"

@@ -102,9 +102,10 @@ class UnusableFile:
     def _help_scenario(self) -> str:
         """Return what to write instead of a scenario that does not exist."""
         others = [file.name for file in _beside(self.path, (".yaml", ".yml")) if file != self.by][:_MAX_SHOWN]
-        there = f" ({', '.join(others)})" if others else ", or the name of a shipped one"
+        there = f" ({', '.join(others)})" if others else ", or the name of a shipped one, such as `cartpole`"
         return (
-            f"remove this line, or write the path of a scenario that exists{there}; there is no {self.path}"
+            f"remove this line if the file has all sections itself, or write the path of a scenario that"
+            f" exists{there}; there is no {self.path}"
         )
 
     def _help_outside(self) -> str:
@@ -122,8 +123,8 @@ class UnusableFile:
             return f"add `--allow-path {folder}` to the command; or {copy}"
         marker = display_path(above / _PROJECT_MARKERS[0])
         return (
-            f"create the empty file {marker}, which makes its folder one project; or add `--allow-path"
-            f" {folder}` to the command; or {copy}"
+            f"create the empty file {marker}, which makes one project of all that its folder contains; or add"
+            f" `--allow-path {folder}` to the command; or {copy}"
         )
 
     def _elsewhere(self) -> str | None:

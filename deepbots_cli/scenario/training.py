@@ -523,8 +523,10 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",
-    "episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its episodes",
-    "n_episodes": "write `total_timesteps: 100_000`: deepbots counts the steps of a training, not its"
-    " episodes",
+    **dict.fromkeys(
+        ("episodes", "n_episodes"),
+        "write the number of steps, for example `total_timesteps: 100_000`: deepbots counts the steps of a"
+        " training, not its episodes, and each episode has at most those of `truncation`",
+    ),
 }
 """Hyperparameters of other tools, and where they are set here."""

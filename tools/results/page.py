@@ -172,9 +172,7 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
         missed += [f"[{part.title}](reference/measurements.md#{slug(part.title)})"] * (not all(met))
     where = f" ({', '.join(missed)})" if linked and missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
-    text += (
-        f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
-    )
+    text += f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
     hand = _by_hand()
     text += f"measured {'[by hand](measured.md)' if linked else 'by hand'}: "
     text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
