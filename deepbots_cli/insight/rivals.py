@@ -1,5 +1,5 @@
-"""Causes in the other agents: a rival that is too strong to learn against or gets better, and strategies that beat
-one another in turn."""
+"""Causes in the other agents: a rival that is too strong to learn against or gets better, and strategies
+that beat one another in turn."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The observations of policies while an episode runs: frames in a ring, stacks of pictures, goals; in one world,
-and as columns in a batch."""
+"""The observations of policies while an episode runs: frames in a ring, stacks of pictures, goals; in one
+world, and as columns in a batch."""
 
 from __future__ import annotations
 

@@ -346,10 +346,11 @@ class RunsTab:
         keys, row, _ = event.args
         name = row["name"]
         selected = {each["name"] for each in self._table.selected}
-        chosen = (
-            selected ^ {name} if any(keys.values()) else {name} - selected if selected == {name} else {name}
-        )
-        self._table.selected = [each for each in self._table.rows if each["name"] in chosen]
+        if any(keys.values()) or selected == {name}:
+            selected ^= {name}
+        else:
+            selected = {name}
+        self._table.selected = [each for each in self._table.rows if each["name"] in selected]
         self._show_buttons()
 
     def _show_buttons(self) -> None:

@@ -1,7 +1,7 @@
 """Rollouts from fragments: actors, and the rollout buffer filled with the experience of an actor.
 
-They do what `collect_rollouts` of Stable-Baselines3 does, with the same random numbers in the same order, so that
-weights are equal to the bit.
+They do what `collect_rollouts` of Stable-Baselines3 does, with the same random numbers in the same order,
+so that weights are equal to the bit.
 """
 
 from __future__ import annotations
