@@ -49,9 +49,7 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
         page.press(("Enter", 13))
         page.wait("document.activeElement.tagName == 'IFRAME'")
         page.press(TAB)
-        assert (
-            page.tab.run("document.querySelector('iframe').contentDocument.activeElement.tagName") != "BODY"
-        )
+        page.wait("document.querySelector('iframe').contentDocument.activeElement.tagName != 'BODY'")
         page.press(ESCAPE)
         page.wait("document.activeElement.className.includes('studio-enter')")
         passed = _tab_to(page, "Train")
