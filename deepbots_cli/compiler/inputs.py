@@ -17,6 +17,8 @@ from deepbots_cli.document.nodes import NodePath, walk, with_entry, without_path
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import unwritable_message
 
+ELSEWHERE = "elsewhere_"
+"""The beginning of the names of folders with copies of files outside the project."""
 RESOLVED_NAME = "resolved.yaml"
 INPUTS_FOLDER = "inputs"
 """The folder of the copies, beside the resolved scenario."""
@@ -147,7 +149,7 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
     names: dict[Path, str] = {}
     for number, members in enumerate(groups.values()):
         top = os.path.commonpath([file.parent for file in members])
-        folder = f"elsewhere_{number}" if number else ""
+        folder = f"{ELSEWHERE}{number}" if number else ""
         names |= {file: PurePath(folder, file.relative_to(top)).as_posix() for file in members}
     return names
 

@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
+from pathlib import Path, PurePath
 from shlex import join, quote
 from statistics import fmean
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.compiler.inputs import ELSEWHERE
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
@@ -467,7 +468,7 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
     concerned = [
         finding
         for finding in linted.findings
-        if finding.code in _EXPLOITS or not (learned or _is_of_robot_file(finding))
+        if finding.code in _EXPLOITS or not (learned or _is_of_foreign_robot(finding))
     ]
     findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
     if not findings:
@@ -491,9 +492,11 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _is_of_robot_file(finding: Finding) -> bool:
-    """Return whether a finding is in a robot file, which hardly explains what a policy does not learn."""
-    return finding.span.source.name.endswith(".urdf")
+def _is_of_foreign_robot(finding: Finding) -> bool:
+    """Return whether a finding is in the copy of a robot file outside the project, such as one of a package.
+    Lint leaves out warnings about files of packages, which a copy no longer names."""
+    path = PurePath(finding.span.source.name)
+    return path.suffix == ".urdf" and any(part.startswith(ELSEWHERE) for part in path.parts)
 
 
 # Learning

@@ -286,7 +286,10 @@ class RobotEpisodes:
         self.error: BaseException | None = None
         self.is_over = False
         """Whether all episodes have ended."""
-        wrap: Callable[[Engine], Engine] = lambda engine: MeasuredWorld(engine, program, self._exchange)  # noqa: E731
+
+        def wrap(engine: Engine) -> Engine:
+            return MeasuredWorld(engine, program, self._exchange)
+
         self.environment: Supervisor = api.build(program, engine=engine, permissions=permissions, wrap=wrap)
         assert isinstance(self.environment.engine, MeasuredWorld)
         self._world = self.environment.engine

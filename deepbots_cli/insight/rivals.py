@@ -60,8 +60,8 @@ def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
     "The rival got better: `{agent}` succeeded in {own_before} of the episodes up to {since} steps, and in"
     " {own} of the last quarter; `{rival}` went from {other_before} to {other}. Against a rival that also"
     " learns, less success does not show that `{agent}` acts worse than before.",
-    advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no better than"
-    " these, let one learn while the other keeps its policy, with `turns` under `train`.",
+    advice="Compare its policy with scripts and random actions: `deepbots compare {run}`. If it is no better"
+    " than these, let one learn while the other keeps its policy, with `turns` under `train`.",
 )
 def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
     quarters = np.array_split(np.arange(len(evidence.all_episodes.steps)), 4)

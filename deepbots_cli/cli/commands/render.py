@@ -328,8 +328,9 @@ class _Episodes:
         """
         if ref.run.program.has_rivals:
             raise UsageError(
-                "the agents compete, so what one fails another one wins; draw episodes by number with --episode,"
-                f" or explain one: deepbots diagnose {quote(str(ref.run.path))} --episode failed --agent NAME"
+                "the agents compete, so what one fails another one wins; draw episodes by number with"
+                f" --episode, or explain one: deepbots diagnose {quote(str(ref.run.path))} --episode failed"
+                " --agent NAME"
             )
         _, kept = last_evaluation(ref)
         numbers = kept.failed(ref.run.program)[:maximum]
