@@ -128,6 +128,7 @@ def scenario_with_rival(trained: Path, *overrides: str) -> api.Compiled:
     )
 
 
+@pytest.mark.slow
 def test_a_policy_beside_the_agent_acts_the_same_in_a_batch(trained: Path) -> None:
     assert compare(scenario_with_rival(trained).program) > 0
 

@@ -22,6 +22,7 @@ def _drive(seen: np.ndarray) -> np.ndarray:
     return np.stack([gas, np.clip(angle / 45.0, -1.0, 1.0)], axis=1)
 
 
+@pytest.mark.slow
 def test_neither_of_two_equal_drivers_has_an_advantage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

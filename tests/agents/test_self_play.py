@@ -112,6 +112,7 @@ def test_both_agents_of_a_model_have_the_same_policy(tmp_path: Path) -> None:
     assert result.ratings[-1].deviation < 25 / 3
 
 
+@pytest.mark.slow
 def test_past_policies_act_with_the_weights_of_their_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,6 +15,7 @@ from deepbots_cli.document import shipped
 from tests.few import LIGHT, few
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(shipped.scenario_names(), (*LIGHT, "carry")))
 def test_a_copy_of_any_shipped_scenario_means_the_same_from_any_folder(deepbots, tmp_path, name):
     ran = deepbots("new", name, "a/b", "--from", name)

@@ -54,6 +54,7 @@ def test_a_run_is_compared_with_one_of_its_models(deepbots: Deepbots, mine: Path
     assert [group["runs"][0]["model_steps"] for group in report["groups"]] == [256, 128]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

@@ -209,6 +209,7 @@ def test_feet_without_links_of_their_own_are_not_described_as_below_the_hips(dee
     assert "# Its feet are not links of their own" in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "roll"), [("a1/a1", 90), ("laikago/laikago_toes", 0)])
 def test_a_legged_robot_on_its_side_falls_before_it_is_low(deepbots, tmp_path, robot, roll):
     pytest.importorskip("pybullet_data")

@@ -55,6 +55,7 @@ def test_a_worker_with_another_version_or_without_a_file_is_refused(
         list(either.map(square, range(2)))
 
 
+@pytest.mark.slow
 def test_a_lost_call_is_repeated_up_to_three_times(either: Cluster) -> None:
     losses = Losses()
     first, failure, other = either.map(lose, range(3), watcher=losses)

@@ -118,6 +118,7 @@ def test_a_fresh_process_gives_the_same_bytes(cases: list[Any]) -> None:
         here.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("timing", ["immediate", "delayed"])
 @pytest.mark.parametrize("name", ["cartpole", "rail", "drawn", "pair"])
 def test_every_message_format_gives_the_same_bytes(name: str, timing: str) -> None:

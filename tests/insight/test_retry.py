@@ -61,6 +61,7 @@ def test_the_next_attempt_has_the_advised_value_and_the_reason(retried):
     assert "train.learning_rate=0.003" in runs[1].command
 
 
+@pytest.mark.slow
 def test_a_group_that_was_killed_before_an_attempt_continues_with_it_to_the_bit(retried, tmp_path):
     def kill(run: Path, attempt: RetryAttempt) -> None:
         if attempt.base:

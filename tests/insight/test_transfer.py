@@ -317,6 +317,7 @@ def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
     assert (report.differences, report.causes) == ((), ())
 
 
+@pytest.mark.slow
 def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(run_of("cartpole").path)
     assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1

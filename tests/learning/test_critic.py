@@ -127,6 +127,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> TrainingResult:
     return train(scenario(folder), run=folder / "run", engine="pybullet")
 
 
+@pytest.mark.slow
 def test_the_policy_of_a_run_takes_the_observation_alone(trained: TrainingResult) -> None:
     assert trained.status == "finished"
     policy = load_policy(trained.run)

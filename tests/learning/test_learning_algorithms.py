@@ -367,6 +367,7 @@ def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingR
     assert result.success_rate == 1.0
 
 
+@pytest.mark.slow
 def test_a_memory_is_of_one_episode_however_many_worlds_run_at_once(remembered: TrainingResult) -> None:
     first = evaluate(remembered.run, episodes=20, build=stand_in.build)
     assert len({first.mean_return, first.least_return, first.greatest_return}) == 3  # episodes that differ

@@ -192,6 +192,7 @@ def test_of_equal_evaluations_the_later_model_is_kept(unpaid: tuple[Worlds, Trai
     assert steps_of(result, "best") == steps_of(result, "last")
 
 
+@pytest.mark.slow
 def test_the_best_of_many_small_evaluations_is_chosen_again_on_new_starts(tmp_path: Path) -> None:
     # The first evaluation is the best by luck; on new starts only the model of the third one succeeds.
     build = Worlds(lambda number: (1.0, number < 3), choice=lambda number: (1.0, number == 0))
@@ -292,6 +293,7 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     assert result.best.chosen_by == "confirmation"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("successes", "confirmations"), [({1, 3, 5}, 0), ({1, 2}, 1)])
 def test_a_single_lucky_evaluation_of_an_off_policy_training_begins_no_confirmation(
     tmp_path: Path, successes: set[int], confirmations: int
@@ -372,6 +374,7 @@ def test_a_checkpoint_of_before_goes_on(tmp_path: Path) -> None:
     assert len(evaluated_steps(again)) > 1  # although older versions spent more steps on evaluations
 
 
+@pytest.mark.slow
 def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: Path) -> None:
     build = Worlds(lambda number: (1.0, number == 0), choice=good)
     notes = Notes()

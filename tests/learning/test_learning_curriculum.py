@@ -97,6 +97,7 @@ def test_the_criterion_asks_for_its_number_of_episodes_in_a_row() -> None:
     assert curriculum.add(Episode(0.0, 10, True, None), 50, 5) is False
 
 
+@pytest.mark.slow
 def test_a_stage_that_counts_evaluations_ends_with_one_and_resumes_to_the_bit(tmp_path: Path) -> None:
     evaluated = [Criterion("mean_return", length - 0.5, None) for length in (2, 3)]
     compiled = staged(*evaluated, None, lengths=(2, 3, 4), solved=Solved(5, mean_return=4.5))

@@ -83,6 +83,7 @@ def test_shards_that_are_lost_with_every_fragment_give_the_same(tmp_path: Path, 
         assert lost[part] == kept[part], part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(ALGORITHMS, ["curriculum"]))
 def test_with_older_weights_too(tmp_path: Path, name: str) -> None:
     kept = trained(name, tmp_path / "kept", SERIAL, staleness=1)

@@ -255,6 +255,7 @@ RECORDED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", few(RECORDED, ["PPO"]))
 def test_a_recording_teaches_and_its_training_resumes_to_the_bit(tmp_path: Path, name: str) -> None:
     scenario, changes, driver = RECORDED[name]

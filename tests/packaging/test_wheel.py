@@ -119,6 +119,7 @@ def test_the_wheels_of_the_sdists_train_and_serve_in_new_environments() -> None:
     clean.main()
 
 
+@pytest.mark.slow
 def test_an_editable_install_uses_the_data_of_its_checkout(tmp_path: Path) -> None:
     """The environment that `make test` sets up is one."""
     origin = json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}")

@@ -25,6 +25,7 @@ def test_the_files_are_what_the_generator_writes() -> None:
     assert (HERE / "pit.obj").read_text(encoding="utf-8") == relief.mesh()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pit", every(2, PITS, lambda pit: Path(pit).stem))
 def test_rocking_leaves_every_pit_and_driving_forward_none(pit: str | Path) -> None:
     """What makes the pit a task: no motor holds the ball on its wall, and swinging with the gyro's sign gets

@@ -181,6 +181,7 @@ def test_a_trial_is_a_group_and_a_study_is_listed_with_the_values_of_its_trials(
     ]
 
 
+@pytest.mark.slow
 def test_a_run_group_and_study_of_before_are_listed_with_best_models_chosen_by_return(
     whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

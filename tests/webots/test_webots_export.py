@@ -86,6 +86,7 @@ def test_cartpole_runs_as_its_scenario_for_300_steps(tmp_path: Path):
     assert same_episodes("cartpole", tmp_path, 300) == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "script"),
     [pytest.param("multi_cartpole", None, marks=pytest.mark.slow), ("find_ball", "around")],

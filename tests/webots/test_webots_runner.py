@@ -461,6 +461,7 @@ def test_a_video_has_a_known_suffix_and_replaces_no_file(project: Project, name:
         Recorder(simulate("Solid { }"), project.folder / name)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (cameras.is_available() and cameras.opens_context()), reason="there is no OpenGL")
 def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
     """At 32 ms, every fourth step is in a GIF of at most 10 pictures per second; the first is the begin."""
