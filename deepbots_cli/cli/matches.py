@@ -34,6 +34,7 @@ def match_lines(result: MatchTable) -> Iterator[str]:
         ]
     )
     yield "in parentheses: intervals at 95 %"
+    yield from (f"note: {note}" for note in result.notes)
 
 
 def _cell(result: MatchTable, match: Match) -> str:

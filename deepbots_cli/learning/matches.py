@@ -73,6 +73,7 @@ class MatchTable(BaseModel, frozen=True):
         is_symmetric: Whether every player takes both sides.
         success_defined: Whether an ending is a success for the first agent.
         starts: The number of held-out starts of each match, from `seed`.
+        notes: A sentence for each policy that is not clearly better than random actions.
     """
 
     scenario: str
@@ -84,6 +85,7 @@ class MatchTable(BaseModel, frozen=True):
     starts: int
     seed: int
     matches: tuple[Match, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,10 @@ def play_matches(
     ]
     one, two = program.members
     is_symmetric = program.is_symmetric
-    players = _players(program, refs, is_symmetric=is_symmetric)
+    policies, scripted = _policies(program, refs, is_symmetric=is_symmetric), _scripted(program)
+    players = [*policies, *scripted]
+    if is_symmetric:
+        players = [player for player in players if len(player.drivers) == len(program.members)]
     rows = [player for player in players if one in player.drivers]
     columns = [player for player in players if two in player.drivers]
     pairs = [*combinations(rows, 2)] if is_symmetric else [*product(rows, columns)]
@@ -167,7 +172,36 @@ def play_matches(
         starts=len(starts),
         seed=seed,
         matches=tuple(matches),
+        notes=tuple(_like_random(program, [player.name for player in policies], matches)),
     )
+
+
+def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Match]) -> Iterator[str]:
+    """Yield a sentence for each policy whose success is not clearly above that of random actions."""
+    for name in policies:
+        for match in matches:
+            if match.win_interval is not None and (match.row, match.column) == (name, RANDOM):
+                low, high = match.win_interval
+                if low <= 0.5:
+                    yield (
+                        f"{name} is not clearly better than random actions: against them, it wins"
+                        f" {match.win_rate:.0%} ({low:.0%} .. {high:.0%}) of the decided episodes"
+                    )
+        for agent, side in zip(program.members, ("row", "column"), strict=True):
+            acting, random = (
+                [match.agents[agent] for match in matches if match.agents and getattr(match, side) == player]
+                for player in (name, RANDOM)
+            )
+            if not acting or not random or acting[0].success_rate is None:
+                continue
+            episodes = sum(scores.episodes for scores in acting)
+            rate, chance = (fmean(scores.success_rate or 0.0 for scores in each) for each in (acting, random))
+            low, high = wilson(round(rate * episodes), episodes)
+            if low <= chance:
+                yield (
+                    f"as {agent}, {name} is not clearly better than random actions: against all opponents, it"
+                    f" succeeds in {rate:.0%} ({low:.0%} .. {high:.0%}), random actions in {chance:.0%}"
+                )
 
 
 def _played_program(run: Run | None, scenario: str | Path | Compiled | None) -> Program:
@@ -190,22 +224,24 @@ def _world_of(program: Program) -> Program:
     return program if program.others is None else program.others.world
 
 
-def _players(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) -> list[Player]:
-    players = [
-        Player(POLICY if ref is refs[0] else ref.label, _policies(program, ref, is_symmetric=is_symmetric))
+def _policies(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) -> list[Player]:
+    """Return the player of each model."""
+    return [
+        Player(POLICY if ref is refs[0] else ref.label, _drivers(program, ref, is_symmetric=is_symmetric))
         for ref in refs
     ]
+
+
+def _scripted(program: Program) -> list[Player]:
+    """Return the scripts of both agents as players, and random actions."""
     scripts: dict[str, dict[str, str | Predictor]] = {}
     for agent, member in program.members.items():
         for name in (*(script.name for script in member.program.agent.scripts), RANDOM):
             scripts.setdefault(name, {})[agent] = name
-    players += [Player(name, drivers) for name, drivers in scripts.items()]
-    if is_symmetric:
-        players = [player for player in players if len(player.drivers) == len(program.members)]
-    return players
+    return [Player(name, drivers) for name, drivers in scripts.items()]
 
 
-def _policies(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Predictor]:
+def _drivers(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Predictor]:
     """Return the policies in a model: of all agents, or of the one that its run trained."""
     run, own = ref.run, _world_of(ref.run.program)
     if differing := identity.differences(own, program):

@@ -23,7 +23,7 @@ from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.listing import teacher_of
 from deepbots_cli.learning.records import EvaluationRecord, RunRecord, changed_settings, short_settings
-from deepbots_cli.learning.run import DEMONSTRATIONS_NAME
+from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.verdict import quoted_evaluation
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.view.frames import COLORS
@@ -79,7 +79,7 @@ class TrainingLog:
     `evaluations`, empty for none. `teacher` is the result of `teacher_of`, and `lessons` are its curves:
     `agreement`, `weight` of the imitation loss, `driven_worlds` (their share), and its own `mean_return` and
     `success_rate`, of a script from the starts of the evaluations. `agents` are the returns of each of
-    several agents.
+    several agents; `agent` is the one whose log this is, empty for one agent or all.
     """
 
     path: Path
@@ -100,13 +100,15 @@ class TrainingLog:
     lessons: dict[str, Curve] = field(default_factory=dict)
     decline: Decline | None = None
     agents: dict[str, Curve] = field(default_factory=dict)
+    agent: str = ""
 
 
-def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLog]:
+def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool = False) -> list[TrainingLog]:
     """Read runs, folders of runs, and folders of TensorBoard files that other programs wrote.
 
     Args:
         window: The number of episodes that returns and successes are averaged over.
+        by_agent: Whether each of several agents of a run has a log of its own.
 
     Raises:
         RunError: A path is neither, is damaged, or has no episode yet.
@@ -134,7 +136,20 @@ def read_logs(paths: Sequence[str | Path], window: int = 100) -> list[TrainingLo
             log.group,
         )
         log.name = f"{name} ({log.settings})" if log.settings and len(first) > 1 else name
-    return logs
+    if not by_agent:
+        return logs
+    return [agent_log for log in logs for agent_log in _by_agent(log, window, is_only=len(first) == 1)]
+
+
+def _by_agent(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[TrainingLog]:
+    """Yield the log of each of several agents of a run, or the log of a run with one agent."""
+    if not log.agents:
+        yield log
+        return
+    for agent, member in Run.open(log.path).program.members.items():
+        agent_log = _read_run(log.path, window, member)
+        agent_log.agent, agent_log.name = agent, agent if is_only else f"{log.name}: {agent}"
+        yield agent_log
 
 
 def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog:
@@ -365,8 +380,8 @@ def import_matplotlib() -> None:
 
 
 def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
-    """Draw a figure of trainings. Those of one scenario are one line, the mean of its seeds, with a band from
-    the lowest to the highest seed.
+    """Draw a figure of trainings. Those of one scenario and agent are one line, the mean of its seeds, with a
+    band from the lowest to the highest seed.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -376,11 +391,11 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         from matplotlib.figure import Figure
     except ModuleNotFoundError as error:
         raise MissingExtraError("train", "a plot") from error
-    groups: dict[str, list[TrainingLog]] = {}
+    groups: dict[tuple[str, str], list[TrainingLog]] = {}
     for log in logs:
-        groups.setdefault(log.group, []).append(log)
+        groups.setdefault((log.group, log.agent), []).append(log)
     if len(groups) > len(COLORS):
-        raise UsageError(f"a plot can show at most {len(COLORS)} scenarios, not {len(groups)}")
+        raise UsageError(f"a plot can show at most {len(COLORS)} scenarios or agents, not {len(groups)}")
     detailed = [members for members in groups.values() if any(log.terms or log.endings for log in members)]
     taught = [members for members in groups.values() if any(log.lessons for log in members)]
     below = 1 + math.ceil(len(taught) / 2)
@@ -412,17 +427,18 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     if len(taught) % 2:
         _remove_right(axes[below - 1])
     styles, endings = term_styles(logs), ending_colors(logs)
-    for (left, right), members in zip(axes[below:], detailed, strict=True):
+    with_endings, is_one_task = set[str](), len({group for group, _ in groups}) == 1
+    for row, members in zip(axes[below:], detailed, strict=True):
+        left, right = row
         name = f"{members[0].name}: " if len(groups) > 1 else ""
-        for term in sorted({term for log in members for term in log.terms}):
-            plot_band(left, [log.terms[term] for log in members if term in log.terms], styles[term])
-        plot_endings(right, members, endings)
-        heights.append(
-            max(
-                style_panel(left, f"{name}reward terms of an episode", theme, stages=[members]),
-                style_panel(right, f"{name}endings, share of episodes", theme, stages=[members]),
-            )
-        )
+        heights.append(_plot_terms(left, members, styles, f"{name}reward terms of an episode", theme))
+        if members[0].group in with_endings:  # of another agent: the episodes are the same
+            _remove_right(row)
+        else:
+            plot_endings(right, members, endings)
+            title = f"{'' if is_one_task else name}endings, share of episodes"
+            heights[-1] = max(heights[-1], style_panel(right, title, theme, stages=[members]))
+        with_endings.add(members[0].group)
     figure.set_figheight(figure.get_figheight() + sum(heights))
     return figure
 
@@ -439,20 +455,29 @@ def _plot_group(
         "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
         "label": label,
     }
-    has_agents = bool(members[0].agents)
-    if has_agents:
-        plot_agents(returns, members, "" if is_only else f"{name}: ")
-    else:
-        plot_band(returns, [log.returns for log in members if log.returns is not None], style)
-        plot_evaluations(returns, members, color)
+    plot_band(returns, [log.returns for log in members if log.returns is not None], style)
+    plot_evaluations(returns, members, color)
     plot_band(successes, [log.successes for log in members if log.successes is not None], style)
     plot_evaluations(successes, members, color, successes=True)
     for log in members:
-        plot_evaluation(None if has_agents else returns, successes, log, color)
+        plot_evaluation(returns, successes, log, color)
         plot_decline(returns, successes, log)
     script = f"teacher {members[0].teacher}" if is_only else f"{name}: teacher {members[0].teacher}"
     plot_teacher(returns, members, "mean_return", color, script)
     plot_teacher(successes, members, "success_rate", color, script)
+
+
+def _plot_terms(
+    panel: Axes,
+    members: Sequence[TrainingLog],
+    styles: Mapping[str, Mapping[str, Any]],
+    title: str,
+    theme: str,
+) -> float:
+    """Plot the reward terms of the trainings of a scenario. Returns the height (inches) of the legend."""
+    for term in sorted({term for log in members for term in log.terms}):
+        plot_band(panel, [log.terms[term] for log in members if term in log.terms], styles[term])
+    return style_panel(panel, title, theme, stages=[members])
 
 
 def _remove_right(row: Any) -> None:
@@ -492,13 +517,13 @@ def _paler(color: str, rounds: int) -> str:
     return "#" + "".join(f"{round(255 - (255 - part) * 0.6**rounds):02x}" for part in parts)
 
 
-def plot_agents(panel: Axes, logs: Sequence[TrainingLog], prefix: str = "") -> None:
+def plot_agents(panel: Axes, logs: Sequence[TrainingLog]) -> None:
     """Plot the returns of each of several agents, which have no common measure."""
     for number, agent in enumerate(dict.fromkeys(agent for log in logs for agent in log.agents)):
         style = {
             "color": COLORS[number % len(COLORS)],
             "linestyle": _LINE_STYLES[number % len(_LINE_STYLES)],
-            "label": f"{prefix}{agent}",
+            "label": agent,
         }
         plot_band(panel, [log.agents[agent] for log in logs if agent in log.agents], style)
 

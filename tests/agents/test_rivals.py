@@ -22,6 +22,7 @@ from deepbots_cli.runtime.agents import driven
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, Showing
+from deepbots_cli.view.plots import plot, read_logs
 from tests.agents.test_joint_training import SHARED, write_scenario
 from tests.worlds import RAIL
 
@@ -164,6 +165,31 @@ def test_compare_prints_a_table_of_players(trained: Path, capsys: pytest.Capture
     assert json.loads(capsys.readouterr().out)["agents"] == ["left", "right"]
 
 
+def test_policies_play_in_another_scenario_of_the_same_agents(
+    trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = tmp_path / "short.yaml"
+    short.write_text(f"deepbots: 1\nextends: {trained.parent / 'several.yaml'}\nname: Short\n")
+    words = ["--scenario", str(short), "--allow-path", str(trained.parent)]
+    assert main(["compare", str(trained), "--episodes", "1", *words]) == 0
+    assert capsys.readouterr().out.startswith("Short: ")
+
+
+def test_a_policy_that_random_actions_equal_is_named(trained: Path) -> None:
+    (note,) = play_matches([trained], episodes=4).notes  # 64 steps of training
+    assert note.startswith("policy is not clearly better than random actions: against them, it wins")
+
+
+def test_a_plot_has_the_returns_and_terms_of_each_agent(trained: Path) -> None:
+    logs = read_logs([trained], by_agent=True)
+    assert [(log.name, log.agent) for log in logs] == [("left", "left"), ("right", "right")]
+    panels = plot(logs).axes
+    assert [line.get_label() for line in panels[0].lines[:1]] == ["left"]
+    titles = [panel.get_title(loc="left") for panel in panels]
+    assert titles.count("endings, share of episodes") == 1
+    assert "right: reward terms of an episode" in titles
+
+
 def test_scripts_play_against_each_other_before_any_training(
     trained: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -234,7 +260,7 @@ def test_a_policy_of_several_agents_is_asked_for_by_name(
 @pytest.mark.parametrize(
     ("words", "instead"),
     [
-        (["compare", "RUN", "RUN", "--own"], "leave out --scenario"),
+        (["compare", "RUN", "RUN", "--own"], "leave out --case"),
         (["robustness", "RUN"], "--agent NAME"),
         (["transfer", "RUN"], "--agent NAME"),
         (["eval", "RUN", "--min-return", "1"], "--agent NAME"),

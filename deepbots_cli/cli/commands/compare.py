@@ -23,6 +23,7 @@ from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
+    from deepbots_cli.api import Compiled
     from deepbots_cli.learning.comparison import Comparison, GroupResult
 
 
@@ -64,21 +65,22 @@ def command(
 ) -> None:
     """Compare trained policies on the same starts."""
     rivals = _rivals(runs, "last" if last else "best")
-    judged = None
+    judged: Compiled | None = None
     if not rivals and len(runs) == 1 and _is_scenario(runs[0]):
-        judged = api.compile(str(runs[0]), permissions=permissions)
-        terminal.note_warnings(judged.findings, str(runs[0]))
+        judged = _compiled(str(runs[0]), permissions)
         if not judged.program.members:
             raise UsageError(
                 f"{runs[0]} is a scenario with one agent; compare runs of it, or see what its scripts do with:"
                 f" deepbots try {quote(str(runs[0]))} --driver NAME"
             )
     if rivals or judged is not None:
-        if scenario is not None or case is not None or own or workers is not None:
+        if case is not None or own or workers is not None or (judged is not None and scenario is not None):
             raise UsageError(
-                "agents that compete play against each other in the scenario of the first run; leave out"
-                " --scenario, --case, --own and --workers"
+                "agents that compete play against each other in one scenario; leave out --case, --own and"
+                " --workers, and write a change as a scenario with `extends` for --scenario"
             )
+        if scenario is not None:
+            judged = _compiled(scenario, permissions)
         with terminal.transient_line("loading the policies ..."):
             play_matches = learning.play_matches
         with terminal.progress(always=False) as show:
@@ -86,8 +88,7 @@ def command(
         terminal.show(matches, *match_lines(matches), as_json=as_json)
         return
     if scenario is not None:
-        judged = api.compile(scenario, permissions=permissions)
-        terminal.note_warnings(judged.findings, scenario)
+        judged = _compiled(scenario, permissions)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare
     with processes.executor(workers, address) as executor, terminal.progress(always=False) as show:
@@ -96,7 +97,7 @@ def command(
             episodes=episodes,
             seed=seed,
             model="last" if last else "best",
-            scenario=None if scenario is None else judged,
+            scenario=judged,
             case=case,
             own=own,
             permissions=permissions,
@@ -104,6 +105,13 @@ def command(
             executor=executor,
         )
     terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+
+
+def _compiled(scenario: str, permissions: Permissions) -> Compiled:
+    """Compile a scenario, and note its warnings."""
+    compiled = api.compile(scenario, permissions=permissions)
+    terminal.note_warnings(compiled.findings, scenario)
+    return compiled
 
 
 def _is_scenario(path: Path) -> bool:

@@ -38,8 +38,8 @@ from deepbots_cli.scenario.base import (
 from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.scenario import Scenario
 
-_FINDING = re.compile(r"db\d|.*-", re.IGNORECASE)
-"""The form of the codes and names of findings. Of all words, only names of findings have hyphens."""
+_CODE = re.compile(r"db\d", re.IGNORECASE)
+"""The form of the codes of findings."""
 
 
 def command(
@@ -58,12 +58,12 @@ def command(
     rules = matching_rules(finding)
     if not rules:
         explained = explain_word(finding)
-        if not explained.entries and not _FINDING.match(finding) and (meant := misspelled_word(finding)):
+        if not explained.entries and not _CODE.match(finding) and (meant := misspelled_word(finding)):
             terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
             explained = explain_word(meant)
         if not explained.entries:
             raise UsageError(
-                unknown_rule_message(finding) if _FINDING.match(finding) else unknown_word_message(finding)
+                unknown_rule_message(finding) if _CODE.match(finding) else unknown_word_message(finding)
             )
         if as_json:
             entries = [{"title": title, "text": "\n".join(text)} for title, *text in explained.entries]
@@ -312,7 +312,8 @@ def _words() -> dict[str, None]:
 def unknown_word_message(word: str) -> str:
     """Return the error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
-    near = nearest_word(word, concepts, 0.8) or nearest_word(word, list(_words()), 0.8) or _beginning_of(word)
+    tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
+    near = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
     hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
     others = _others(word, ())
     if others:

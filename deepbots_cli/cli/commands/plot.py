@@ -33,7 +33,7 @@ def command(
 
     check_target(out, plots.SUFFIXES, force=force)
     with terminal.transient_line("reading the logs ..."):
-        logs = plots.read_logs(runs, window)
+        logs = plots.read_logs(runs, window, by_agent=True)
     figure = plots.plot(logs, theme="dark" if dark else "light")
     with atomic_write(out) as draft:
         figure.savefig(draft, format=out.suffix[1:].lower(), dpi=130)
@@ -43,4 +43,4 @@ def command(
                 f"note: about the evaluation that the diamond of {log.path} shows:"
                 f" {'; '.join(log.evaluation.remarks)}"
             )
-    terminal.print_result(f"{out} ({counted(len(logs), 'run')})")
+    terminal.print_result(f"{out} ({counted(len({log.path for log in logs}), 'run')})")
