@@ -138,5 +138,7 @@ class Gates:
                 requirements.append(
                     Requirement(f"{name} of at least {required:g}", mean >= required, measured)
                 )
-        remarks = in_parentheses(words for each in group.evaluations for words in each.circumstances)
+        remarks = in_parentheses(
+            words for evaluation in group.evaluations for words in evaluation.circumstances
+        )
         return [requirement.with_words(after=remarks) for requirement in requirements]

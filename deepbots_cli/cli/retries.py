@@ -87,7 +87,7 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
         further = [*first, f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
         "group": training.group,
-        "attempts": [_data(each) for each in training.attempts],
+        "attempts": [_data(attempt) for attempt in training.attempts],
         "best": training.best,
         "solved": training.solved,
         "interrupted": training.interrupted,

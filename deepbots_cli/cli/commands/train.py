@@ -295,10 +295,10 @@ def _with_fastest_shards(
             folder=folder,
             on_measured=show,
         )
-    chosen = scaling.choose(timings)
-    terminal.note(scaling.described(timings, chosen))
+    fastest = scaling.choose(timings)
+    terminal.note(scaling.described(timings, fastest))
     return api.compile(
-        scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions
+        scenario, overrides=[*overrides, f"train.shards={fastest.shards}"], permissions=permissions
     )
 
 
