@@ -212,8 +212,8 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
         path = ref.path if ref.is_named else ref.run.path
         suffix = f" of {ref.name}" if ref.is_named else ""
         raise UsageError(
-            f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with: deepbots"
-            f" eval {quote(str(path))}"
+            f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with:"
+            f" deepbots eval {quote(str(path))}"
         )
     return evaluation
 

@@ -336,7 +336,8 @@ class _Episodes:
         numbers = evaluation.failed(ref.run.program)[:maximum]
         if not numbers:
             raise UsageError(
-                f"none of the {len(evaluation.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+                f"none of the {len(evaluation.outcomes):,} episodes of the last evaluation of {ref.run.path}"
+                " failed"
             )
         return _Episodes(numbers=numbers, **evaluation.replay_options)
 
