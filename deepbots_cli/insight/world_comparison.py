@@ -107,7 +107,7 @@ class WorldComparison:
 
     @property
     def observation_differs(self) -> bool:
-        return any(not each.name.startswith(REWARD) for each in self.differences)
+        return any(not difference.name.startswith(REWARD) for difference in self.differences)
 
 
 def compare_worlds(
@@ -143,7 +143,7 @@ def compare_worlds(
     recorded = record_episodes(run, here, model, seed, episodes, permissions)
     comparison = ValueComparison(columns, recorded, repeat_episodes(there, recorded, permissions))
     result = WorldComparison(
-        len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ()
+        len(recorded), max(len(episode.actions) for episode in recorded), tuple(comparison.differences()), ()
     )
     if not result.observation_differs:
         return result
@@ -175,7 +175,7 @@ def _simulated(comparison: ValueComparison, kind: _Kind, amount: float) -> list[
         values = kind.simulate(amount, comparison.recorded)
     except DeepbotsError:
         return None
-    return values if all(np.isfinite(each).all() for each in values) else None
+    return values if all(np.isfinite(array).all() for array in values) else None
 
 
 def _simulated_causes(
@@ -358,6 +358,7 @@ def _kinds(here: World, unchanged: Recorder, document: Document, permissions: Pe
             yield _Kind(plan.kind, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in torque_limits(program):
         limits, first = (
-            tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS)
+            tuple(factor * largest for factor in factors if factor < 1.0)
+            for factors in (_FACTORS, _PROBED_FACTORS)
         )
         yield _Kind(plan.kind, plan.name, with_plan(plan), limits, first, plan.form)

@@ -52,8 +52,8 @@ class Arithmetic:
     def constant(self, values: Sequence[float | bool]) -> Value:
         truth = all(isinstance(value, bool) for value in values)
         single = len({(value, math.copysign(1.0, value)) for value in values}) == 1
-        kept = values[:1] if single else values
-        return Value(self.graph.constant([*kept], np.bool_ if truth else np.float64), len(kept), truth)
+        numbers = values[:1] if single else values
+        return Value(self.graph.constant([*numbers], np.bool_ if truth else np.float64), len(numbers), truth)
 
     def picked(self, items: Sequence[Item]) -> Value:
         """Return a vector of numbers of tensors."""
@@ -63,7 +63,7 @@ class Arithmetic:
             if item is not None and (not run or item.whole == run[0].whole):
                 run.append(item)
                 continue
-            parts.append(self._of_one([each.place for each in run], run[0].whole))
+            parts.append(self._of_one([entry.place for entry in run], run[0].whole))
             run = [item] if item is not None else []
         return self.joined(parts)
 
@@ -72,8 +72,8 @@ class Arithmetic:
             return whole
         if whole.size == 1:
             return self.spread(whole, len(indices))
-        taken = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
-        return Value(taken, len(indices), whole.truth)
+        part = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
+        return Value(part, len(indices), whole.truth)
 
     def joined(self, parts: Sequence[Value]) -> Value:
         """Return the values of several vectors in a row; truth values among numbers are 0 and 1."""
@@ -223,8 +223,8 @@ class Arithmetic:
             self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64),
             slope.size,
         )
-        turned = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
-        angle = self.where(left, turned, coarse)
+        opposite = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
+        angle = self.where(left, opposite, coarse)
         sine, cosine = self._node("Sin", angle), self.cosine(angle)
         across = self.binary("Sub", self.binary("Mul", y, cosine), self.binary("Mul", x, sine))
         along = self.binary("Add", self.binary("Mul", x, cosine), self.binary("Mul", y, sine))
