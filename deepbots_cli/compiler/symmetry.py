@@ -43,14 +43,14 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     if not reader.is_inverse:
         return None
     if agent.goal is not None or agent.images:
-        what = "a `goal`" if agent.goal is not None else "pictures"
+        subject = "a `goal`" if agent.goal is not None else "pictures"
         namespace.values.add(
-            "DB612", _PATH, f"`symmetry` does not know the mirror image of {what}", "remove `symmetry`"
+            "DB612", _PATH, f"`symmetry` does not know the mirror image of {subject}", "remove `symmetry`"
         )
         return None
     observed = [
-        RangedName(seen.name, seen.steps_ago, seen.unit, seen.low, seen.high, seen.truth)
-        for seen in agent.inputs
+        RangedName(entry.name, entry.steps_ago, entry.unit, entry.low, entry.high, entry.truth)
+        for entry in agent.inputs
     ]
     acted = [
         RangedName(name, 0, part.unit, part.low, part.high) for part in agent.ranges for name in part.names
@@ -73,13 +73,13 @@ class _SymmetryReader:
         self._words: dict[str, str] = {}
         self.is_inverse = True
         for word, other in spec.swap.items():
-            for one, image in ((word, other), (other, word)):
-                if self._words.setdefault(one, image) != image:
+            for original, image in ((word, other), (other, word)):
+                if self._words.setdefault(original, image) != image:
                     self.is_inverse = False
                     self._values.add(
                         "DB202",
                         (*_PATH, "swap", word),
-                        f"`{one}` has two mirror images, `{self._words[one]}` and `{image}`",
+                        f"`{original}` has two mirror images, `{self._words[original]}` and `{image}`",
                         "write each word in one pair; a mirror image of a mirror image is the original",
                     )
         words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
@@ -94,7 +94,7 @@ class _SymmetryReader:
     def _changes_sign(self, name: str) -> bool:
         """Return whether a number is listed under `flip`; a previous action has the sign of the action."""
         names = (name, name.removeprefix(_PREVIOUS))
-        return any(fnmatchcase(each, pattern) for pattern in self._flips for each in names)
+        return any(fnmatchcase(candidate, pattern) for pattern in self._flips for candidate in names)
 
     def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
         """Return the mirror image of numbers; None after a finding."""
