@@ -727,9 +727,9 @@ def _with_whole_training(root: MappingNode) -> MappingNode:
         return root
     sections = {}
     for name, entry in agents.entries.items():
-        section, own = entry.value, node_at(entry.value, "train")
-        if isinstance(section, MappingNode) and isinstance(own, MappingNode):
-            whole = replace(own, entries={**shared.entries, **own.entries})
+        section, train = entry.value, node_at(entry.value, "train")
+        if isinstance(section, MappingNode) and isinstance(train, MappingNode):
+            whole = replace(train, entries={**shared.entries, **train.entries})
             training = section.entries["train"]._replace(value=whole)
             section = replace(section, entries={**section.entries, "train": training})
         sections[name] = entry._replace(value=section)
