@@ -48,12 +48,14 @@ class Scope:
 
     @classmethod
     def of_document(cls, document: Document) -> Scope:
-        return cls(document.protos, {one.name: one for one in document.externs}, document.source)
+        return cls(document.protos, {extern.name: extern for extern in document.externs}, document.source)
 
     @classmethod
     def of_proto(cls, proto: Proto) -> Scope:
         return cls(
-            proto.neighbors, {one.name: one for one in proto.externs}, proto.source or proto.span.source
+            proto.neighbors,
+            {extern.name: extern for extern in proto.externs},
+            proto.source or proto.span.source,
         )
 
 
