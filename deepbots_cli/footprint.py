@@ -177,8 +177,8 @@ def half_width(model: RobotModel) -> float:
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
     """Return the discs of all collision shapes, or of all visuals where there are none, in the frame of the
     root link."""
-    for placed in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
-        discs = [disc for shape, frame in placed for disc in _discs(shape, frame)]
+    for pairs in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
+        discs = [disc for shape, frame in pairs for disc in _discs(shape, frame)]
         if discs:
             return discs
     return []
