@@ -114,8 +114,8 @@ class Patch(NamedTuple):
 def patch_distance(a: Patch, b: Patch) -> float:
     """Return the distance between two patches; negative where they overlap."""
     if a.half is None or b.half is None:
-        disc, other = (a, b) if a.half is None else (b, a)
-        return other.distance(disc.x, disc.y) - disc.radius
+        disc, patch = (a, b) if a.half is None else (b, a)
+        return patch.distance(disc.x, disc.y) - disc.radius
     if not _parted(a, b):
         return -min(*a.half, *b.half)
     return min(

@@ -421,12 +421,12 @@ def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, s
     """Return the driver that `--against` names for each other agent."""
     drivers: dict[str, str] = {}
     for word in against:
-        other, equals, driver = word.partition("=")
+        name, equals, driver = word.partition("=")
         if agent is None or not equals:
             raise typer.BadParameter(
                 f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
             )
-        drivers[other.strip()] = driver.strip()
+        drivers[name.strip()] = driver.strip()
     return drivers
 
 
@@ -448,11 +448,11 @@ def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
 
     entries: list[str] = []
     folders: list[Path] = []
-    for other, driver in drivers.items():
+    for name, driver in drivers.items():
         if is_model(driver):
             driver = os.path.abspath(driver)
             folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
-        entries.append(f"{other}: {json.dumps(driver)}")
+        entries.append(f"{name}: {json.dumps(driver)}")
     return entries, folders
 
 
@@ -503,13 +503,13 @@ class Commands(TyperGroup):
                 name for name, replacement in REPLACEMENTS.items() if replacement.startswith("deepbots ")
             ]
             near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
-            other = f"the commands are: {', '.join(COMMANDS)}"
+            listing = f"the commands are: {', '.join(COMMANDS)}"
             if near in REPLACEMENTS:
                 hint = f"use `{REPLACEMENTS[near]}`"
             elif near:
                 hint = f"did you mean '{near}'?"
             else:
-                hint = other
+                hint = listing
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         return _command(cmd_name)
 

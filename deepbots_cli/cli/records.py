@@ -494,13 +494,13 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
     """Yield notes on conditions without effect, too few episodes, and a score that is missed without any
     change."""
     nominal = robustness.nominal
-    same = [
+    names = [
         condition.name
         for condition in robustness.conditions
         if condition.levels and not _changes_episodes(condition, nominal)
     ]
-    if same:
-        yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"
+    if names:
+        yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(names)}"
     if _is_rate(robustness) and bar < 1.0:
         needed = episodes_above(bar)
         if nominal.episodes < needed:

@@ -205,7 +205,7 @@ def _without_gaps(lines: list[str]) -> list[str]:
         if line or not result:
             result.append(line)
             continue
-        following = next((other for other in lines[index:] if other), "")
+        following = next((later_line for later_line in lines[index:] if later_line), "")
         most = 1 if following.startswith(" ") else 2
         if any(result[-most:]):
             result.append(line)

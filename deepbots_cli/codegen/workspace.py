@@ -520,9 +520,9 @@ class SupervisorPrinter(ClassPrinter):
 
     def of_one_world(self) -> SupervisorPrinter:
         """Return the printer of code that runs in one world."""
-        other = copy(self)
-        other.target, other.state = SCALAR, {}
-        return other
+        printer = copy(self)
+        printer.target, printer.state = SCALAR, {}
+        return printer
 
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)

@@ -614,12 +614,12 @@ def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[st
     says who sends it."""
     for finding in findings:
         robot, dot, value = finding.span.text.partition(".")
-        other = drivers.get(robot, agent)
+        owner = drivers.get(robot, agent)
         is_written = (
             f"`{finding.span.text}`" in finding.headline
         )  # and no name that a mirrored agent has instead
-        if finding.code == "DB402" and dot and other != agent and is_written:
-            headline, help = _foreign_words(robot, value, other, agent)
+        if finding.code == "DB402" and dot and owner != agent and is_written:
+            headline, help = _foreign_words(robot, value, owner, agent)
             finding = replace(finding, headline=headline, help=help)
         yield finding
 

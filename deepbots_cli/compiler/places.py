@@ -210,16 +210,16 @@ class PlacementChecker(NamespaceReader):
         inner = 0.0 if _is_tilted(place) else min(kind.inradius - hypot(*kind.middle) for kind in kinds)
         corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
         for thing in self._world.objects:
-            other = standing.get(thing.name)
-            if other is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
+            placement = standing.get(thing.name)
+            if placement is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
                 continue
-            patch = _standing_patch(thing, other)
-            needed = inner + max(place.clearance, other.clearance if other else 0.0)
+            patch = _standing_patch(thing, placement)
+            needed = inner + max(place.clearance, placement.clearance if placement else 0.0)
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
                 headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
                 onto = (
                     f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or "
-                    if has_top(thing) and other
+                    if has_top(thing) and placement
                     else ""
                 )
                 self._values.add_at_key(

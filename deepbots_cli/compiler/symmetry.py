@@ -110,13 +110,13 @@ class _SymmetryReader:
             if place is None:
                 missing[number.name] = image
                 continue
-            other = numbers[place]
-            if reason := self._reason_against(number, other):
+            image_number = numbers[place]
+            if reason := self._reason_against(number, image_number):
                 wrong[number.name] = reason
                 continue
             sign = -1.0 if self._changes_sign(number.name) else 1.0
             sources.append(place)
-            factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, other, sign)
+            factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, image_number, sign)
             factors.append(factor)
             offsets.append(offset)
         self._report_missing(section, missing)
@@ -132,12 +132,12 @@ class _SymmetryReader:
             return None
         return Mirror(tuple(sources), tuple(factors), tuple(offsets))
 
-    def _reason_against(self, number: RangedName, other: RangedName) -> str:
+    def _reason_against(self, number: RangedName, image_number: RangedName) -> str:
         """Return why two numbers are no mirror images of each other; empty if they may be."""
-        if (number.unit, number.is_truth) != (other.unit, other.is_truth):
-            return f"`{other.name}` is another kind of value"
-        if self._changes_sign(number.name) != self._changes_sign(other.name):
-            return f"only one of them and `{other.name}` changes its sign"
+        if (number.unit, number.is_truth) != (image_number.unit, image_number.is_truth):
+            return f"`{image_number.name}` is another kind of value"
+        if self._changes_sign(number.name) != self._changes_sign(image_number.name):
+            return f"only one of them and `{image_number.name}` changes its sign"
         if number.is_truth and self._changes_sign(number.name):
             return "a truth value cannot change its sign"
         return ""
@@ -187,8 +187,8 @@ class _SymmetryReader:
                 )
 
 
-def _between_ranges(number: RangedName, other: RangedName, sign: float) -> tuple[float, float]:
+def _between_ranges(number: RangedName, image_number: RangedName, sign: float) -> tuple[float, float]:
     """Return factor and offset from the other number, scaled to [-1, 1], to this one."""
-    middles = [(entry.low + entry.high) / 2.0 for entry in (number, other)]
-    halves = [(entry.high - entry.low) / 2.0 for entry in (number, other)]
+    middles = [(entry.low + entry.high) / 2.0 for entry in (number, image_number)]
+    halves = [(entry.high - entry.low) / 2.0 for entry in (number, image_number)]
     return sign * halves[1] / halves[0], (sign * middles[1] - middles[0]) / halves[0] + 0.0

@@ -193,7 +193,7 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
     """Return the files beside `path` with one of the suffixes, in the order of their names."""
     try:
         return sorted(
-            other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes
+            sibling for sibling in islice(path.parent.iterdir(), _MAX_ENTRIES) if sibling.suffix in suffixes
         )
     except OSError:
         return []
@@ -202,7 +202,7 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
 def _similar(path: Path, by: Path | None) -> str | None:
     """Return the name of a file beside `path` that was probably meant, and is not the file that names it."""
     suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-    by_stem = {other.stem: other.name for other in _beside(path, suffixes) if other != by}
+    by_stem = {sibling.stem: sibling.name for sibling in _beside(path, suffixes) if sibling != by}
     near = nearest_word(path.stem, by_stem)
     return by_stem[near] if near else None
 

@@ -162,7 +162,7 @@ class _Columns:
     def aligned(self, offset: int) -> bool:
         """Return whether a token of the line above or below begins in the same column."""
         line, column = self._source.position(offset)
-        return any(column in self._columns[other] for other in self._neighbors[line])
+        return any(column in self._columns[neighbor] for neighbor in self._neighbors[line])
 
 
 # Indentation

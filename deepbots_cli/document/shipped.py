@@ -40,7 +40,7 @@ def _added_dirs() -> tuple[Path, ...]:
                 raise ModuleNotFoundError(f"there is no package {entry.value}")
             folder = Path(next(iter(spec.submodule_search_locations))).resolve()
             for kind in (_SCENARIOS, _ROBOTS):
-                names = {name for other in (data_dir(), *folders) for name in _names((other,), kind)}
+                names = {name for directory in (data_dir(), *folders) for name in _names((directory,), kind)}
                 duplicates = sorted(names.intersection(_names((folder,), kind)))
                 if duplicates:
                     raise ValueError(f"the name {duplicates[0]!r} is taken")

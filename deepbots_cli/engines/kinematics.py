@@ -106,9 +106,9 @@ class Chain:
         local_attitude = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
         solution, missing = self._search(list(positions), goal, local_attitude)
         if missing > TOLERANCE_M * TOLERANCE_M:
-            other, still_missing = self._search(self._middle(positions), goal, local_attitude)
+            second_solution, still_missing = self._search(self._middle(positions), goal, local_attitude)
             if still_missing < missing:
-                solution = other
+                solution = second_solution
         return [solution[place] for place in self._driven]
 
     def _middle(self, positions: Sequence[float]) -> list[float]:

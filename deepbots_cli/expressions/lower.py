@@ -336,8 +336,8 @@ def operation_code(
             )
         return infix(template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
-        rest = len(names) - 1
-        args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
+        fixed_count = len(names) - 1
+        args = [*args[:fixed_count], Code(", ".join(arg.text for arg in args[fixed_count:]))]
     return printed(template(text), dict(zip(names, args, strict=True)))
 
 

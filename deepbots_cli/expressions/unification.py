@@ -442,11 +442,11 @@ def expect_value(
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
     if value.type.known > known:
-        needed, other = ("fixed or drawn once per episode", "that does not change within an episode")
+        needed, alternative = ("fixed or drawn once per episode", "that does not change within an episode")
         if known is Known.FIXED:
-            needed, other = ("fixed", "with a fixed value")
+            needed, alternative = ("fixed", "with a fixed value")
         headline = f"{what} must be {needed}, but this value is {value.type.known.description}"
-        raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {other}")
+        raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {alternative}")
     if value.type.interval.is_finite and not boolean:
         _require_size(value, known, what, report)
     return spread(value, components)

@@ -190,9 +190,9 @@ class _ConditionBuilder:
             case Operation(operator="not", args=(inner,)):
                 return self._condition(inner, expression, negated=not negated, joined=joined)
             case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
-                both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
+                connective: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
                 return CompoundCondition(
-                    both, tuple(self._condition(arg, expression, negated=negated) for arg in args)
+                    connective, tuple(self._condition(arg, expression, negated=negated) for arg in args)
                 )
             case Operation(operator=written, args=(left, right)) if (
                 written in SIGN_OF_OPERATOR and not left.type.boolean
@@ -215,9 +215,9 @@ class _ConditionBuilder:
             ):
                 return self.goal(self._program.agent.goal, negated=negated)
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
-                other = self._named[symbol.name]
-                if not any(map(is_drawn, other.scalars)):
-                    return self._condition(other.typed, other, negated=negated)
+                definition = self._named[symbol.name]
+                if not any(map(is_drawn, definition.scalars)):
+                    return self._condition(definition.typed, definition, negated=negated)
         return Comparison(
             expression.text[node.start : node.end],
             "not_equal" if negated else "equal",

@@ -202,14 +202,14 @@ def nearest(trace: Trace) -> Numbers | None:
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, moment = nearest_moment(trace, leaf, () if never else beside)
     limit, value = (_shown(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
-    others = "" if never or fewest > 1 else "while the other conditions were true, "
+    prefix = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
         needed = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}"
-        best = f"{others}the nearest value was {value}"
+        best = f"{prefix}the nearest value was {value}"
     else:
         needed = f"`{leaf.text}` {'false' if negated else 'true'}"
-        best = f"{others}it was {'true' if negated else 'false'}"
+        best = f"{prefix}it was {'true' if negated else 'false'}"
     return {
         **moment.as_json(),
         "ending": name,

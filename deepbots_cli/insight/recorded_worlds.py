@@ -258,9 +258,9 @@ class ValueComparison:
             values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
         ):
             length = min(len(usual), len(there), most)
-            both = min(length, len(candidate))
-            squares.append(np.minimum(((candidate[:both] - there[:both]) / self._width) ** 2, 1.0))
-            squares.append(np.ones((length - both, len(self._width))))  # an episode that ended too early
+            count = min(length, len(candidate))
+            squares.append(np.minimum(((candidate[:count] - there[:count]) / self._width) ** 2, 1.0))
+            squares.append(np.ones((length - count, len(self._width))))  # an episode that ended too early
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
     def explained(self, values: Sequence[Array]) -> float:
@@ -309,9 +309,9 @@ class ValueComparison:
     def _off(self, first: Array, second: Array) -> Array:
         """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
         worlds has ended."""
-        both = min(len(first), len(second))
-        off = np.clip((second[:both] - first[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
-        return np.pad(off, ((0, max(len(first), len(second)) - both), (0, 0)))
+        count = min(len(first), len(second))
+        off = np.clip((second[:count] - first[:count]) / self._width, -1.0, 1.0)[:, self._numbers]
+        return np.pad(off, ((0, max(len(first), len(second)) - count), (0, 0)))
 
     def part(self) -> ValueComparison:
         """Return the comparison of a few episodes, those with the largest differences, until these have

@@ -276,10 +276,10 @@ class _Retries:
         )
 
 
-def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
+def _is_worse(verdict: RunVerdict, best_verdict: RunVerdict) -> bool:
     """Return whether an evaluation is clearly worse: the intervals of success rate, or else of mean return,
     do not overlap."""
-    evaluation, best = verdict.evaluation, other.evaluation
+    evaluation, best = verdict.evaluation, best_verdict.evaluation
     if evaluation is None or best is None:
         return evaluation is None
     pairs = (

@@ -438,7 +438,7 @@ def _stays_near(trace: Trace) -> bool:
                 past = [measure(leaf, values) for values in trace.values]
                 half, missing = past[len(past) // 2 :], [-(comparison.margin or 0.0) for comparison in past]
                 nearer = leaf.bound is not None and np.median(missing[len(past) // 2 :]) <= 0.35 * missing[0]
-                if not past[0].holds and (nearer or np.mean([each.holds for each in half]) >= 0.25):
+                if not past[0].holds and (nearer or np.mean([moment.holds for moment in half]) >= 0.25):
                     return True
     return False
 

@@ -318,15 +318,15 @@ class SimulatedRobot(Driver):
         return True
 
 
-def _fitting(value: Any, space: Any, other: Any) -> Any:
+def _fitting(value: Any, space: Any, fallback: Any) -> Any:
     """Return an action of the space from the numbers of a message; `other` if they are none."""
     size = int(np.prod(space.shape))
     if value.size != size or not np.isfinite(value).all():
-        return other
+        return fallback
     if isinstance(space, spaces.Box):
         return np.clip(value.reshape(space.shape), space.low, space.high).astype(space.dtype)
     fitted = value.astype(np.int64).reshape(space.shape)[()]
-    return fitted if space.contains(fitted) else other
+    return fitted if space.contains(fitted) else fallback
 
 
 def _without_limits(entry: Output) -> Input:

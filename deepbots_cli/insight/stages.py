@@ -536,7 +536,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         evidence.facts.terms_towards_success,
     )
     if terms:
-        others = sum(
+        other_reward = sum(
             float(curve[-max(1, len(curve) // 4) :].mean())
             for term, curve in late.items()
             if len(curve) and term != terms[0]
@@ -545,7 +545,8 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if len(late_part):
             remedy += (
-                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give {others:.3g})"
+                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give"
+                f" {other_reward:.3g})"
             )
         remedy += " and raise it,"
     uses_path = any(

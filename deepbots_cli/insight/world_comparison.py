@@ -151,11 +151,13 @@ def compare_worlds(
     with closing(Recorder(here, permissions)) as unchanged:
         kinds = [*_kinds(here, unchanged, document, permissions)]
         for row in _simulated_causes(comparison, kinds, on_world):
-            same = next((other for other in rows if comparison.all_same([other.values], [row.values])), None)
-            if same is None:
+            duplicate = next(
+                (other for other in rows if comparison.all_same([other.values], [row.values])), None
+            )
+            if duplicate is None:
                 rows.append(row)
             else:
-                same.texts.extend(row.texts)
+                duplicate.texts.extend(row.texts)
     causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
     likely = sorted(
         (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
@@ -210,7 +212,7 @@ def _simulated_causes(
         )
         if likeness <= 0.0:
             continue
-        same = next(
+        duplicate = next(
             (
                 group
                 for group in groups
@@ -218,10 +220,10 @@ def _simulated_causes(
             ),
             None,
         )
-        if same is None:
+        if duplicate is None:
             groups.append(_Group([kind], effects, likeness))
         else:
-            same.kinds.append(kind)
+            duplicate.kinds.append(kind)
     likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
     for number, group in enumerate(likely):
         for amount in group.kinds[0].amounts:

@@ -173,8 +173,8 @@ class GroupDifference:
     def compared(self) -> Measure | None:
         """The measure of the verdict: `measure`, or the other one if `measure` cannot be compared; None if
         neither can."""
-        other: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
-        return next((name for name in (self.measure, other) if getattr(self, name) is not None), None)
+        alternative: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
+        return next((name for name in (self.measure, alternative) if getattr(self, name) is not None), None)
 
     @property
     def _verdict_on_measure(self) -> str:

@@ -308,11 +308,16 @@ def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> f
     from scipy.special import gammaln
 
     count, first_ones, second_ones = len(first), int(first.sum()), int(second.sum())
-    both = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
-    cells = (both, first_ones - both, second_ones - both, count - first_ones - second_ones + both)
+    overlaps = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
+    cells = (
+        overlaps,
+        first_ones - overlaps,
+        second_ones - overlaps,
+        count - first_ones - second_ones + overlaps,
+    )
     logs = -sum(gammaln(cell + 1) for cell in cells)
     weights = np.exp(logs - logs.max())
-    weight = weights[int((first & second).sum()) - both[0]]
+    weight = weights[int((first & second).sum()) - overlaps[0]]
     return float(weights[weights <= weight * (1 + 1e-7)].sum() / weights.sum())
 
 

@@ -289,8 +289,10 @@ def until_enough(
     """
     for count in range(1, result.episodes):
         if until(result.outcomes[:count]):
-            others = ("model", "deterministic", "copies", "on_episode")
-            setting = _Setting(run, **{name: value for name, value in options.items() if name not in others})
+            other_options = ("model", "deterministic", "copies", "on_episode")
+            setting = _Setting(
+                run, **{name: value for name, value in options.items() if name not in other_options}
+            )
             return setting.result(result.model, result.outcomes[:count], deterministic=result.deterministic)
     return result
 

@@ -60,11 +60,11 @@ class Sides(NamedTuple):
     def divided(cls, worlds: int, newest: float, scripts: float = 0.0) -> Sides:
         """Divide the worlds: in the first ones the policy plays against itself, and in the last ones against
         scripts. Where it plays one side, it takes each side in turn."""
-        both = min(worlds, round(newest * worlds))
-        others = np.arange(both, worlds)
+        self_play_count = min(worlds, round(newest * worlds))
+        others = np.arange(self_play_count, worlds)
         return cls(
-            np.concatenate([np.arange(both), others[::2]]),
-            np.concatenate([np.arange(both), others[1::2]]),
+            np.concatenate([np.arange(self_play_count), others[::2]]),
+            np.concatenate([np.arange(self_play_count), others[1::2]]),
             others,
             others[len(others) - min(len(others), round(scripts * worlds)) :],
         )

@@ -77,10 +77,9 @@ def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
     touches = _impossible_contacts(analysis, ending)
     if touches:
         thing, *others = sorted(touches[0].subjects, key=lambda name: name not in analysis.intangible)
-        other = others[0] if others else "a"
+        body = others[0] if others else "a"
         return (
-            f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of"
-            f" `{thing}`"
+            f"use a distance, as in `distance({body}, {thing}) < 5 cm`, or remove `solid: false` of `{thing}`"
         )
     return "correct the condition, or remove the ending"
 

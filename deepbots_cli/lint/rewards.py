@@ -206,15 +206,15 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
         ratios, notes = [], []
         for by, row in rows.items():
             episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
-            others = (
+            other_sum = (
                 sum(other[by].absolute_total for name, other in simulation.terms() if name is not term)
                 / episodes
             )
-            size, rival = row.absolute_total / episodes, max(others, prize)
+            size, rival = row.absolute_total / episodes, max(other_sum, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             note = (
                 f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to"
-                f" {_short(others)}"
+                f" {_short(other_sum)}"
             )
             notes.append(f"{note}, and an ending pays up to {_short(prize)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:

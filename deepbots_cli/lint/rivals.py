@@ -49,13 +49,13 @@ def _opposite_terms(
 ) -> Iterator[tuple[tuple[float, Expression], tuple[float, Expression]]]:
     """Yield pairs of terms of two agents that are opposite multiples of the same value, with the multiples,
     unless they cancel."""
-    others = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(rival)}
+    rival_multiples = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(rival)}
     for multiple, term in _multiples(member):
-        if multiple.of in others:
-            factor, other = others[multiple.of]
+        if multiple.of in rival_multiples:
+            factor, rival_term = rival_multiples[multiple.of]
             opposite = multiple.factor * factor < 0.0
             if opposite and not isclose(multiple.factor, -factor, rel_tol=1e-9):
-                yield (multiple.factor, term), (factor, other)
+                yield (multiple.factor, term), (factor, rival_term)
 
 
 def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
@@ -84,9 +84,9 @@ def multiple_of(tree: Scalar, own: Mapping[tuple[str, str | None], Scalar]) -> M
             return inner._replace(factor=-inner.factor)
         case Op("mul", args):
             parts = [multiple_of(part, own) for part in args]
-            rest = tuple(part.of for part in parts if part.of is not None)
-            quantity = rest[0] if len(rest) == 1 else ("mul", rest)
-            return Multiple(prod(part.factor for part in parts), quantity if rest else None)
+            quantities = tuple(part.of for part in parts if part.of is not None)
+            quantity = quantities[0] if len(quantities) == 1 else ("mul", quantities)
+            return Multiple(prod(part.factor for part in parts), quantity if quantities else None)
         case Op("div", (value, Const(value=divisor))) if divisor:
             inner = multiple_of(value, own)
             return inner._replace(factor=inner.factor / float(divisor))

@@ -709,8 +709,8 @@ class Heights:
         if placed_rays is None:
             return None
         reach, tried = placed_rays
-        for other in tried[1:]:
-            for (height, slope), (reference, known_slope) in zip(other, tried[0], strict=True):
+        for rays in tried[1:]:
+            for (height, slope), (reference, known_slope) in zip(rays, tried[0], strict=True):
                 if abs(height - reference) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
                     return None
         lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
@@ -770,9 +770,9 @@ class Heights:
         for thing in self._world.objects:
             if thing.solid:
                 yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
-        for other in self._world.robots:
-            if other.name != robot or self._program.agent.copies is not None:
-                yield other.name, self._top_of_robot(other)
+        for body in self._world.robots:
+            if body.name != robot or self._program.agent.copies is not None:
+                yield body.name, self._top_of_robot(body)
 
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
         """Return the top of an object; of a movable one with its longest side upright."""

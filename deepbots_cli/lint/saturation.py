@@ -137,8 +137,8 @@ def _unseen(
         )
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
-        other = -beyond if number.low == -number.high else beyond
-        wide = Interval(min(number.low, beyond, other), max(number.high, beyond, other))
+        opposite = -beyond if number.low == -number.high else beyond
+        wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:

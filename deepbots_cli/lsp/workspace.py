@@ -425,10 +425,10 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
     """
     if now == then:
         return offset
-    same = common_prefix(now, then)
-    if offset <= same:
+    prefix_length = common_prefix(now, then)
+    if offset <= prefix_length:
         return offset
-    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - same)
+    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - prefix_length)
     if offset >= len(now) - tail:
         return offset - len(now) + len(then)
     begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)

@@ -554,10 +554,10 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
 
 def _mimic(joint: Element) -> Mimic | None:
     element = joint.find_one("mimic")
-    other = element.text("joint") if element else None
+    leader = element.text("joint") if element else None
     return (
-        Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0))
-        if element and other
+        Mimic(leader, element.number("multiplier", 1.0), element.number("offset", 0.0))
+        if element and leader
         else None
     )
 

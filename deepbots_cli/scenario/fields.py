@@ -106,9 +106,9 @@ def counted_noun(number: int, noun: str) -> str:
 def choices_help(word: str, words: Sequence[str]) -> str:
     """Return the help for an unknown word: the probable word, and all known words; a long list is left out
     beside a word that is hardly wrong."""
-    other = word_for(word, words)
-    near = other or nearest_word(word, words)
-    if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
+    synonym = word_for(word, words)
+    near = synonym or nearest_word(word, words)
+    if near and len(words) > MAX_BESIDE and (synonym or is_typo(word, near)):
         return f"did you mean `{near}`?"
     listed = shortened_list((f"`{choice}`" for choice in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
@@ -116,8 +116,8 @@ def choices_help(word: str, words: Sequence[str]) -> str:
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """Return the probable word of the language, as a replacement."""
-    other = word_for(word, words)
-    return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
+    synonym = word_for(word, words)
+    return Replacement(synonym, safe=False) if synonym else suggest_replacement(word, words, of_language=True)
 
 
 _ENDS = (

@@ -436,8 +436,8 @@ class Placement(Pose):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (
         *Pose.key_rules,
         KeyCount(("region", "line", "xyz")),
-        *(KeyCount((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
-        *(KeyCount(("on", way)) for way in ("line", "xyz")),
+        *(KeyCount((key, axis)) for key in ("region", "line", "on") for axis in ("x", "y")),
+        *(KeyCount(("on", key)) for key in ("line", "xyz")),
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None

@@ -53,7 +53,7 @@ def explanation(word: str) -> str:
         return _with_links(unknown_word_message(word))
     parts = [_entry(title, text) for title, *text in explained.entries]
     if explained.others:
-        parts.append(f"See also: {', '.join(_link(other) for other in explained.others)}")
+        parts.append(f"See also: {', '.join(_link(name) for name in explained.others)}")
     return "\n\n---\n\n".join(parts)
 
 

@@ -144,8 +144,8 @@ class Expander:
         document = parse(source, is_proto=True)
         proto = document.protos.get(name)
         if proto is None:
-            other = next(iter(document.protos.values()))
-            self.findings.error(other.span, f"PROTO {other.name} in a file for {name}")
+            first_proto = next(iter(document.protos.values()))
+            self.findings.error(first_proto.span, f"PROTO {first_proto.name} in a file for {name}")
         return proto
 
     def _check_fields(self, node: Node, proto: Proto) -> None:

@@ -190,7 +190,7 @@ def command(
     present = _given_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        others = [
+        options = [
             name
             for name in present
             if name not in ("episodes", "force", "as_json", "allow_paths", "allow_code")
@@ -198,7 +198,7 @@ def command(
         _refuse(
             "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
             present,
-            others,
+            options,
         )
         repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
@@ -359,9 +359,9 @@ def _evaluate_in_engine(
         scripted: Sequence[EvaluationResult] = ()
         if baselines:
             of_policy = ("model", "deterministic")
-            others = {name: value for name, value in options.items() if name not in of_policy}
-            others["episodes"] = result.episodes
-            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **others)
+            baseline_options = {name: value for name, value in options.items() if name not in of_policy}
+            baseline_options["episodes"] = result.episodes
+            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **baseline_options)
     label = scenario_label(run, request.scenario, request.overrides, further_options["scenario"])
     return _EngineEvaluations(result, cases, scripted, label)
 
@@ -387,7 +387,7 @@ class _EngineEvaluations:
         if self.baselines:
             policies = [
                 ("the trained policy", self.result),
-                *((other.model, other) for other in self.baselines),
+                *((baseline.model, baseline) for baseline in self.baselines),
             ]
             yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
@@ -550,11 +550,11 @@ def scenario_label(
     --set is given."""
     if compiled is None or not (scenario or overrides):
         return None
-    same = task_digest(compiled.program) == task_digest(run.program)
+    is_same_task = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in overrides)
     return (
         f"{scenario or 'of the run'}{changed},"
-        f" {'with the same episodes as the training' if same else 'different from the training'}"
+        f" {'with the same episodes as the training' if is_same_task else 'different from the training'}"
     )
 
 

@@ -182,7 +182,7 @@ def topics() -> tuple[Topic, ...]:
 
 
 def _topic(name: str, entry: dict[str, str]) -> Topic:
-    names = tuple(other.strip() for other in entry["names"].split(","))
+    names = tuple(alias.strip() for alias in entry["names"].split(","))
     return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
 
 
@@ -206,7 +206,9 @@ def explain_word(word: str) -> Explained:
     """
     plain = _plain(word)
     spelled = (
-        word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+        word
+        if word in _words()
+        else next((candidate for candidate in _words() if _plain(candidate) == plain), word)
     )
     blocks = _blocks(spelled)
     matching = [topic for topic in topics() if plain == _plain(topic.name)]
@@ -366,13 +368,13 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
     yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
-    needed, others = (
+    required_keys, optional_keys = (
         [key for key, required in keys.items() if required is is_required] for is_required in (True, False)
     )
-    if needed:
-        yield f"Required keys: {', '.join(needed)}."
-    if others:
-        yield f"Optional keys: {', '.join(others)}."
+    if required_keys:
+        yield f"Required keys: {', '.join(required_keys)}."
+    if optional_keys:
+        yield f"Optional keys: {', '.join(optional_keys)}."
 
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:

@@ -526,7 +526,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
     import signal
     from concurrent.futures import ProcessPoolExecutor
 
-    others = [name for name in names if name != STDIN]
+    files = [name for name in names if name != STDIN]
     # Ctrl-C reaches every process; only this one handles it.
     with (
         safe_path(),
@@ -535,7 +535,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
         ) as pool,
     ):
         results = dict(
-            zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True)
+            zip(files, pool.map(look_at, files, chunksize=max(1, len(files) // (4 * jobs))), strict=True)
         )
     return [results[name] if name in results else look_at(name) for name in names]
 

@@ -209,10 +209,10 @@ def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None
         UsageError: `--retry` cannot be combined with these options.
     """
     if retry is not None and (seeds is not None or to_view):
-        other = "--view" if seeds is None else "--seeds"
+        alternative = "--view" if seeds is None else "--seeds"
         raise UsageError(
-            f"--retry follows the causes of one training; leave out {other}, and use it with the values that"
-            " --retry finds"
+            f"--retry follows the causes of one training; leave out {alternative}, and use it with the values"
+            " that --retry finds"
         )
 
 

@@ -131,11 +131,13 @@ def command(
     for ref in opened:
         run = ref.run
         judged = _other_scenario(run, scenario, overrides or (), permissions)
-        other = engine or (run.record.engine if judged is not None else _other_engine(run.record.engine))
-        if judged is None and other == run.record.engine:
+        other_engine = engine or (
+            run.record.engine if judged is not None else _other_engine(run.record.engine)
+        )
+        if judged is None and other_engine == run.record.engine:
             raise UsageError(
-                f"{run.path} was trained in {other}; name the other engine with --engine, or another world"
-                " with --scenario or --set"
+                f"{run.path} was trained in {other_engine}; name the other engine with --engine, or another"
+                " world with --scenario or --set"
             )
         with (
             processes.executor(workers, address) as executor,
@@ -145,7 +147,7 @@ def command(
                 transfer(
                     run,
                     model=ref.name,
-                    engine=other,
+                    engine=other_engine,
                     scenario=judged,
                     min_success=min_success,
                     min_return=min_return,
@@ -168,7 +170,7 @@ def command(
 
 
 def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
-    if len(refs) > 1 or any(other is not None for other in others):
+    if len(refs) > 1 or any(value is not None for value in others):
         raise UsageError(
             "--log compares a log with the simulation of one run; leave out other runs, worlds and"
             " requirements"

@@ -260,14 +260,14 @@ def roam(draft: Draft) -> dict[str, object]:
                 endless,
                 f"spin_{kind} * {short_number(top)} {unit}/s",
             )
-        if others := [joint for joint in joints if joint not in endless]:
-            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", others)
-            rest, swing = _middle(draft, group, f"rest_{kind}", others)
+        if bending_joints := [joint for joint in joints if joint not in endless]:
+            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", bending_joints)
+            rest, swing = _middle(draft, group, f"rest_{kind}", bending_joints)
             draft.motor(
                 f"bend_{kind}",
                 "position_motor",
                 group,
-                others,
+                bending_joints,
                 f"{rest} + {short_number(swing)} {unit} * bend_{kind}",
             )
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}

@@ -493,8 +493,8 @@ def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
     low, high = 0.0, 1.0 - 1e-9
     for _ in range(60):
         ratio = (low + high) / 2
-        rest = sqrt(1.0 - ratio * ratio)
-        rebound = exp(-ratio / rest * (pi - atan2(2 * ratio * rest, rest * rest - ratio * ratio)))
+        root = sqrt(1.0 - ratio * ratio)
+        rebound = exp(-ratio / root * (pi - atan2(2 * ratio * root, root * root - ratio * ratio)))
         low, high = (ratio, high) if rebound > restitution else (low, ratio)
     duration = min(max(BOUNCE_TIME, BOUNCE_STEPS[0] * step), BOUNCE_STEPS[1] * step)
     rate = pi / (duration * max(sqrt(1.0 - low * low), 0.5))

@@ -99,8 +99,8 @@ def _limits(actuator: Actuator, kind: str, joints: Sequence[Joint], count: int) 
     return [(-math.inf, math.inf)] * count
 
 
-def _or(number: float | None, other: float) -> float:
-    return other if number is None else number
+def _or(number: float | None, default: float) -> float:
+    return default if number is None else number
 
 
 def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -80,10 +80,10 @@ class Arithmetic:
         if len(parts) == 1:
             return parts[0]
         truth = all(part.truth for part in parts)
-        same = [part if truth else self.number(part) for part in parts]
+        values = [part if truth else self.number(part) for part in parts]
         return Value(
-            self.graph.add("Concat", *(part.name for part in same), axis=0),
-            sum(part.size for part in same),
+            self.graph.add("Concat", *(part.name for part in values), axis=0),
+            sum(part.size for part in values),
             truth,
         )
 
@@ -170,10 +170,10 @@ class Arithmetic:
     def remainder(self, a: Value, b: Value) -> Value:
         """Return `a % b` as in Python, with the sign of b."""
         rest = self._node("Mod", a, b, fmod=1)
-        other = self.both(
+        has_other_sign = self.both(
             self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b))
         )
-        return self.where(other, self.binary("Add", rest, b), rest)
+        return self.where(has_other_sign, self.binary("Add", rest, b), rest)
 
     def _unequal(self, a: Value, b: Value) -> Value:
         return self.negated(self.binary("Equal", a, b))
@@ -341,14 +341,14 @@ class TreePrinter:
                 [self._leaf(tree) for tree in trees if isinstance(tree, (Name, EngineRead))]
             )
         if isinstance(first, State):
-            same = [
+            states = [
                 tree
                 for tree in trees
                 if isinstance(tree, State)
                 and (tree.function, len(tree.args)) == (first.function, len(first.args))
             ]
-            if len(same) == len(trees):
-                return self._states(same, self)
+            if len(states) == len(trees):
+                return self._states(states, self)
         if isinstance(first, Op):
             alike = [
                 tree
@@ -406,11 +406,11 @@ class TreePrinter:
             case ast.BoolOp(op=sign, values=parts):
                 joined = self._code(parts[0], args)
                 for part in parts[1:]:
-                    other = self._code(part, args)
+                    operand = self._code(part, args)
                     joined = (
-                        arithmetic.both(joined, other)
+                        arithmetic.both(joined, operand)
                         if isinstance(sign, ast.And)
-                        else arithmetic.either(joined, other)
+                        else arithmetic.either(joined, operand)
                     )
                 return joined
             case ast.UnaryOp(op=ast.USub(), operand=inner):

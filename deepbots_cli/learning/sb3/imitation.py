@@ -382,10 +382,10 @@ def agreement(model: Any, observations: Any, taught: Array) -> float:
             actions = model.policy(batch, deterministic=True).cpu().numpy()
     labels = taught.reshape(actions.shape)
     if isinstance(model.action_space, spaces.Box):
-        same = np.abs(np.clip(actions, -1.0, 1.0) - np.clip(labels, -1.0, 1.0)) <= _AGREES
+        agrees = np.abs(np.clip(actions, -1.0, 1.0) - np.clip(labels, -1.0, 1.0)) <= _AGREES
     else:
-        same = actions == labels
-    return float(same.reshape(len(same), -1).all(1).mean())
+        agrees = actions == labels
+    return float(agrees.reshape(len(agrees), -1).all(1).mean())
 
 
 def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:

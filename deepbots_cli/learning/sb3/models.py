@@ -143,22 +143,22 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
     """
     file_tensors = _read(path, path.stat().st_size if path.is_file() else 0)["policy"]
     tensors = model.policy.state_dict()
-    others: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for name, tensor in tensors.items():
-        other = file_tensors.get(name)
-        if not isinstance(other, torch.Tensor):
-            others[name] = "the other model does not have it"
-        elif other.shape != tensor.shape:
-            others[name] = f"{tuple(tensor.shape)} here, {tuple(other.shape)} there"
-        elif not torch.isfinite(other).all():
-            others[name] = "not finite there"
-    copied = tuple(name for name in tensors if name not in others)
+        file_tensor = file_tensors.get(name)
+        if not isinstance(file_tensor, torch.Tensor):
+            reasons[name] = "the other model does not have it"
+        elif file_tensor.shape != tensor.shape:
+            reasons[name] = f"{tuple(tensor.shape)} here, {tuple(file_tensor.shape)} there"
+        elif not torch.isfinite(file_tensor).all():
+            reasons[name] = "not finite there"
+    copied = tuple(name for name in tensors if name not in reasons)
     if not copied:
         raise UsageError(f"no tensor of {path} fits the policy of this scenario")
     model.policy.load_state_dict(
         {name: file_tensors[name] if name in copied else tensor for name, tensor in tensors.items()}
     )
-    return Initialization(copied, others)
+    return Initialization(copied, reasons)
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:

@@ -108,9 +108,9 @@ class Code:
         if name in module.classes:
             return module, module.classes[name]
         target = module.imported.get(name, "").rpartition(".")
-        other = self.modules.get(target[0].rpartition(".")[2])
-        if other is not None and target[2] in other.classes:
-            return other, other.classes[target[2]]
+        target_module = self.modules.get(target[0].rpartition(".")[2])
+        if target_module is not None and target[2] in target_module.classes:
+            return target_module, target_module.classes[target[2]]
         return None
 
 

@@ -64,11 +64,11 @@ def _merged_truth(condition: Condition, then: Value, otherwise: Value, place: Pl
     if then is False:
         opposite = negated(condition, place)
         return opposite if otherwise is True else several([opposite, otherwise], place, is_or=False)
-    both = several([condition, then], place, is_or=False)
+    first_case = several([condition, then], place, is_or=False)
     if otherwise is False:
-        return both
-    rest = [negated(condition, place)] if otherwise is True else [negated(condition, place), otherwise]
-    return several([both, several(rest, place, is_or=False)], place, is_or=True)
+        return first_case
+    second_case = [negated(condition, place)] if otherwise is True else [negated(condition, place), otherwise]
+    return several([first_case, several(second_case, place, is_or=False)], place, is_or=True)
 
 
 def amount(value: Value, beside: Value) -> Quantity | None:

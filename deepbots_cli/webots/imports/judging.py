@@ -226,9 +226,11 @@ def _ending_conditions(
             return [Unknown(condition.unknown.place)]
     if len(conditions) < 2:
         return conditions
-    both = " and ".join(f"({condition.text})" for condition in conditions if isinstance(condition, Condition))
+    joined_text = " and ".join(
+        f"({condition.text})" for condition in conditions if isinstance(condition, Condition)
+    )
     last = conditions[-1]
-    return [Condition((Part(both, last.parts[0].place if isinstance(last, Condition) else place),))]
+    return [Condition((Part(joined_text, last.parts[0].place if isinstance(last, Condition) else place),))]
 
 
 def _names_success(reader: Reader, place: Place) -> bool:

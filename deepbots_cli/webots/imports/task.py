@@ -402,8 +402,8 @@ def _label(devices: Sequence[str]) -> str:
     if len(devices) == 1:
         return scenario_name(devices[0], "motor")
     first, last = min(devices), max(devices)
-    same = next((at for at in range(len(first)) if first[at] != last[at : at + 1]), len(first))
-    stem = scenario_name(first[:same].rstrip("0123456789 _-"), "motor")
+    prefix_length = next((at for at in range(len(first)) if first[at] != last[at : at + 1]), len(first))
+    stem = scenario_name(first[:prefix_length].rstrip("0123456789 _-"), "motor")
     return stem if stem.endswith("s") else f"{stem}s"
 
 
