@@ -425,12 +425,13 @@ def report_lines(found: Mapping[str, Any]) -> list[str]:
     rate = "" if found["success_rate"] is None else f", success {found['success_rate']:.1%}"
     endings = ", ".join(f"{count} {name}" for name, count in found["endings"].items())
     times = ", ".join(f"{word} {found[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
-    stale_steps, late = found["steps_without_new_command"], found["late_steps"]
+    held_steps, late_steps = found["steps_without_new_command"], found["late_steps"]
     return [
         found["link"],
         f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by:"
         f" {endings}",
-        f"  steps     {found['steps']:,}; {stale_steps:,} without a new command, {late:,} that began late",
+        f"  steps     {found['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
+        " late",
         f"  answer    {times}",
         *(f"  refused   {count:,} commands: {kind}" for kind, count in found["refused"].items()),
     ]

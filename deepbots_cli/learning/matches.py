@@ -229,9 +229,9 @@ def _both_sides(
     """Return the match of two players: the episodes with `a` as the first agent, and as the second one."""
     first, second = program.members.values()
     wins = losses = 0
-    for done, player, opponent in ((as_first, first, second), (as_second, second, first)):
+    for done, side, opponent in ((as_first, first, second), (as_second, second, first)):
         for episode in done:
-            won, lost = (own_episode(member, episode).is_success for member in (player, opponent))
+            won, lost = (own_episode(member, episode).is_success for member in (side, opponent))
             wins += won and not lost
             losses += lost and not won
     decided = wins + losses
