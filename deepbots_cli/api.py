@@ -197,8 +197,8 @@ def with_learner(compiled: Compiled) -> Compiled:
     """
     if compiled.program.agent.training is not None or compiled.document is None:
         return compiled
-    chosen = compile(check(replace(compiled.document, findings=Findings()), to_train=True))
-    return replace(chosen, findings=compiled.findings, edited_code=compiled.edited_code)
+    trainable = compile(check(replace(compiled.document, findings=Findings()), to_train=True))
+    return replace(trainable, findings=compiled.findings, edited_code=compiled.edited_code)
 
 
 def make(

@@ -215,14 +215,14 @@ def _default() -> str:
     usual = ENGINES.own[DEFAULT_ENGINE]
     if usual.is_installed:
         return DEFAULT_ENGINE
-    other = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
-    if other is None:
+    alternative = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
+    if alternative is None:
         return DEFAULT_ENGINE  # its error explains how to install it
     logging.getLogger("deepbots").warning(
         "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
         " world.engine)",
         usual.missing,
-        ENGINES.own[other].title,
+        ENGINES.own[alternative].title,
         usual.title,
     )
-    return other
+    return alternative

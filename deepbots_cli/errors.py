@@ -98,10 +98,10 @@ def install_hint(extra: str, origin: str | None = None) -> str:
     it.
     """
     origin = origin or install_source()
-    wanted = [f"'{origin}[{extra}]'"]
+    packages = [f"'{origin}[{extra}]'"]
     if origin != "deepbots-cli" and "deepbots_robot" in _packages_by_extra().get(extra, ()):
-        wanted.insert(0, f"'{origin}/deepbots_robot'")
-    return f"install it with: pip install {' '.join(wanted)}"
+        packages.insert(0, f"'{origin}/deepbots_robot'")
+    return f"install it with: pip install {' '.join(packages)}"
 
 
 def install_source() -> str:

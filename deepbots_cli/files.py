@@ -84,10 +84,10 @@ def refuse_overwriting(*present: Path, force: bool) -> None:
     """
     if not force:
         names = ", ".join(sorted(map(str, present)))
-        one = len(present) == 1
+        is_single = len(present) == 1
         raise UsageError(
-            f"{names} already exist{'s' * one}; overwrite {'it' if one else 'them'} with --force (in Python:"
-            " force=True), "
+            f"{names} already exist{'s' * is_single}; overwrite {'it' if is_single else 'them'} with --force"
+            " (in Python: force=True), "
             "or choose another name"
         )
 

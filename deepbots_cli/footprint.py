@@ -114,8 +114,8 @@ class Patch(NamedTuple):
 def patch_distance(a: Patch, b: Patch) -> float:
     """Return the distance between two patches; negative where they overlap."""
     if a.half is None or b.half is None:
-        disc, other = (a, b) if a.half is None else (b, a)
-        return other.distance(disc.x, disc.y) - disc.radius
+        disc, patch = (a, b) if a.half is None else (b, a)
+        return patch.distance(disc.x, disc.y) - disc.radius
     if not _parted(a, b):
         return -min(*a.half, *b.half)
     return min(
@@ -177,8 +177,8 @@ def half_width(model: RobotModel) -> float:
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
     """Return the discs of all collision shapes, or of all visuals where there are none, in the frame of the
     root link."""
-    for placed in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
-        discs = [disc for shape, frame in placed for disc in _discs(shape, frame)]
+    for pairs in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
+        discs = [disc for shape, frame in pairs for disc in _discs(shape, frame)]
         if discs:
             return discs
     return []

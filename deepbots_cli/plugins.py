@@ -57,8 +57,8 @@ def warn_unavailable(entry: EntryPoint, reason: object) -> None:
 def unavailable_message(entry: EntryPoint, reason: object) -> str:
     """Return the text of the warning."""
     message = f"{type(reason).__name__}: {reason}" if isinstance(reason, BaseException) else str(reason)
-    what = entry.group.rpartition(".")[2]
-    return f"the {what} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
+    noun = entry.group.rpartition(".")[2]
+    return f"the {noun} '{entry.name}' ({entry.value}) are not available: {' '.join(message.split())[:200]}"
 
 
 def import_attribute(place: str) -> Any:

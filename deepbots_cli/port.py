@@ -417,12 +417,12 @@ class EngineProxy:
             return self.body(value[0]), *value[1:]
         return tuple(map(self._renamed, value))
 
-    def _pass(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
-        own = {name: self._renamed(value) if name in _PARTS else value for name, value in named.items()}
-        return getattr(self.engine, method)(*map(self._renamed, given[:parts]), *given[parts:], **own)
+    def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
+        renamed = {name: self._renamed(value) if name in _PARTS else value for name, value in kwargs.items()}
+        return getattr(self.engine, method)(*map(self._renamed, args[:parts]), *args[parts:], **renamed)
 
-    def _reader(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
-        return self.bound(self._pass(method, parts, *given, **named))
+    def _reader(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
+        return self.bound(self._pass(method, parts, *args, **kwargs))
 
     def place(self, body: str, *given: Any, **named: Any) -> None:
         if engine := self.changing(body):

@@ -243,8 +243,8 @@ class Analysis:
     def _compute_dependencies(self, node: Scalar) -> frozenset[str]:
         match node:
             case Name(name):
-                meant = self.definition(node)
-                return frozenset((name,)) if meant is None else self.dependencies(meant) | {name}
+                definition = self.definition(node)
+                return frozenset((name,)) if definition is None else self.dependencies(definition) | {name}
             case Const() | EngineRead():
                 return _NO_NAMES
             case State(function) if function in _DURATION_FUNCTIONS:
@@ -263,9 +263,9 @@ class Analysis:
         match node:
             case Name(name):
                 yield name
-                meant = self.definition(node)  # name by name: a parameter may be behind another name
-                if meant is not None:
-                    yield from self.drawn_dependencies(meant)
+                definition = self.definition(node)  # name by name: a parameter may be behind another name
+                if definition is not None:
+                    yield from self.drawn_dependencies(definition)
                 sensor = self.sensor(self.resolve_aliases(node))
                 if sensor is not None:
                     yield sensor[0]
@@ -315,7 +315,11 @@ class Analysis:
         robots = {body.name for body in self.program.world.robots if not body.self_collision}
         robots -= {copies.robot if copies else ""}  # a copy may touch another one
         return sorted(
-            {f"contact({', '.join(part.subjects)})" for part, of in owners if len(of) == 1 and of <= robots}
+            {
+                f"contact({', '.join(part.subjects)})"
+                for part, names in owners
+                if len(names) == 1 and names <= robots
+            }
         )
 
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
@@ -392,10 +396,10 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         for tree in analysis.scalars(value)
     ]
     whole = {analysis.identity(tree) for tree in numbers}
-    seen, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
-    while solved := [read for read in unsolved if len(read - seen) <= 1]:
-        seen.update(*solved)
-        unsolved = [read for read in unsolved if not read <= seen]
+    observed_sources, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
+    while solved := [read for read in unsolved if len(read - observed_sources) <= 1]:
+        observed_sources.update(*solved)
+        unsolved = [read for read in unsolved if not read <= observed_sources]
     signals = {signal.name: signal for signal in program.signals}
     reads: dict[str, None] = {}
     waiting = [value for part in program.script(script).parts for value in part.values]
@@ -403,13 +407,13 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         for node in _reads_in(value.typed):
             text = value.text[node.start : node.end]
             trees = analysis.lowered(node, value.owner)
-            if sources(trees) <= seen or all(analysis.identity(tree) in whole for tree in trees):
+            if sources(trees) <= observed_sources or all(analysis.identity(tree) in whole for tree in trees):
                 continue
             signal = signals.pop(text.partition(".")[0], None) if not isinstance(node, Invocation) else None
             if signal is not None:
                 waiting.append(signal)
             elif isinstance(node, Invocation) or text.partition(".")[0] not in {
-                each.name for each in waiting
+                entry.name for entry in waiting
             }:
                 reads[text] = None
     return list(reads)

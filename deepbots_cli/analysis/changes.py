@@ -142,12 +142,12 @@ class Change:
             f"{name}: {one or '(not written)'} -> {other or '(not written)'}"
             for name, (one, other) in self.through.items()
         )
-        what = (
+        prefix = (
             ""
             if any(" " in name for name in self.through)
             else f"the parameter{'s' * (len(self.through) > 1)} "
         )
-        return f"changed by {what}{', '.join(listed)}"
+        return f"changed by {prefix}{', '.join(listed)}"
 
 
 @dataclass(frozen=True)
@@ -604,7 +604,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
         members is None
         and isinstance(value, tuple)
         and not isinstance(value, Scalar)
-        and not all(isinstance(each, str) for each in value)
+        and not all(isinstance(item, str) for item in value)
     ):
         entries = _keyed(value, path)
     elif members is None and isinstance(value, Mapping):

@@ -55,17 +55,21 @@ def _compared(
                 and long.function == "duration"
                 and not isinstance(short, Invocation)
             )
-            held = long.args[0] if is_long and isinstance(long, Invocation) else None
-            yield from _compared(analysis, value, held, met) if held else (ConditionComparison(value, node),)
+            condition = long.args[0] if is_long and isinstance(long, Invocation) else None
+            yield from (
+                _compared(analysis, value, condition, met)
+                if condition
+                else (ConditionComparison(value, node),)
+            )
         case Operation(operator="and" | "or", args=args):
             for arg in args:
                 yield from _compared(analysis, value, arg, met)
         case Reference(symbol=symbol) if (
-            meant := analysis.expression_named(symbol.name)
-        ) is not None and meant.typed.type.boolean:
-            if symbol.name not in met and meant.foreign is None:
+            definition := analysis.expression_named(symbol.name)
+        ) is not None and definition.typed.type.boolean:
+            if symbol.name not in met and definition.foreign is None:
                 met.add(symbol.name)
-                yield from _compared(analysis, meant, meant.typed, met)
+                yield from _compared(analysis, definition, definition.typed, met)
 
 
 def only_comparison(analysis: Analysis, condition: Expression) -> ConditionComparison | None:
@@ -181,16 +185,16 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
     A failure has precedence over a success, so a failure behind a success still counts.
     """
     program, success, ranges = analysis.program, analysis.program.agent.success, analysis.ranges_in(0.0, INF)
-    own = [
+    endings = [
         ending
         for ending in program.endings
         if ending.foreign is None and not ranges.of(analysis.scalars(ending)[0]).is_single
     ]
     shadowed: dict[Expression, Expression] = {}
-    for late in own if 1 < len(own) <= _MAX_ENDINGS else ():
+    for late in endings if 1 < len(endings) <= _MAX_ENDINGS else ():
         others = [
             other
-            for other in own
+            for other in endings
             if other is not late and (late.name in success or other.name not in success)
         ]
         if not others or has_choice(analysis, late):

@@ -77,7 +77,7 @@ def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[W
 
 
 def _together(parts: list[list[Way]]) -> list[Way]:
-    combined = (merged(*chosen) for chosen in product(*parts))
+    combined = (merged(*combination) for combination in product(*parts))
     return [way for way in islice(combined, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
 
 
@@ -346,7 +346,7 @@ class Course(Ranges):
     def _advanced(self, node: State, identity: int) -> Interval:
         args = [self.of(arg) for arg in node.args]
         x, before = args[0], self._memory.get(identity)
-        kept = x
+        memory = x
         match node.function:
             case "delta" | "previous":
                 value = NEVER if node.function == "delta" else x
@@ -357,26 +357,26 @@ class Course(Ranges):
                 if before is not None and self._varies(node.args[0]):
                     value = iv.minimum(x, iv.subtract(ALWAYS, before))
             case "duration":
-                kept = value = self._duration(x, before or NEVER)
+                memory = value = self._duration(x, before or NEVER)
             case "integral":
                 step = iv.multiply(x, single(self._tick))
-                kept = value = NEVER if before is None else iv.add(before, step)
+                memory = value = NEVER if before is None else iv.add(before, step)
             case "accumulate":
-                kept = value = args[3] if before is None else iv.clamp(iv.add(before, x), args[1], args[2])
+                memory = value = args[3] if before is None else iv.clamp(iv.add(before, x), args[1], args[2])
             case "hold":
-                kept = value = iv.where(args[1], x, x if before is None else before)
+                memory = value = iv.where(args[1], x, x if before is None else before)
             case "low_pass":
                 share = iv.divide(single(self._tick), iv.add(args[1], single(self._tick)))
-                kept = value = (
+                memory = value = (
                     x if before is None or not self._varies(node.args[0]) else _mixed(before, x, share)
                 )
             case "running_max":
-                kept = value = x if before is None else iv.maximum(before, x)
+                memory = value = x if before is None else iv.maximum(before, x)
             case "running_min":
-                kept = value = x if before is None else iv.minimum(before, x)
+                memory = value = x if before is None else iv.minimum(before, x)
             case _:
                 value = super()._state(node)
-        self._memory[identity] = kept
+        self._memory[identity] = memory
         return value
 
     def _duration(self, condition: Interval, before: Interval) -> Interval:

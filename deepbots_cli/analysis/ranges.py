@@ -145,12 +145,12 @@ class Ranges:
         if op == "where":
             condition = self.of(args[0])
             if condition.low > 0.0:
-                chosen = args[1:2]
+                branches = args[1:2]
             elif condition.high <= 0.0:
-                chosen = args[2:]
+                branches = args[2:]
             else:
-                chosen = args[1:]
-            return hull([self.of(arg) for arg in chosen])
+                branches = args[1:]
+            return hull([self.of(arg) for arg in branches])
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), single(2.0))
         if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):

@@ -65,7 +65,7 @@ class RewardTerms:
             "truncated": truncated,
             "ended": truncated or ending is not None,
         }
-        return {name: ALWAYS if held else NEVER for name, held in holds.items()}
+        return {name: ALWAYS if is_true else NEVER for name, is_true in holds.items()}
 
     def split_by_end(self) -> tuple[Terms, Terms]:
         """Return the terms that pay in ordinary steps, and the terms that pay only when an episode ends."""

@@ -73,4 +73,4 @@ class ShownUnits:
             if unit.dimension.rad
         )
         most = {str(unit.dimension): unit for unit, _ in reversed(counts.most_common())}
-        return {each: unit for each, unit in most.items() if unit.dimension.rad == 1}
+        return {dimension: unit for dimension, unit in most.items() if unit.dimension.rad == 1}

@@ -47,9 +47,9 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
         if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
             at = actuator.joints.index(joint)
             trees = analysis.value_on_robot(command.target, robot)
-            asked = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
+            speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
             limit = actuator.max_velocity[at]
-            return asked if limit is None else min(asked, limit)
+            return speed if limit is None else min(speed, limit)
     return INF
 
 

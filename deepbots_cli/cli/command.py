@@ -52,8 +52,8 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
     def parse(text: str | int) -> int:
         value = _whole(str(text))
         if value is None:
-            like = "0 or 42" if minimum == 0 else "100000, 100_000, 100k or 1e5"
-            raise typer.BadParameter(f"'{text}' is not a whole number; write it like {like}")
+            example = "0 or 42" if minimum == 0 else "100000, 100_000, 100k or 1e5"
+            raise typer.BadParameter(f"'{text}' is not a whole number; write it like {example}")
         if value < minimum:
             raise typer.BadParameter(f"{text} is too small; the minimum is {minimum}")
         if maximum is not None and value > maximum:
@@ -142,9 +142,9 @@ def _whole(text: str) -> int | None:
     except ValueError:
         from deepbots_cli.scenario.fields import count_replacement
 
-        meant = count_replacement(text)
+        replacement = count_replacement(text)
     try:
-        number = float(meant or text)
+        number = float(replacement or text)
     except ValueError:
         return None
     return int(number) if number.is_integer() and number < 1e15 else None
@@ -421,12 +421,12 @@ def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, s
     """Return the driver that `--against` names for each other agent."""
     drivers: dict[str, str] = {}
     for word in against:
-        other, equals, driver = word.partition("=")
+        name, equals, driver = word.partition("=")
         if agent is None or not equals:
             raise typer.BadParameter(
                 f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
             )
-        drivers[other.strip()] = driver.strip()
+        drivers[name.strip()] = driver.strip()
     return drivers
 
 
@@ -448,11 +448,11 @@ def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
 
     entries: list[str] = []
     folders: list[Path] = []
-    for other, driver in drivers.items():
+    for name, driver in drivers.items():
         if is_model(driver):
             driver = os.path.abspath(driver)
             folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
-        entries.append(f"{other}: {json.dumps(driver)}")
+        entries.append(f"{name}: {json.dumps(driver)}")
     return entries, folders
 
 
@@ -461,29 +461,29 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
     signature = inspect.signature(command, eval_str=True)
 
     @wraps(command)
-    def call(*, agent: str | None, against: list[str] | None, **given: Any) -> None:
+    def call(*, agent: str | None, against: list[str] | None, **values: Any) -> None:
         drivers = _drivers_of_others(agent, against or ())
-        source = given.get("run") or given.get("shown")
+        source = values.get("run") or values.get("shown")
         if agent is not None and source is not None:
             drivers = _policies_of_run(Path(source), agent) | drivers
         others, folders = _role_entries(drivers)
-        if folders and "permissions" in given:
-            allowed = given["permissions"]
-            given["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
+        if folders and "permissions" in values:
+            allowed = values["permissions"]
+            values["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
         role = f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"  # in place of one in the file
         settings = [role] if agent is not None else []
-        command(**given | {"overrides": [*(given["overrides"] or ()), *settings] or None})
+        command(**values | {"overrides": [*(values["overrides"] or ()), *settings] or None})
 
     parameters = list(signature.parameters.values())
-    after = next(place for place, each in enumerate(parameters) if each.name == "overrides") + 1
+    after = next(place for place, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
         for name, kind in _role_kinds(group).items()
     ]
     if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
         parameters = [
-            each.replace(kind=inspect.Parameter.KEYWORD_ONLY) if place >= after - 1 else each
-            for place, each in enumerate(parameters)
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if place >= after - 1 else parameter
+            for place, parameter in enumerate(parameters)
         ]
     vars(call)["__signature__"] = signature.replace(
         parameters=[*parameters[:after], *added, *parameters[after:]]
@@ -499,15 +499,17 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            others = [name for name, meant in REPLACEMENTS.items() if meant.startswith("deepbots ")]
+            others = [
+                name for name, replacement in REPLACEMENTS.items() if replacement.startswith("deepbots ")
+            ]
             near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
-            other = f"the commands are: {', '.join(COMMANDS)}"
+            listing = f"the commands are: {', '.join(COMMANDS)}"
             if near in REPLACEMENTS:
                 hint = f"use `{REPLACEMENTS[near]}`"
             elif near:
                 hint = f"did you mean '{near}'?"
             else:
-                hint = other
+                hint = listing
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
         return _command(cmd_name)
 
@@ -548,16 +550,16 @@ def _with_permission_options(command: Callable[..., None]) -> Callable[..., None
     from deepbots_cli.document import Permissions
 
     @wraps(command)
-    def call(*, allow_paths: AllowPaths, allow_code: AllowCode, **given: Any) -> None:
-        command(**given, permissions=Permissions(allow_paths or (), allow_code))
+    def call(*, allow_paths: AllowPaths, allow_code: AllowCode, **values: Any) -> None:
+        command(**values, permissions=Permissions(allow_paths or (), allow_code))
 
     options = {"allow_paths": (AllowPaths, None), "allow_code": (AllowCode, False)}
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)
         for name, (kind, default) in options.items()
     ]
-    own = [parameter for parameter in signature.parameters.values() if parameter.name != "permissions"]
-    vars(call)["__signature__"] = signature.replace(parameters=[*own, *added])
+    parameters = [parameter for parameter in signature.parameters.values() if parameter.name != "permissions"]
+    vars(call)["__signature__"] = signature.replace(parameters=[*parameters, *added])
     return call
 
 
@@ -601,8 +603,8 @@ def without_old_spelling(words: list[str]) -> list[str]:
     return [verb, *filter(None, [folder]), *(option for option in options if option not in dropped)]
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(value: bool) -> None:
+    if value:
         typer.echo(f"deepbots {deepbots_cli.__version__}")
         raise typer.Exit
 

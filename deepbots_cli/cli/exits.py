@@ -152,12 +152,12 @@ def _lasting_streams() -> Iterator[None]:
     A terminal of another encoding shows escapes. Streams that a caller has put in place of the process's own
     stay as they are.
     """
-    kept = sys.stdout, sys.stderr
+    streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = _lasting(sys.stdout, 1), _lasting(sys.stderr, 2)
     try:
         yield
     finally:
-        sys.stdout, sys.stderr = kept
+        sys.stdout, sys.stderr = streams
 
 
 def _lasting(stream: TextIO | None, number: int) -> TextIO:

@@ -50,15 +50,15 @@ class Gates:
         if self.solved or self.min_success is not None or self.min_return is not None:
             check_common_measure(program, "require something of one: --agent NAME")
         if self.min_success is not None and not program.defines_success:
-            others = "--min-return" if solved is None else "--min-return or --require-solved"
+            alternatives = "--min-return" if solved is None else "--min-return or --require-solved"
             raise UsageError(
-                f"--min-success: {program.name} defines no success; use {others}, or add"
+                f"--min-success: {program.name} defines no success; use {alternatives}, or add"
                 " `termination.success` or a `goal` to the scenario"
             )
         if self.solved and solved is None:
-            others = "--min-success or --min-return" if program.defines_success else "--min-return"
+            alternatives = "--min-success or --min-return" if program.defines_success else "--min-return"
             raise UsageError(
-                f"--require-solved: {program.name} has no `solved` criterion; use {others},"
+                f"--require-solved: {program.name} has no `solved` criterion; use {alternatives},"
                 " or add a criterion such as `solved: mean_return >= 195 over 100 episodes` to the scenario"
             )
 
@@ -138,5 +138,7 @@ class Gates:
                 requirements.append(
                     Requirement(f"{name} of at least {required:g}", mean >= required, measured)
                 )
-        remarks = in_parentheses(words for each in group.evaluations for words in each.circumstances)
+        remarks = in_parentheses(
+            words for evaluation in group.evaluations for words in evaluation.circumstances
+        )
         return [requirement.with_words(after=remarks) for requirement in requirements]

@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 
 def match_lines(result: MatchTable) -> Iterator[str]:
     """Yield a row for each player of the first agent, with its result against each of the second one."""
-    one, two = result.agents
+    first_agent, second_agent = result.agents
     starts = records.held_out(result.starts)
     if result.is_symmetric:
         measured = "share of decided episodes that the row wins against the column"
         yield f"{result.scenario}: {measured}, on {starts} from evaluation seed {result.seed}, both sides of each"
     else:
         measured = "success rate" if result.success_defined else "mean return"
-        yield f"{result.scenario}: {measured} of {one} (rows) against {two} (columns)"
+        yield f"{result.scenario}: {measured} of {first_agent} (rows) against {second_agent} (columns)"
         yield f"{starts} of each match, from evaluation seed {result.seed}"
     cells = {(match.row, match.column): _cell(result, match) for match in result.matches}
     if result.is_symmetric:
         cells |= {(match.column, match.row): _cell(result, _swapped(match)) for match in result.matches}
-    head = "" if result.is_symmetric else one
+    head = "" if result.is_symmetric else first_agent
     yield table(
         [
             {head or "player": row, **{column: cells.get((row, column), "") for column in result.columns}}

@@ -129,15 +129,17 @@ def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, suc
     """Return the scores of each of several agents, and what all of them have in common."""
     common = _statistics(summary, success_defined=success_defined)
     return {
-        **{name: _agent_text(own) for name, own in agents.items()},
+        **{name: _agent_text(agent_scores) for name, agent_scores in agents.items()},
         **{name: common[name] for name in ("mean length", "ended by", "success rate")},
     }
 
 
-def _agent_text(own: Scores) -> str:
-    parts = [f"mean return {with_interval(own.mean_return, own.return_interval)}"]
-    if own.success_rate is not None:
-        parts.append(f"success rate {with_interval(own.success_rate, own.success_interval, percent)}")
+def _agent_text(agent_scores: Scores) -> str:
+    parts = [f"mean return {with_interval(agent_scores.mean_return, agent_scores.return_interval)}"]
+    if agent_scores.success_rate is not None:
+        parts.append(
+            f"success rate {with_interval(agent_scores.success_rate, agent_scores.success_interval, percent)}"
+        )
     return ", ".join(parts)
 
 
@@ -292,7 +294,7 @@ def kept_text(kept: KeptModel) -> str:
 
 def kept_json(kept: KeptModel) -> dict[str, Any]:
     """Return the models that played new starts, and the best one, as a dictionary."""
-    played = [{"name": each.name, **vars(each.result)} for each in kept.played]
+    played = [{"name": model.name, **vars(model.result)} for model in kept.played]
     return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
 
 
@@ -362,7 +364,10 @@ def _group_of_rivals_text(group: GroupResult) -> str:
     """Return a row for each seed with the mean return of each agent, which have no common measure."""
     first = group.evaluations[0]
     rows = [
-        {"run": result.run.name, **{name: own.mean_return for name, own in result.agents.items()}}
+        {
+            "run": result.run.name,
+            **{name: agent_scores.mean_return for name, agent_scores in result.agents.items()},
+        }
         for result in group.evaluations
     ]
     head = (
@@ -489,11 +494,13 @@ def _robustness_notes(robustness: Robustness, bar: float) -> Iterator[str]:
     """Yield notes on conditions without effect, too few episodes, and a score that is missed without any
     change."""
     nominal = robustness.nominal
-    same = [
-        each.name for each in robustness.conditions if each.levels and not _changes_episodes(each, nominal)
+    names = [
+        condition.name
+        for condition in robustness.conditions
+        if condition.levels and not _changes_episodes(condition, nominal)
     ]
-    if same:
-        yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(same)}"
+    if names:
+        yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(names)}"
     if _is_rate(robustness) and bar < 1.0:
         needed = episodes_above(bar)
         if nominal.episodes < needed:

@@ -87,7 +87,7 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
         further = [*first, f"deepbots diagnose {group}", f"deepbots report {group}"]
     data = {
         "group": training.group,
-        "attempts": [_data(each) for each in training.attempts],
+        "attempts": [_data(attempt) for attempt in training.attempts],
         "best": training.best,
         "solved": training.solved,
         "interrupted": training.interrupted,
@@ -130,6 +130,6 @@ def cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
     """Return the first cause, and its advice."""
     if not causes:
         return []
-    first, others = causes[0], len(causes) - 1
-    more = f" ({others} more: deepbots diagnose)" if others else ""
+    first, further_count = causes[0], len(causes) - 1
+    more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
     return [f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]

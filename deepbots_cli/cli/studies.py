@@ -82,12 +82,12 @@ class StudyDisplay(StudyReporter):
         """Return the progress of the trials at work."""
         if len(self._at_work) > 1:
             return "at work: " + ", ".join(
-                f"trial {number} ({each.fraction:.0%})" for number, each in self._at_work.items()
+                f"trial {number} ({progress.fraction:.0%})" for number, progress in self._at_work.items()
             )
-        ((number, each),) = self._at_work.items()
-        steps = f"{each.training.steps:,} of {each.training.total_steps:,} steps"
+        ((number, progress),) = self._at_work.items()
+        steps = f"{progress.training.steps:,} of {progress.training.total_steps:,} steps"
         return (
-            f"seed {each.seed}, {each.place} of {each.count}: {steps}  trial {number}:"
+            f"seed {progress.seed}, {progress.place} of {progress.count}: {steps}  trial {number}:"
             f" {_settings(self._begun[number].values)}"
         )
 
@@ -116,7 +116,7 @@ def _settings(values: Mapping[str, str]) -> str:
 
 
 def _result(trial: StudyTrial) -> str:
-    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    solved = [seed.steps for seed in trial.seeds if seed.steps is not None]
     after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (
         f" after {fmean(solved):,.0f} steps" if solved else ""
     )
@@ -124,7 +124,7 @@ def _result(trial: StudyTrial) -> str:
 
 
 def _row(study: Study, trial: StudyTrial) -> Row:
-    solved = [each.steps for each in trial.seeds if each.steps is not None]
+    solved = [seed.steps for seed in trial.seeds if seed.steps is not None]
     return {
         "trial": trial.number,
         **trial.values,
@@ -201,15 +201,15 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
         is_first = best.number == 0 and study.record.present
         return text + ("; it has the values of the scenario itself" if is_first else "")
     difference, first = over_first.difference, next(trial for trial in ranked if trial.number == 0)
-    own = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
+    reference = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
     if over_first.is_clear:
-        return f"{text}; it is clearly better than {own}"
+        return f"{text}; it is clearly better than {reference}"
     if difference.interval is None:
         why = "one seed does not show it"
     else:
         low, high = difference.interval
         why = f"the interval of the difference, {low:.4g} .. {high:.4g} for {len(ranked)} trials, contains 0"
-    return f"{text}; it is not clearly better than {own}: {why}"
+    return f"{text}; it is not clearly better than {reference}: {why}"
 
 
 def unused_seeds(study: Study) -> str:

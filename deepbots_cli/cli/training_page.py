@@ -59,5 +59,7 @@ def _await_page(page: subprocess.Popen[str]) -> None:
         # In Linux, the priority of a process is that of its first thread, so each thread is set.
         threads = Path(f"/proc/{page.pid}/task")
         with suppress(OSError):  # the process has ended
-            for thread in [int(each.name) for each in threads.iterdir()] if threads.is_dir() else [page.pid]:
+            for thread in (
+                [int(folder.name) for folder in threads.iterdir()] if threads.is_dir() else [page.pid]
+            ):
                 os.setpriority(os.PRIO_PROCESS, thread, 15)

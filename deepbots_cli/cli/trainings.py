@@ -104,12 +104,14 @@ def finish_group(
     }
     fallen = [f"\nnote: {name}: {fall.text}" for name, fall in falls.items()]
     further = [*(cause.command for cause in causes[:1]), *further]
-    of = "" if worst is None else f" of {worst.run}, the worst of {counted(len(unsolved), 'unsolved seed')}"
+    suffix = (
+        "" if worst is None else f" of {worst.run}, the worst of {counted(len(unsolved), 'unsolved seed')}"
+    )
     terminal.show(
         data,
         "\n" + records.group_text(evaluation),
         *fallen,
-        *retries.cause_lines(causes, of),
+        *retries.cause_lines(causes, suffix),
         as_json=as_json,
         next_commands=further,
     )

@@ -131,13 +131,13 @@ class LocalProcesses:
 
     def wait(self, owed: Collection[Owed], count: int = 1, timeout_s: float | None = None) -> Sequence[Owed]:
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
-        while sum(each.result is not None for each in owed) < min(count, len(owed)):
+        while sum(entry.result is not None for entry in owed) < min(count, len(owed)):
             left = _TICK_S if deadline is None else min(_TICK_S, deadline - time.monotonic())
             if left <= 0:
                 break
             with suppress(Empty):
                 self._take(*self._inbox.get(timeout=left))
-        return [each for each in owed if each.result is not None]
+        return [entry for entry in owed if entry.result is not None]
 
     def answer(self, owed: Owed) -> Any:
         kind, value = owed.result or ("lost", "it has not answered")

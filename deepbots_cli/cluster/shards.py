@@ -83,15 +83,15 @@ class ShardWorker:
 
         began = time.process_time()
         try:
-            seen = None
+            observations = None
             if beginning is not None:
                 if number not in self._shards:
                     run = Run.open(self._path)
                     build = supervisor_factory(run.record.engine, permissions=beginning.permissions)
                     self._shards[number] = Shard(run, build, number, beginning.worlds)
-                seen = self._shards[number].begin(beginning.episodes)
+                observations = self._shards[number].begin(beginning.episodes)
             if order is None:
-                return seen
+                return observations
             shard = self._shards[number]
             answer = (
                 shard.evaluate(order) if isinstance(order, EvaluationOrder) else shard.collect(order, memory)

@@ -240,7 +240,7 @@ def output_in(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        for stream, number, kept in zip(streams, (1, 2), before, strict=True):
+        for stream, number, saved in zip(streams, (1, 2), before, strict=True):
             stream.flush()
-            os.dup2(kept, number)
-            os.close(kept)
+            os.dup2(saved, number)
+            os.close(saved)

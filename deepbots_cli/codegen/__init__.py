@@ -93,8 +93,8 @@ def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[st
         raise BatchError(f"{scenario.name} does not fit a batch: {'; '.join(reasons)}")
     on_floats = target == "scalar"
     constants = Constants()
-    chosen = SCALAR if on_floats else BATCH
-    classes = _classes(scenario, constants, chosen, scripts)
+    target_kind = SCALAR if on_floats else BATCH
+    classes = _classes(scenario, constants, target_kind, scripts)
     used = set(_NAME_IN_CODE.findall("\n".join([*constants.lines, *classes])))
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = fill_template(
@@ -179,7 +179,7 @@ def _names(scenario: Program) -> Iterator[str]:
         for robot in robots
         for part in (robot.sensors, robot.actuators, robot.received, robot.emitted, robot.commands)
     ]
-    own: list[tuple[Any, ...]] = [
+    supervisor_parts: list[tuple[Any, ...]] = [
         scenario.parameters,
         scenario.signals,
         scenario.agent.reward,
@@ -187,8 +187,8 @@ def _names(scenario: Program) -> Iterator[str]:
         scenario.agent.action,
     ]
     yield from (robot.name for robot in robots)
-    own += [scenario.disturbances, scenario.agent.scripts, scenario.tests]
-    yield from (entry.name for entries in (*parts, *own) for entry in entries)
+    supervisor_parts += [scenario.disturbances, scenario.agent.scripts, scenario.tests]
+    yield from (entry.name for entries in (*parts, *supervisor_parts) for entry in entries)
 
 
 def _as_isort(name: str) -> tuple[int, str]:
@@ -205,7 +205,7 @@ def _without_gaps(lines: list[str]) -> list[str]:
         if line or not result:
             result.append(line)
             continue
-        following = next((other for other in lines[index:] if other), "")
+        following = next((later_line for later_line in lines[index:] if later_line), "")
         most = 1 if following.startswith(" ") else 2
         if any(result[-most:]):
             result.append(line)

@@ -219,14 +219,15 @@ class Printer:
         if call is not None:
             poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
             return Code(f"{call[0]}({', '.join(poses)})")
-        seen = _body_frame_component(tree)
-        if seen is not None:
-            return Code(f"{self._body_frame_code(seen)}[{seen.axis}]")
+        component = _body_frame_component(tree)
+        if component is not None:
+            return Code(f"{self._body_frame_code(component)}[{component.axis}]")
         return None
 
-    def _body_frame_code(self, seen: _BodyFrameComponent) -> str:
+    def _body_frame_code(self, component: _BodyFrameComponent) -> str:
         return (
-            f"to_body_frame({self.context.readers.pose(seen.body, self.needs)}, {self.vector(seen.vector)})"
+            f"to_body_frame({self.context.readers.pose(component.body, self.needs)},"
+            f" {self.vector(component.vector)})"
         )
 
     def _reduction_code(self, tree: Op) -> Code | None:
@@ -275,11 +276,11 @@ class Printer:
                 [tree for tree in trees if isinstance(tree, EngineRead)], self.needs
             )
             return None if column is None else Column(*column)
-        seen = [column for column in map(_body_frame_component, trees) if column is not None]
-        if [column.axis for column in seen] == [0, 1, 2] == list(range(len(trees))) and len(
-            {column[::2] for column in seen}
+        components = [column for column in map(_body_frame_component, trees) if column is not None]
+        if [column.axis for column in components] == [0, 1, 2] == list(range(len(trees))) and len(
+            {column[::2] for column in components}
         ) == 1:
-            return Column(self._body_frame_code(seen[0]))
+            return Column(self._body_frame_code(components[0]))
         return None
 
     # Memories

@@ -256,25 +256,25 @@ _OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
     """Return the statement that sets a randomized parameter to a vector or to values."""
-    of = variation.of
-    match of:
+    subject = variation.of
+    match subject:
         case OfActuator():
             name = variation.what.removeprefix("actuator_")
-            drive = f"self.{generated.robot(of.robot)}.{generated.drive(of.actuator)}"
+            drive = f"self.{generated.robot(subject.robot)}.{generated.drive(subject.actuator)}"
             return (
                 f"{drive}.response.{name} = {values[0]}"
                 if variation.what in _OF_RESPONSE
                 else f"{drive}.{name} = {vector}"
             )
         case OfSensor():
-            return f"self.vary_sensor({', '.join(map(quoted, of))}, {vector})"
+            return f"self.vary_sensor({', '.join(map(quoted, subject))}, {vector})"
         case OfWalls():
-            return f"self.set_walls({quoted_tuple(of)}, {values[0]})"
-    owner = quoted_tuple(of)
+            return f"self.set_walls({quoted_tuple(subject)}, {values[0]})"
+    owner = quoted_tuple(subject)
     if variation.what == "color":
-        which, *shares = values
+        index, *shares = values
         colors = tuple_code([tuple_code([*shares[at : at + 3], "1.0"]) for at in range(0, len(shares), 3)])
-        return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, *{colors}[int({which})])"
+        return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, *{colors}[int({index})])"
     return f"self.engine.set_parameter({quoted(variation.what)}, {owner}, {', '.join(values)})"
 
 
@@ -440,7 +440,7 @@ def _drawing(supervisor: SupervisorPrinter, push: Disturbance) -> list[str]:
     printer = supervisor.printer()
     force, torque = (printer.tuple(vector) for vector in push.wrench)
     duration = printer.value(push.duration.scalar)
-    every = "inf" if push.every is None else printer.value(push.every.scalar)
-    printer.line(f"return {force}, {torque}, {duration}, {every}")
+    interval = "inf" if push.every is None else printer.value(push.every.scalar)
+    printer.line(f"return {force}, {torque}, {duration}, {interval}")
     doc = '"""Force, torque and duration of a push, and the time from its beginning to that of the next."""'
     return block(f"def _draw_{push.name}(self) -> Any:", printer.method_lines([doc]))

@@ -71,7 +71,7 @@ class ControllerPrinter(ClassPrinter):
             *self._create_message(),
         ]
         writers = ActuatorBindings(self.scenario, robot, self.constants).bind_lines(on_columns=not on_floats)
-        kept = (
+        state_names = (
             [generated.emitted(self.names(entry.name)) for entry in robot.emitted]
             if self._keeps_state and not on_floats
             else []
@@ -81,7 +81,7 @@ class ControllerPrinter(ClassPrinter):
             _CLASS,
             name=controller_name(robot),
             base="RobotController" if on_floats else "BatchController",
-            state=[f"STATE = {quoted_tuple(kept)}", ""] if kept else [],
+            state=[f"STATE = {quoted_tuple(state_names)}", ""] if state_names else [],
             doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
             binding=[*self.bind_lines(*devices), *writers] or ["pass"],
             methods=methods,
@@ -220,14 +220,16 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     read = {leaf.name for value in on_board for leaf in names_in(value)}
-    asked = {
+    aged_sensors = {
         node.subjects[0]
         for value in (*on_board, *computed)
         for node in walk(value)
         if isinstance(node, EngineRead)
     }
     used = [
-        sensor for sensor in robot.sensors if sensor.name in read or f"{robot.name}.{sensor.name}" in asked
+        sensor
+        for sensor in robot.sensors
+        if sensor.name in read or f"{robot.name}.{sensor.name}" in aged_sensors
     ]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 
@@ -373,14 +375,14 @@ class ActuatorBindings:
         limited = [f"rates={constants_tuple_code([_number(rate) for rate in rates])}"] if rates else []
         return [*_strength(actuator), f"substep={self._substep!r}", *_late(actuator), *limited]
 
-    def _varies(self, actuator: Actuator, what: str) -> bool:
-        return (actuator.name, f"actuator_{what}") in self._varied
+    def _varies(self, actuator: Actuator, key: str) -> bool:
+        return (actuator.name, f"actuator_{key}") in self._varied
 
     def _rotor(self, link: str, moment_constant: float) -> str:
         """Return the link that carries a rotor, where on it the rotor sits, its axis and its moment
         constant."""
-        carrier, (position, turned) = rigid_root(self._model, link)
-        axis = frames.rotate(turned, (0.0, 0.0, 1.0))
+        carrier, (position, rotation) = rigid_root(self._model, link)
+        axis = frames.rotate(rotation, (0.0, 0.0, 1.0))
         return f"({quoted(carrier)}, {position!r}, {axis!r}, {moment_constant!r})"
 
 

@@ -199,17 +199,17 @@ def _print_acting(supervisor: SupervisorPrinter, printer: Printer) -> None:
 def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Print statements that set the action variables from `action`, which has `choices` and `ranges` if there
     are both."""
-    chosen = ranged = "action"
+    choices = ranges = "action"
     if supervisor.choices and supervisor.ranges:
-        chosen, ranged = supervisor.names("chosen part"), supervisor.names("ranged part")
-        printer.line(f'{chosen}, {ranged} = action["choices"], action["ranges"]')
+        choices, ranges = supervisor.names("chosen part"), supervisor.names("ranged part")
+        printer.line(f'{choices}, {ranges} = action["choices"], action["ranges"]')
     picks = (
-        [chosen]
+        [choices]
         if len(supervisor.choices) == 1
         else [supervisor.names(f"{part.name} pick") for part in supervisor.choices]
     )
     if len(picks) > 1:
-        printer.line(f"{', '.join(picks)} = {chosen}{'' if printer.on_floats else '.T'}")
+        printer.line(f"{', '.join(picks)} = {choices}{'' if printer.on_floats else '.T'}")
     looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
     variables = {
         part.name: f"*{looked_up.format(f'self.TAKEN_{part.name}', pick)}"
@@ -224,11 +224,11 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
     vectors = [interval.name for interval in supervisor.ranges if interval.components]
     if len(vectors) == len(supervisor.ranges) == 1:
         (name,) = vectors
-        printer.line(f"{names[name]} = self.ranges({ranged})")
+        printer.line(f"{names[name]} = self.ranges({ranges})")
         variables[name] = f"*{names[name]}"
     elif vectors:
         values, place = supervisor.names("values of ranges"), 0
-        printer.line(f"{values} = self.ranges({ranged})")
+        printer.line(f"{values} = self.ranges({ranges})")
         for interval in supervisor.ranges:
             end = place + max(1, len(interval.components))
             printer.line(
@@ -237,7 +237,7 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
             variables[interval.name] = f"*{values}[{place}:{end}]"
             place = end
     elif supervisor.ranges:
-        printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranged})")
+        printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranges})")
         variables |= names
     if supervisor.agent_action_read:
         parts = [variables[part.name] for part in supervisor.agent.action]
@@ -266,9 +266,9 @@ def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> 
     for part in supervisor.choices[slice(*first)]:
         still = next((option for option in part.options if not any(option.values)), part.options[0])
         resting |= {name: repr(value) for name, value in zip(part.variables, still.values, strict=True)}
-    own = set(supervisor.agent.range_names[slice(*last)])
+    names = set(supervisor.agent.range_names[slice(*last)])
     for interval in supervisor.ranges:
-        if not own.isdisjoint(interval.names):
+        if not names.isdisjoint(interval.names):
             resting[interval.name] = repr(min(max(0.0, interval.low), interval.high))
     components = dict(supervisor.variables)
     ended = supervisor.ended_of(agent)
@@ -288,9 +288,9 @@ def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> 
 def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
     """Print for a batch the draws that are due in single worlds, and the update of the columns that
     changed."""
-    one = supervisor.of_one_world()
-    drawing = one.printer()
-    if not (changes := print_redraws(one, drawing)):
+    single = supervisor.of_one_world()
+    drawing = single.printer()
+    if not (changes := print_redraws(single, drawing)):
         return
     supervisor.per_world["_redraw"] = drawing.method_lines(
         ['"""Draw the values that are due in one world."""']
@@ -300,10 +300,10 @@ def _print_redrawing(supervisor: SupervisorPrinter, printer: Printer) -> None:
     condition = (
         f"{supervisor.tick} * {supervisor.scenario.world.timestep!r} >= {due}" if all(periods) else "True"
     )
-    kept = [attribute.removeprefix("self.") for change in changes for attribute in change if attribute]
-    for name in kept:
+    attributes = [attribute.removeprefix("self.") for change in changes for attribute in change if attribute]
+    for name in attributes:
         supervisor.attribute(name)
-    printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, kept)])})")
+    printer.line(f"self.redraw({', '.join([condition, 'self._redraw', *map(quoted, attributes)])})")
 
 
 def _print_draws_of_message(
@@ -527,12 +527,12 @@ def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: 
     printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
     holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
     failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
-    held = _held(supervisor, printer, failures, member.program.successes)
+    endings_code = _held(supervisor, printer, failures, member.program.successes)
     if printer.on_floats:
         now = printer.operation("and", [Code(acts), holds]).text
-        printer.lines += [f"if {now}:", f"    {ended} = self._end_agent({quoted(agent)}, {held})"]
+        printer.lines += [f"if {now}:", f"    {ended} = self._end_agent({quoted(agent)}, {endings_code})"]
     else:
-        printer.line(f"{ended} = self._end_agent({quoted(agent)}, {ended}, {holds.text}, {held})")
+        printer.line(f"{ended} = self._end_agent({quoted(agent)}, {ended}, {holds.text}, {endings_code})")
 
 
 def _held(
@@ -542,11 +542,11 @@ def _held(
     successes: Sequence[Expression],
 ) -> str:
     """Return the code of which endings hold, and whether this is a success."""
-    held = ", ".join(
+    entries = ", ".join(
         f"{quoted(ending.name)}: {supervisor.local(ending.name)}" for ending in [*failures, *successes]
     )
     success = f", success={_success(supervisor, printer, failures, successes)}" if successes else ""
-    return f"{{{held}}}{success}"
+    return f"{{{entries}}}{success}"
 
 
 def _success(
@@ -599,10 +599,10 @@ def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     items = [("reward term", term.name, term.foreign, False) for term in supervisor.agent.reward]
     items += [("ending", ending.name, ending.foreign, True) for ending in supervisor.scenario.endings]
     lines = []
-    for what, name, function, truth in items:
+    for noun, name, function, truth in items:
         if function is not None:
-            place = ", ".join(map(quoted, (what, name, function.module, function.function)))
-            lines.append(f"{function_attribute(supervisor, what, name)} = foreign({place}, {truth})")
+            place = ", ".join(map(quoted, (noun, name, function.module, function.function)))
+            lines.append(f"{function_attribute(supervisor, noun, name)} = foreign({place}, {truth})")
     return lines
 
 
@@ -706,12 +706,12 @@ def _print_rewards_of_agents(
     the code of each term."""
     returned = supervisor.agents_that_use(EPISODE_RETURN)
     for agent in supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN):
-        own = [names[term] for term in supervisor.scenario.members[agent].terms.values()]
+        term_codes = [names[term] for term in supervisor.scenario.members[agent].terms.values()]
         local = supervisor.names.identifier(f"new reward of {agent}", agent, "reward")
-        kept = supervisor.reward_of(agent)
-        printer.lines += _sum_lines(local, own, "" if supervisor.repeats_actions else kept)
+        reward = supervisor.reward_of(agent)
+        printer.lines += _sum_lines(local, term_codes, "" if supervisor.repeats_actions else reward)
         if supervisor.repeats_actions:
-            printer.add_in_place(kept, local)
+            printer.add_in_place(reward, local)
         if agent in returned:
             printer.add_in_place(supervisor.return_of(agent), local)
 
@@ -720,13 +720,13 @@ def _print_rewards_of_agents(
 
 
 def _print_observation(supervisor: SupervisorPrinter, printer: Printer) -> None:
-    seen = []
+    numbers = []
     for entry in supervisor.agent.observation:
         if entry in supervisor.agent.images:
             continue
-        seen.append(_observed(supervisor, printer, entry))
-    if seen:
-        printer.line(f"self.set_observation({', '.join(seen)})")
+        numbers.append(_observed(supervisor, printer, entry))
+    if numbers:
+        printer.line(f"self.set_observation({', '.join(numbers)})")
     for pictured in supervisor.agent.images:
         printer.line(
             f"self.frame_stacks[{quoted(pictured.key)}].frames[self.newest] ="
@@ -795,8 +795,8 @@ def _ended_of_choice(supervisor: SupervisorPrinter, choice: str) -> str:
     """Return the attribute that is true if the episode of the agent of a choice has ended while others go on;
     empty without such an end."""
     for agent in supervisor.agents_alone:
-        own = supervisor.choices[slice(*supervisor.scenario.members[agent].choices)]
-        if any(part.name == choice for part in own):
+        agent_choices = supervisor.choices[slice(*supervisor.scenario.members[agent].choices)]
+        if any(part.name == choice for part in agent_choices):
             return supervisor.ended_of(agent)
     return ""
 

@@ -111,7 +111,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
     observing = observe_method(supervisor)
     acting = advance_methods(supervisor)
     pushing = push_methods(supervisor)
-    asked = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
+    queries = [*_allowed(supervisor), *_compute_reward(supervisor), *_between_steps(supervisor)]
     methods = [*begin_method(supervisor), *pushing, *start_method(supervisor), *acting, *observing]
     tables = choice_tables(supervisor)
     terms = ", ".join(
@@ -134,7 +134,7 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
         + (', "agent_endings": dict(self.agent_endings)' if supervisor.agents_alone else "")
         + (', "action_mask": self.action_mask()' if supervisor.forbids_options else "")
         + ', "reward_terms": terms',
-        asked=asked,
+        asked=queries,
     )
 
 
@@ -170,11 +170,11 @@ def _bind(supervisor: SupervisorPrinter) -> list[str]:
 
 def _observation_text(supervisor: SupervisorPrinter) -> str:
     histories = {entry.name: entry.history for entry in supervisor.agent.observation}
-    seen = sentence_list(
+    text = sentence_list(
         [name if many == 1 else f"{name} ({many} in a row)" for name, many in histories.items()]
     )
-    seen += f"; {supervisor.agent.frame_stack} times in a row" if supervisor.agent.frame_stack > 1 else ""
-    return seen + ("; and what is achieved and desired" if supervisor.agent.goal is not None else "")
+    text += f"; {supervisor.agent.frame_stack} times in a row" if supervisor.agent.frame_stack > 1 else ""
+    return text + ("; and what is achieved and desired" if supervisor.agent.goal is not None else "")
 
 
 def _observation(supervisor: SupervisorPrinter) -> str:
@@ -237,11 +237,11 @@ def _between_steps(supervisor: SupervisorPrinter) -> list[str]:
     only."""
     lines = [line for script in supervisor.agent.scripts for line in _script(supervisor, script)]
     for test in supervisor.scenario.tests:
-        asked: dict[generated.TestQuestion, tuple[tuple[Scalar, ...], str]] = {
+        questions: dict[generated.TestQuestion, tuple[tuple[Scalar, ...], str]] = {
             "holds": (test.scalars, "Whether each condition"),
             "compared": (test.compared, "The compared values of the conditions"),
         }
-        for question, (scalars, note) in asked.items():
+        for question, (scalars, note) in questions.items():
             printer = _printer_after(supervisor, scalars)
             printer.line(f"return {printer.tuple(scalars) if scalars else '()'}")
             head = f"def {generated.test(test.name, question)}(self) -> tuple[Any, ...]:"
@@ -253,8 +253,8 @@ def _printer_after(supervisor: SupervisorPrinter, scalars: tuple[Scalar, ...]) -
     """Return a printer for these values after the last timestep: the reward of that timestep is known."""
     printer = Printer(supervisor, settable=supervisor.settable, renamed=supervisor.last_rewards())
     used = supervisor.names_read(scalars)
-    kept = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
-    printer.lines += [f"{local} = self.{generated.last(local)}" for local in kept]
+    local_names = [supervisor.local(name) for name in supervisor.stored_names() if name in used]
+    printer.lines += [f"{local} = self.{generated.last(local)}" for local in local_names]
     printer.insert_readers_here()
     return printer
 
@@ -283,10 +283,10 @@ def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, 
     target, names = supervisor.names(f"{part.name} pick"), [option.name for option in part.options]
     if supervisor.target is BATCH:
         numbers = [Const(names.index(option)) for option in pick.options]
-        chosen: Scalar = numbers[-1]
+        tree: Scalar = numbers[-1]
         for condition, number in zip(reversed(pick.scalars), reversed(numbers[:-1]), strict=True):
-            chosen = Op("where", (condition, number, chosen))
-        printer.line(f"{target} = {printer.value(chosen)}")
+            tree = Op("where", (condition, number, tree))
+        printer.line(f"{target} = {printer.value(tree)}")
         return target
     for index, option in enumerate(pick.options):
         setting = f"{target} = {names.index(option)}  # {option}"

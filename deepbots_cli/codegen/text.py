@@ -100,16 +100,16 @@ class Names:
     def identifier(self, key: Hashable, *parts: str | None) -> str:
         """Return the identifier for `key`, made of these parts."""
         if key not in self._given:
-            wanted = generated.identifier(*parts)
-            self._given[key] = _unused(f"_{wanted}" if wanted[0].isdigit() else wanted, self._used)
+            base = generated.identifier(*parts)
+            self._given[key] = _unused(f"_{base}" if base[0].isdigit() else base, self._used)
             self._used.add(self._given[key])
         return self._given[key]
 
 
-def _unused(wanted: str, used: set[str]) -> str:
-    name, number = wanted, 1
+def _unused(base: str, used: set[str]) -> str:
+    name, number = base, 1
     while name in used:
-        name, number = f"{wanted}_{number}", number + 1
+        name, number = f"{base}_{number}", number + 1
     return name
 
 
@@ -137,10 +137,10 @@ class Constants:
     def vector(self, values: Sequence[float | bool]) -> str:
         """Return the code of a tuple of numbers: a constant where a fixed parameter names them."""
         code = constants_tuple_code([number_code(value).text for value in values])
-        named = [value for value in values if isinstance(value, NamedFloat)]
-        if len({value.name for value in named}) != 1 or len(values) < 3:
+        named_values = [value for value in values if isinstance(value, NamedFloat)]
+        if len({value.name for value in named_values}) != 1 or len(values) < 3:
             return code
-        return self._defined(named[0].name, code, named[0].text)
+        return self._defined(named_values[0].name, code, named_values[0].text)
 
     def strings(self, items: tuple[str, ...]) -> str:
         """Return the code of a tuple of names: a constant where it is known and not short."""
@@ -149,14 +149,14 @@ class Constants:
             self._defined(self._known[items], code, "") if items in self._known and len(items) > 2 else code
         )
 
-    def _defined(self, wanted: str, code: str, text: str) -> str:
-        if (wanted, code) not in self._names:
-            upper = re.sub(r"\W", "_", wanted).upper()
+    def _defined(self, base: str, code: str, text: str) -> str:
+        if (base, code) not in self._names:
+            upper = re.sub(r"\W", "_", base).upper()
             name = _unused(f"_{upper}" if upper[0].isdigit() else upper, set(self._lines))
             note = comment(text) if text and comment(text).isprintable() and len(text) < 60 else ""
             self._lines[name] = f"{name} = {code}" + (f"  {note}" if note and note[2:] != code else "")
-            self._names[wanted, code] = name
-        return self._names[wanted, code]
+            self._names[base, code] = name
+        return self._names[base, code]
 
 
 def class_name(text: str) -> str:

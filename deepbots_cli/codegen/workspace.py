@@ -97,18 +97,18 @@ class Readers:
 
     def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         """Return the code of one number."""
-        what, item = leaf.function, _RESULT_INDEX.get(leaf.function)
-        if what in _POSES:
-            return f"{self._need(_POSES[what], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
-        if what in _SCALAR_READERS:
-            return self._need(what, leaf.subjects, needs)
-        if what in _VECTOR_READERS:
-            return f"{self._need(what, leaf.subjects, needs)}[{_XYZ.index(leaf.component or 'x')}]"
-        if what in ("cross_track_error", "arc_length"):
+        kind, item = leaf.function, _RESULT_INDEX.get(leaf.function)
+        if kind in _POSES:
+            return f"{self._need(_POSES[kind], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
+        if kind in _SCALAR_READERS:
+            return self._need(kind, leaf.subjects, needs)
+        if kind in _VECTOR_READERS:
+            return f"{self._need(kind, leaf.subjects, needs)}[{_XYZ.index(leaf.component or 'x')}]"
+        if kind in ("cross_track_error", "arc_length"):
             self.pose(leaf.subjects[0], needs)
             return f"{self._need('line', leaf.subjects, needs)}[{item}]"
         code, index = self._joint(leaf, needs)
-        return f"{code}[{index}]" if what == "joint_torque" else f"{code}[{index}][{item}]"
+        return f"{code}[{index}]" if kind == "joint_torque" else f"{code}[{index}][{item}]"
 
     def pose(self, subject: str, needs: ReaderKeys) -> str:
         """Return the code of the position and the orientation of a body."""
@@ -117,26 +117,26 @@ class Readers:
     def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
         """Return the code of a sequence and of the part that is taken from each item; None if the facts are
         read separately."""
-        what, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
-        if any(leaf.function != what for leaf in leaves):
+        kind, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
+        if any(leaf.function != kind for leaf in leaves):
             return None
-        if what in _POSES or what in _VECTOR_READERS:
+        if kind in _POSES or kind in _VECTOR_READERS:
             parts = "".join(leaf.component or "" for leaf in leaves)
-            if len(set(subjects)) > 1 or parts != _XYZ[: 4 if what == "orientation" else 3]:
+            if len(set(subjects)) > 1 or parts != _XYZ[: 4 if kind == "orientation" else 3]:
                 return None
-            code = self._need(_POSES.get(what, what), leaves[0].subjects[:1], needs)
-            return f"{code}[{_RESULT_INDEX[what]}]" if what in _POSES else code, ""
-        if what in ("joint_position", "joint_velocity", "joint_torque"):
-            robot, names = subjects[0][0].partition(".")[0], [one.partition(".")[2] for (one,) in subjects]
-            if any(one.partition(".")[0] != robot for (one,) in subjects) or len(names) < 2:
+            code = self._need(_POSES.get(kind, kind), leaves[0].subjects[:1], needs)
+            return f"{code}[{_RESULT_INDEX[kind]}]" if kind in _POSES else code, ""
+        if kind in ("joint_position", "joint_velocity", "joint_torque"):
+            robot, names = subjects[0][0].partition(".")[0], [name.partition(".")[2] for (name,) in subjects]
+            if any(name.partition(".")[0] != robot for (name,) in subjects) or len(names) < 2:
                 return None
             key = _of_joints(leaves[0], names)
             self._joints[key] = names
-            return self._need(*key, needs), "" if what == "joint_torque" else f"[{_RESULT_INDEX[what]}]"
-        if what == "contact" and len(leaves) > 2 and len({others[1:] for others in subjects}) == 1:
+            return self._need(*key, needs), "" if kind == "joint_torque" else f"[{_RESULT_INDEX[kind]}]"
+        if kind == "contact" and len(leaves) > 2 and len({others[1:] for others in subjects}) == 1:
             robot = subjects[0][0].partition(".")[0]
-            if all(one.partition(".")[0] == robot and "." in one for one, *_ in subjects):
-                links = (one.partition(".")[2] for one, *_ in subjects)
+            if all(name.partition(".")[0] == robot and "." in name for name, *_ in subjects):
+                links = (name.partition(".")[2] for name, *_ in subjects)
                 return self._need("contacts", (robot, subjects[0][1], *links), needs), ""
         return None
 
@@ -373,22 +373,24 @@ class SupervisorPrinter(ClassPrinter):
 
     def _named_components(self) -> dict[str, Sequence[str]]:
         """Return the components of signals, emitted values, parts of the action, and goals."""
-        named: dict[str, Sequence[str]] = {entry.name: entry.components for entry in self.scenario.signals}
-        named |= {
+        components: dict[str, Sequence[str]] = {
+            entry.name: entry.components for entry in self.scenario.signals
+        }
+        components |= {
             f"{robot.name}.{entry.name}": entry.components
             for robot in self.scenario.robots
             for entry in robot.emitted
         }
-        named |= {
+        components |= {
             f"{link.receiver}.{value.name}": value.components
             for link in self.scenario.links
             for value in link.values
         }
-        named |= {part.name: part.components for part in self.ranges}
-        named["previous_action"] = action_names(self.agent.action)
+        components |= {part.name: part.components for part in self.ranges}
+        components["previous_action"] = action_names(self.agent.action)
         if self.agent.goal is not None:
-            named |= dict.fromkeys(("achieved", "desired"), self.agent.goal.components)
-        return named
+            components |= dict.fromkeys(("achieved", "desired"), self.agent.goal.components)
+        return components
 
     @property
     def variables(self) -> list[tuple[str, Sequence[str]]]:
@@ -476,8 +478,8 @@ class SupervisorPrinter(ClassPrinter):
     def sent_names(self) -> list[str]:
         """Return the locals of one timestep that the messages of the next one contain: signals, and fields
         that robots sent."""
-        named = self.names_read(self.sent)
-        return [self.local(name) for name in self._results() if name in named]
+        names = self.names_read(self.sent)
+        return [self.local(name) for name in self._results() if name in names]
 
     def stored_names(self) -> list[str]:
         """Return the names of the values that a timestep stores: those in messages, in `stored_signals` and
@@ -509,18 +511,18 @@ class SupervisorPrinter(ClassPrinter):
     def names_read(self, expressions: Iterable[Scalar]) -> set[str]:
         """Return the names that expressions read, with the fields that carry the ages of readings."""
         nodes = [node for value in expressions for node in walk(value)]
-        asked = {
+        subjects = {
             node.subjects[0] for node in nodes if isinstance(node, EngineRead) and node.function == "age"
         }
         return {node.name for node in nodes if isinstance(node, Name)} | {
-            self._ages[subject] for subject in asked if subject in self._ages
+            self._ages[subject] for subject in subjects if subject in self._ages
         }
 
     def of_one_world(self) -> SupervisorPrinter:
         """Return the printer of code that runs in one world."""
-        other = copy(self)
-        other.target, other.state = SCALAR, {}
-        return other
+        printer = copy(self)
+        printer.target, printer.state = SCALAR, {}
+        return printer
 
     def printer(self) -> Printer:
         return Printer(self, settable=self.settable)

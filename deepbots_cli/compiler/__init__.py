@@ -136,7 +136,7 @@ class CheckedScenario:
         a fifth of the time of linting a folder.
         """
         checked = [self, *self.variants, *(inner for variant in self.variants for inner in variant.variants)]
-        for namespace in {id(each.namespace): each.namespace for each in checked}.values():
+        for namespace in {id(scenario.namespace): scenario.namespace for scenario in checked}.values():
             if namespace is not None:
                 namespace.release()
 
@@ -152,8 +152,8 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         checked = _check(document)
         train = checked.spec.train if checked.spec is not None else None
         if checked.program is not None and (isinstance(train, Auto) or (to_train and train is None)):
-            chosen = choose(checked.program, has_teacher=train is not None and train.teacher is not None)
-            document, learner = with_learner(document, chosen)
+            choice = choose(checked.program, has_teacher=train is not None and train.teacher is not None)
+            document, learner = with_learner(document, choice)
             checked = replace(_check(document), learner=learner)
         if checked.program is not None and checked.spec is not None and checked.spec.tune is not None:
             search = compile_search(document, checked.program, checked.findings, _check)
@@ -173,8 +173,10 @@ def check(document: Document, *, to_train: bool = False) -> CheckedScenario:
         variants, program = compile_variants(
             checked.document, checked.spec, checked.program, checked.findings, check_variant
         )
-        own = {test.name: test.expected for variant in variants for test in variant.tests}
-        tests = tuple(replace(test, expected=own.get(test.name, test.expected)) for test in checked.tests)
+        expected_by_test = {test.name: test.expected for variant in variants for test in variant.tests}
+        tests = tuple(
+            replace(test, expected=expected_by_test.get(test.name, test.expected)) for test in checked.tests
+        )
         return replace(
             checked, program=None if checked.findings.errors else program, variants=variants, tests=tests
         )
@@ -191,10 +193,15 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     divided = divide(document)
     if divided is None:
         return CheckedScenario(document, document.findings)
-    agents = {name: check(own, to_train=to_train) for name, own in divided.documents.items()}
+    agents = {
+        name: check(agent_document, to_train=to_train) for name, agent_document in divided.documents.items()
+    }
     joined_findings(
         document.findings,
-        (of_other_agents(own.findings, name, divided.drivers) for name, own in agents.items()),
+        (
+            of_other_agents(checked_agent.findings, name, divided.drivers)
+            for name, checked_agent in agents.items()
+        ),
     )
     programs = {name: checked.program for name, checked in agents.items() if checked.program is not None}
     report_topics_of_no_agent(document, programs.values())
@@ -204,9 +211,14 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     program = joined_program(divided, programs) if is_sound else None
     tests: tuple[ScenarioTest, ...] = ()
     if program is not None:
-        of_agents = {name: {test.name: test for test in own.tests} for name, own in agents.items()}
+        of_agents = {
+            name: {test.name: test for test in checked_agent.tests} for name, checked_agent in agents.items()
+        }
         tests = tuple(divided.tests.joined(program, of_agents))
-    agents = {name: replace(own, tests=divided.tests.about(name, own.tests)) for name, own in agents.items()}
+    agents = {
+        name: replace(checked_agent, tests=divided.tests.about(name, checked_agent.tests))
+        for name, checked_agent in agents.items()
+    }
     played = played_agent(document)
     shown = agents[played] if played in agents else next(iter(agents.values()))
     if program is not None and played is not None and shown.namespace is not None:
@@ -285,11 +297,11 @@ def _program(namespace: Namespace) -> Program:
     timestep = bare.timestep
     reset, walls = compile_reset(namespace, bare)
     limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
-    each = copies(namespace)
+    robot_copies = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
-    links = _links(namespace, builders, has_copies=each is not None)
+    links = _links(namespace, builders, has_copies=robot_copies is not None)
     robots = tuple(builder.finish(timestep, action, routes) for builder in builders)
-    agent = _agent(namespace, goals, limits, timestep, action, rewards, each)
+    agent = _agent(namespace, goals, limits, timestep, action, rewards, robot_copies)
     ordered = signals.ordered()  # in the order in which observation, reward and goal use them
     program = Program(
         name=spec.name,
@@ -360,7 +372,7 @@ def _agent(
     timestep: float,
     action: tuple[ActionPart, ...],
     rewards: tuple[Expression, ...],
-    each: RobotCopies | None,
+    robot_copies: RobotCopies | None,
 ) -> Agent:
     """Return the observation, action and reward of the agent, without its robots and the conditions on its
     action."""
@@ -379,10 +391,13 @@ def _agent(
         goal=goals.goal(rewards),
         solved=solved(namespace, limits, timestep),
         frame_stack=spec.agent.frame_stack,
-        copies=each,
+        copies=robot_copies,
         scripts=scripts(namespace, action),
         training=training(
-            namespace, action, each, limits.max_episode_steps(period) if limits != Truncation() else None
+            namespace,
+            action,
+            robot_copies,
+            limits.max_episode_steps(period) if limits != Truncation() else None,
         ),
     )
     mirrored = symmetry(namespace, agent.with_critic)
@@ -395,7 +410,7 @@ def _joined(findings: Findings) -> Findings:
     """Return the findings with each warning about a value that is in error anyway, or about its spelling, as
     a note of the error."""
     errors = findings.errors
-    kept: list[Finding] = []
+    remaining: list[Finding] = []
     absorbed: dict[int, list[Finding]] = {}
     for finding in findings:
         error = (
@@ -403,9 +418,9 @@ def _joined(findings: Findings) -> Findings:
             if finding.severity == "warning"
             else None
         )
-        (kept if error is None else absorbed.setdefault(id(error), [])).append(finding)
+        (remaining if error is None else absorbed.setdefault(id(error), [])).append(finding)
     joined = Findings()
-    for finding in kept:
+    for finding in remaining:
         warnings = absorbed.get(id(finding), [])
         fixes = [fix for warning in warnings if warning.code == "DB004" and (fix := number_fix(warning.span))]
         notes = (*finding.notes, *(warning.headline for warning in warnings))

@@ -115,10 +115,10 @@ def _report_unsupported(document: Document) -> None:
         *((*path, "count", *_COPIES) for path in robots),
         *((*path, "goal", *_GOAL) for path in ((), *agents)),
     ]
-    for *path, key, what, instead in unsupported:
+    for *path, key, subject, instead in unsupported:
         entry = entries_at(root, *path).get(key)
         if entry is not None:
-            headline = f"{what} together with several agents is not supported yet"
+            headline = f"{subject} together with several agents is not supported yet"
             document.findings.add("DB108", entry.key.span, headline, instead)
             return
 
@@ -127,9 +127,9 @@ def _mirrors(document: Document) -> Iterator[tuple[str, str]]:
     """Yield each agent that mirrors another one exactly, and this agent."""
     for name, entry in entries_at(document.root, AGENTS).items():
         section = entry.value
-        like = section.get(_LIKE) if isinstance(section, MappingNode) else None
-        if isinstance(like, ScalarNode) and section.entries.keys() <= _OWN_OF_MIRROR:  # type: ignore[union-attr]
-            yield name, like.text
+        node = section.get(_LIKE) if isinstance(section, MappingNode) else None
+        if isinstance(node, ScalarNode) and section.entries.keys() <= _OWN_OF_MIRROR:  # type: ignore[union-attr]
+            yield name, node.text
 
 
 def _check_policies(document: Document, sections: Mapping[str, AgentOfSeveral]) -> None:
@@ -156,7 +156,7 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
     root = document.root
     assert root is not None
     first = next(iter(agents.values()), None)
-    own = (
+    agent_entries = (
         {} if first is None else {key: entry for key, entry in first.entries.items() if key in _KEYS_OF_AGENT}
     )
     for key in (_KEYS_OF_AGENT - {TRAIN}) & root.entries.keys():
@@ -175,7 +175,7 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
         root,
         entries={
             **root.entries,
-            **own,
+            **agent_entries,
             **(
                 {AGENTS: Entry(root.entries[AGENTS].key, replace(section, entries=resolved))}
                 if isinstance(section, MappingNode)
@@ -196,8 +196,8 @@ def _with_shared_training(section: MappingNode, shared: Entry | None) -> Mapping
     itself."""
     if shared is None:
         return section
-    own = section.entries.get(TRAIN)
-    entry = shared if own is None else _with_entries(shared, own)
+    agent_entry = section.entries.get(TRAIN)
+    entry = shared if agent_entry is None else _with_entries(shared, agent_entry)
     return replace(section, entries={**section.entries, TRAIN: entry})
 
 
@@ -260,31 +260,31 @@ class _Mirrors:
         section = self._written[name].value
         if name in self._resolved or name in self._reported or not isinstance(section, MappingNode):
             return self._resolved.get(name)
-        like = section.get(_LIKE)
-        if not isinstance(like, ScalarNode):
+        node = section.get(_LIKE)
+        if not isinstance(node, ScalarNode):
             self._resolved[name] = section
             return section
-        if like.text in (*above, name):
-            cycle = " -> ".join((*above, name, like.text))
+        if node.text in (*above, name):
+            cycle = " -> ".join((*above, name, node.text))
             self._reported |= {*above, name}
             self._document.findings.add(
                 "DB207",
-                like.span,
+                node.span,
                 f"`{name}` mirrors itself",
                 "write the keys of one of these agents",
                 notes=(f"the cycle is {cycle}",),
             )
             return None
-        if like.text not in self._written:
-            _report_unknown(self._document.findings, like, like.text, "agent", [*self._written])
+        if node.text not in self._written:
+            _report_unknown(self._document.findings, node, node.text, "agent", [*self._written])
             return None
-        model = self._resolve(like.text, (*above, name))
+        model = self._resolve(node.text, (*above, name))
         if model is None:
             return None
-        swap = Swap(self._pairs(name, section, like.text, model))
+        swap = Swap(self._pairs(name, section, node.text, model))
         mirrored = swap.mapping(model)
-        own = {key: entry for key, entry in section.entries.items() if key != _LIKE}
-        self._resolved[name] = replace(mirrored, span=section.span, entries={**mirrored.entries, **own})
+        entries = {key: entry for key, entry in section.entries.items() if key != _LIKE}
+        self._resolved[name] = replace(mirrored, span=section.span, entries={**mirrored.entries, **entries})
         return self._resolved[name]
 
     def _pairs(
@@ -402,10 +402,10 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
             continue
         ends = ending.get("ends")
         ended = agents if ends is None else _agents_of(ends, agents, agents, document.findings)
-        named = {
+        agents_by_outcome = {
             outcome: _agents_of(ending.get(outcome), ended, agents, document.findings) for outcome in outcomes
         }
-        of_agent = [outcome for outcome in outcomes if agent in named[outcome]]
+        of_agent = [outcome for outcome in outcomes if agent in agents_by_outcome[outcome]]
         if not document.findings.errors:
             _report_outcome(document.findings, entry.key, agent, of_agent, is_ended=agent in ended)
         for outcome in of_agent[:1]:
@@ -418,14 +418,14 @@ def _outcomes(document: Document, agent: str, agents: list[str]) -> MappingNode 
     return replace(section, entries=entries)
 
 
-def _agents_of(node: Node | None, every: list[str], agents: list[str], findings: Findings) -> list[str]:
-    """Return the agents that are named, where `all` names `every` agent of a list; report unknown names."""
-    named = _named_agents(node)
-    for each in named:
-        if each.text not in (*agents, ALL_AGENTS):
-            _report_unknown(findings, each, each.text, "agent", [*agents, ALL_AGENTS])
-    texts = [each.text for each in named]
-    return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in every)]
+def _agents_of(node: Node | None, members: list[str], agents: list[str], findings: Findings) -> list[str]:
+    """Return the agents that are named, where `all` names every agent of `members`; report unknown names."""
+    name_nodes = _named_agents(node)
+    for name_node in name_nodes:
+        if name_node.text not in (*agents, ALL_AGENTS):
+            _report_unknown(findings, name_node, name_node.text, "agent", [*agents, ALL_AGENTS])
+    texts = [name_node.text for name_node in name_nodes]
+    return [name for name in agents if name in texts or (ALL_AGENTS in texts and name in members)]
 
 
 def _report_outcome(
@@ -465,8 +465,8 @@ def _named_agents(node: Node | None) -> list[ScalarNode]:
             return []
 
 
-def _report_unknown(findings: Findings, node: ScalarNode, name: str, what: str, names: list[str]) -> None:
-    findings.add("DB201", node.span, f"there is no {what} `{name}`", choices_help(name, names))
+def _report_unknown(findings: Findings, node: ScalarNode, name: str, noun: str, names: list[str]) -> None:
+    findings.add("DB201", node.span, f"there is no {noun} `{name}`", choices_help(name, names))
 
 
 # The scenario of one agent
@@ -515,11 +515,11 @@ def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
         if limit is None or not isinstance(entry.value, MappingNode):
             entries[name] = entry
             continue
-        named = [each.text for each in _named_agents(entry.value.get("success"))]
+        agents = [node.text for node in _named_agents(entry.value.get("success"))]
         of_all = ScalarNode(entry.key.span, ALL_AGENTS, ALL_AGENTS)
-        own = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
-        is_success = not {agent, ALL_AGENTS}.isdisjoint(named)
-        entries[name] = Entry(entry.key, replace(entry.value, entries=own) if is_success else limit)
+        limit_entries = {**entry.value.entries, "success": Entry(_key("success", entry.key), of_all)}
+        is_success = not {agent, ALL_AGENTS}.isdisjoint(agents)
+        entries[name] = Entry(entry.key, replace(entry.value, entries=limit_entries) if is_success else limit)
     return replace(limits, entries=entries)
 
 
@@ -530,16 +530,16 @@ def _key(name: str, place: ScalarNode) -> ScalarNode:
 def _check_limits(document: Document, agents: list[str]) -> None:
     """Report names of agents under `truncation` that do not exist."""
     for entry in entries_at(document.root, TRUNCATION).values():
-        for named in _named_agents(node_at(entry.value, "success")):
-            if named.text not in (*agents, ALL_AGENTS):
-                _report_unknown(document.findings, named, named.text, "agent", [*agents, ALL_AGENTS])
+        for node in _named_agents(node_at(entry.value, "success")):
+            if node.text not in (*agents, ALL_AGENTS):
+                _report_unknown(document.findings, node, node.text, "agent", [*agents, ALL_AGENTS])
 
 
-def _with_entries(shared: Entry | None, own: Entry) -> Entry:
+def _with_entries(shared: Entry | None, part: Entry) -> Entry:
     """Return the section of an agent with the entries that all agents share before its own."""
-    if shared is None or not isinstance(shared.value, MappingNode) or not isinstance(own.value, MappingNode):
-        return own
-    return Entry(own.key, replace(own.value, entries={**shared.value.entries, **own.value.entries}))
+    if shared is None or not isinstance(shared.value, MappingNode) or not isinstance(part.value, MappingNode):
+        return part
+    return Entry(part.key, replace(part.value, entries={**shared.value.entries, **part.value.entries}))
 
 
 def _heard_robots(robots: MappingNode) -> Iterator[str]:
@@ -555,8 +555,8 @@ def _without_controller(robot: Node, *, is_heard: bool) -> Node:
     if not isinstance(robot, MappingNode):
         return robot
     left_out = _CONTROLLER_KEYS - ({"sensors", "emit"} if is_heard else set())
-    kept = {key: entry for key, entry in robot.entries.items() if key not in left_out}
-    return replace(robot, entries=kept)
+    entries = {key: entry for key, entry in robot.entries.items() if key not in left_out}
+    return replace(robot, entries=entries)
 
 
 # Results
@@ -570,10 +570,10 @@ def report_own_names(
     of_all = set.intersection(*of_each) if of_each else set[str]()
     for agent, program in programs.items():
         augmented = sections[agent].augment
-        own = {*sections[agent].signals, *(augmented if isinstance(augmented, Mapping) else ())}
-        own |= {name for part in program.agent.action for name in part.variables}
+        names = {*sections[agent].signals, *(augmented if isinstance(augmented, Mapping) else ())}
+        names |= {name for part in program.agent.action for name in part.variables}
         for ending in program.endings:
-            used = own & {leaf.name for scalar in ending.scalars for leaf in names_in(scalar)}
+            used = names & {leaf.name for scalar in ending.scalars for leaf in names_in(scalar)}
             if used and ending.name in of_all:
                 document.findings.add(
                     "DB201",
@@ -614,12 +614,12 @@ def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[st
     says who sends it."""
     for finding in findings:
         robot, dot, value = finding.span.text.partition(".")
-        other = drivers.get(robot, agent)
+        owner = drivers.get(robot, agent)
         is_written = (
             f"`{finding.span.text}`" in finding.headline
         )  # and no name that a mirrored agent has instead
-        if finding.code == "DB402" and dot and other != agent and is_written:
-            headline, help = _foreign_words(robot, value, other, agent)
+        if finding.code == "DB402" and dot and owner != agent and is_written:
+            headline, help = _foreign_words(robot, value, owner, agent)
             finding = replace(finding, headline=headline, help=help)
         yield finding
 
@@ -628,8 +628,8 @@ def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) 
     """Add the findings of the agents to those of the file. What a rule finds at one place for several agents
     is one finding: an agent that mirrors another one has the same mistakes in other words."""
     places: set[tuple[str, Span]] = set()
-    for own in of_agents:
-        of_agent = [finding for finding in own if (finding.code, finding.span) not in places]
+    for agent_findings in of_agents:
+        of_agent = [finding for finding in agent_findings if (finding.code, finding.span) not in places]
         for finding in of_agent:
             findings.append(finding)
         places |= {(finding.code, finding.span) for finding in of_agent}
@@ -647,10 +647,10 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
     if root is None or not isinstance(section, MappingNode):
         return document
     entries = dict(section.entries)
-    for name, own in documents.items():
-        chosen, entry = own.root.entries.get(TRAIN) if own.root is not None else None, entries[name]
-        if chosen is not None and isinstance(entry.value, MappingNode):
-            keys = {**entry.value.entries, TRAIN: chosen}
+    for name, part in documents.items():
+        train, entry = part.root.entries.get(TRAIN) if part.root is not None else None, entries[name]
+        if train is not None and isinstance(entry.value, MappingNode):
+            keys = {**entry.value.entries, TRAIN: train}
             entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
     agents = Entry(root.entries[AGENTS].key, replace(section, entries=entries))
     return replace(document, root=replace(root, entries={**root.entries, AGENTS: agents}))

@@ -160,15 +160,24 @@ class Actuators(NamespaceReader):
                 )
             case _:
                 slides = joint_dimension(joints[0]) == LENGTH
-                own = self._fields.parameters(
+                parameters = self._fields.parameters(
                     spec, kind_parameters(type(spec), specs.JointActuator), dimension, slides=slides
                 )
-                if own is None:
+                if parameters is None:
                     return None
                 low, high = (end if math.isfinite(end) else None for end in spec.interval)
                 response = self._response(spec, names)
                 motor = CustomActuator(
-                    name, spec.type, names, max_torque, max_velocity, spec.drive, own, low, high, response
+                    name,
+                    spec.type,
+                    names,
+                    max_torque,
+                    max_velocity,
+                    spec.drive,
+                    parameters,
+                    low,
+                    high,
+                    response,
                 )
         return ResolvedActuator(
             motor, dimension, names if len(names) > 1 or spec.joints is not None else None
@@ -309,53 +318,57 @@ class Actuators(NamespaceReader):
     def _max_torque(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
         """Return the largest torque or force of each joint: the tighter of the scenario's and that of the
         robot file."""
-        own = tuple(joint.limit.effort for joint in joints)
+        file_limits = tuple(joint.limit.effort for joint in joints)
         variations = len(self._fields.variations)
         effort = effort_dimension(joints[0])
         max_torque = self._scalar_or_randomized(
             spec, "max_torque", None, dimension=effort, per_component=tuple(joint.name for joint in joints)
         )
         if max_torque is None:
-            return own
+            return file_limits
         drawn = self._fields.variations[variations:]
         self._compare(
-            spec, "max_torque", drawn[0].value.typed.type.interval.high if drawn else max_torque, effort, own
+            spec,
+            "max_torque",
+            drawn[0].value.typed.type.interval.high if drawn else max_torque,
+            effort,
+            file_limits,
         )
-        self._fields.variations[variations:] = [replace(varied, max=own) for varied in drawn]
-        return _tighter(own, max_torque)
+        self._fields.variations[variations:] = [replace(varied, max=file_limits) for varied in drawn]
+        return _tighter(file_limits, max_torque)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
         """Return the largest velocity of each joint, which is not drawn: the tighter limit of scenario and
         robot file."""
-        own = tuple(joint.limit.velocity for joint in joints)
+        file_limits = tuple(joint.limit.velocity for joint in joints)
         if getattr(spec, "max_velocity", None) is None:
             # A spring has the given stiffness, and only its torque is limited.
             return (
                 (None,) * len(joints)
                 if isinstance(spec, specs.PositionMotor) and spec.stiffness is not None
-                else own
+                else file_limits
             )
         rate = joint_dimension(joints[0]) / TIME
         max_velocity = self._fields.fixed(spec, "max_velocity", dimension=rate)
         if max_velocity is None:
-            return own
-        self._compare(spec, "max_velocity", max_velocity, rate, own)
-        return _tighter(own, max_velocity)
+            return file_limits
+        self._compare(spec, "max_velocity", max_velocity, rate, file_limits)
+        return _tighter(file_limits, max_velocity)
 
     def _scalar_or_randomized(
         self, spec: specs.Actuator, key: str, default: Default, **context: Unpack[FieldContext]
     ) -> float | Default:
         """Return a value that an episode may draw."""
-        of = OfActuator(self._robot.name, str(spec.path[-1]))
-        what = f"actuator_{key}"
-        return self._fields.scalar_or_randomized(spec, key, what, of, default, **context)  # type: ignore[arg-type]
+        subject = OfActuator(self._robot.name, str(spec.path[-1]))
+        parameter = f"actuator_{key}"
+        return self._fields.scalar_or_randomized(spec, key, parameter, subject, default, **context)  # type: ignore[arg-type]
 
     def _compare(
-        self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, own: Limits
+        self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, file_limits: Limits
     ) -> None:
         """Report DB304 for a limit that the robot file undercuts for every joint."""
-        limits = [each for each in own if each is not None]
-        if len(limits) == len(own) and limit > max(limits) * (1 + 1e-9):
+        limits = [file_limit for file_limit in file_limits if file_limit is not None]
+        if len(limits) == len(file_limits) and limit > max(limits) * (1 + 1e-9):
             text, allowed = self._values.field(spec, key), Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
             help = (
@@ -365,8 +378,8 @@ class Actuators(NamespaceReader):
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
-def _tighter(own: Limits, written: float) -> Limits:
-    return tuple(written if limit is None else min(written, limit) for limit in own)
+def _tighter(file_limits: Limits, written: float) -> Limits:
+    return tuple(written if limit is None else min(written, limit) for limit in file_limits)
 
 
 def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
@@ -432,19 +445,19 @@ class RobotBuilder:
     def _check_names(self) -> None:
         """Check that no name on board means two things, also not one here and another in the scenario."""
         spec = self.robot.spec
-        taken: dict[str, tuple[str, NodePath]] = {}
+        places_by_name: dict[str, tuple[str, NodePath]] = {}
         for name in self.namespace.names_of(Origin.PARAMETER, Origin.ACTION):
             definition = self.namespace.definitions[name]
-            taken[name] = (definition.origin.value, definition.path)
-        for what, section, names in (("a pose", "poses", spec.poses), ("a sensor", "sensors", spec.sensors)):
+            places_by_name[name] = (definition.origin.value, definition.path)
+        for noun, section, names in (("a pose", "poses", spec.poses), ("a sensor", "sensors", spec.sensors)):
             for name in names:
                 place = (*self.path, section, name)
-                if name in taken:
-                    self.values.report_duplicate(place, name, *taken[name])
-                taken[name] = (what, place)
+                if name in places_by_name:
+                    self.values.report_duplicate(place, name, *places_by_name[name])
+                places_by_name[name] = (noun, place)
         for name in spec.receive or {}:
             if name in spec.poses or name in spec.sensors:
-                self.values.report_duplicate((*self.path, "receive", name), name, *taken[name])
+                self.values.report_duplicate((*self.path, "receive", name), name, *places_by_name[name])
 
     # Sent values
 
@@ -487,9 +500,9 @@ class RobotBuilder:
             return Symbol(full, None)
         if namespace.origin(source) is not Origin.FIELD:
             fields = [
-                each
-                for each in namespace.names_of(Origin.FIELD)
-                if not each.startswith(self.robot.name + ".")
+                field
+                for field in namespace.names_of(Origin.FIELD)
+                if not field.startswith(self.robot.name + ".")
             ]
             self.values.report_unknown(self.values.span(place), "value of another robot", source, fields)
             return Symbol(full, None)
@@ -508,9 +521,9 @@ class RobotBuilder:
             self.namespace.resolve(f"{self.robot.name}.{name}")
         senders = dict.fromkeys(value.text.partition(".")[0] for value in self.heard.values())
         for sender in senders:
-            values = [each for each in self.heard.values() if each.text.partition(".")[0] == sender]
-            own = route.route_for(sender, f"to_{self.robot.name}")
-            yield Link(sender, self.robot.name, tuple(values), own)
+            values = [value for value in self.heard.values() if value.text.partition(".")[0] == sender]
+            link_route = route.route_for(sender, f"to_{self.robot.name}")
+            yield Link(sender, self.robot.name, tuple(values), link_route)
 
     def sent(self) -> tuple[Expression, ...]:
         """Return the values that the robot sends; without an `emit`, the sensors that the supervisor uses,
@@ -540,8 +553,8 @@ class RobotBuilder:
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.robot.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
-            if meant := nearest_word(name, sensors):
-                self.values.mark_invalid(f"{self.robot.name}.{meant}")
+            if nearest := nearest_word(name, sensors):
+                self.values.mark_invalid(f"{self.robot.name}.{nearest}")
             return Symbol(full, None)
         typed = self.values.expression(
             text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.own)
@@ -642,11 +655,13 @@ class RobotBuilder:
             return None
         parts = driven.components or ("",)
         spec = self.robot.spec.actuators[name]
-        own = f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
+        example = (
+            f"{{type: {spec.type}, {'link' if isinstance(spec, specs.Thrust) else 'joint'}: {parts[0]}}}"
+        )
         help = (
             "write one number, which drives all of them; to control each of them separately, define one"
             " actuator for each: "
-            f"`{parts[0]}: {own}`"
+            f"`{parts[0]}: {example}`"
         )
         typed = self.values.quantity(
             text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help

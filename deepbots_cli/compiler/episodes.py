@@ -115,15 +115,15 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     step may contain how often its draws are repeated."""
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
-    values, text, what = namespace.values, namespace.values.field(spec, name), f"`{name}`"
+    values, text, label = namespace.values, namespace.values.field(spec, name), f"`{name}`"
     assert isinstance(text.kind, Quantity)  # the fields of the model
     if text.kind.known == "step" and text.kind.si is not None:
-        typed, redraw = values.redrawn(text, what, namespace.scope(Context.FIELD), text.kind.si)
+        typed, redraw = values.redrawn(text, label, namespace.scope(Context.FIELD), text.kind.si)
     else:
         typed, redraw = namespace.fields.typed(text), None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
-    if typed.type.known is Known.FIXED and values.fixed(typed, text, what) is None:
+    if typed.type.known is Known.FIXED and values.fixed(typed, text, label) is None:
         return None
     return Expression(name, text.span, text.text, typed, name, redraw=redraw)
 
@@ -169,11 +169,11 @@ def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
 def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Disturbance | None:
     pushed = _pushed(spec, namespace)
     keys = ("force", "torque", "at", "every", "duration")
-    force, torque, first, every, duration = expressions = [
+    force, torque, first, interval, duration = expressions = [
         namespace.fields.expression(spec, key, known=Known.STEP) for key in keys
     ]
-    if every is not None and duration is not None:
-        longest, soonest = duration.typed.type.interval.high, every.typed.type.interval.low
+    if interval is not None and duration is not None:
+        longest, soonest = duration.typed.type.interval.high, interval.typed.type.interval.low
         if longest > soonest * (1 + 1e-9):
             headline = f"a push can last {longest:g} s, but the next one can begin after {soonest:g} s"
             namespace.values.add("DB105", duration.span, headline, "make `duration` shorter than `every`")
@@ -183,7 +183,7 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
     return (
         None
         if pushed is None or duration is None or is_broken
-        else Disturbance(name, *pushed, force, torque, first, every, duration)
+        else Disturbance(name, *pushed, force, torque, first, interval, duration)
     )
 
 
@@ -308,12 +308,12 @@ def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, S
         report_follower(namespace.values, text.part(len(robot_name + dot), len(key)), follower, robot.model)
         return None
     if subject.members:
-        kept = [
+        pairs = [
             (member, limits)
             for member, limits in zip(subject.members, subject.intervals, strict=True)
             if member in drivable
         ]
-        members, intervals = zip(*kept, strict=True)
+        members, intervals = zip(*pairs, strict=True)
         subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, start = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
@@ -377,16 +377,16 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
     layouts = Layouts(namespace, places, world)
     common = places.placements(spec.reset.place, ("reset", "place"))
     weighted = layouts.weighted_layouts()
-    placed = {placement.body for layout in weighted for placement in layout.placements} | {
+    placed_bodies = {placement.body for layout in weighted for placement in layout.placements} | {
         placement.body for placement in common
     }
     common += [
         places.at_own_pose(body)
         for body in (*spec.objects, *spec.robots)
-        if body not in placed and body not in namespace.groups
+        if body not in placed_bodies and body not in namespace.groups
     ]
     completed = tuple(
-        replace(layout, placements=(*layout.placements, *_left_out(layout, placed, places, namespace)))
+        replace(layout, placements=(*layout.placements, *_left_out(layout, placed_bodies, places, namespace)))
         for layout in weighted
     )
     _require_places(namespace)
@@ -397,12 +397,16 @@ def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple
     )
 
 
-def _left_out(layout: Layout, placed: set[str], places: Places, namespace: Namespace) -> list[Placement]:
+def _left_out(
+    layout: Layout, placed_bodies: set[str], places: Places, namespace: Namespace
+) -> list[Placement]:
     """Return the bodies at home that other layouts place."""
     here = {placement.body for placement in layout.placements}
     bodies = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
     return [
-        places.at_own_pose(body) for body in namespace.definitions if body in placed - here and body in bodies
+        places.at_own_pose(body)
+        for body in namespace.definitions
+        if body in placed_bodies - here and body in bodies
     ]
 
 
@@ -588,11 +592,11 @@ class Signals(NamespaceReader):
         """Return augmentation and signals, each after those that it is made of."""
         for name in self._namespace.names_of(Origin.AUGMENT, Origin.SIGNAL):
             self._namespace.resolve(name)
-        wanted = (Origin.AUGMENT, Origin.SIGNAL)
+        origins = (Origin.AUGMENT, Origin.SIGNAL)
         return tuple(
             self.valued[name]
             for name in self._namespace.order
-            if name in self.valued and self._namespace.origin(name) in wanted
+            if name in self.valued and self._namespace.origin(name) in origins
         )
 
     def endings(self) -> tuple[Expression, ...]:
@@ -658,8 +662,10 @@ def _limit(limits: TruncationSpec, name: str) -> tuple[Section, str]:
 
 def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -> None:
     """Report agents that do not exist: the only agent of a scenario is named by `all`."""
-    path, named = ("truncation", name, "success"), getattr(limits, name).success
-    places = {path: named} if isinstance(named, str) else {(*path, i): each for i, each in enumerate(named)}
+    path, agents = ("truncation", name, "success"), getattr(limits, name).success
+    places = (
+        {path: agents} if isinstance(agents, str) else {(*path, i): agent for i, agent in enumerate(agents)}
+    )
     for place, agent in places.items():
         if agent != ALL_AGENTS:
             namespace.values.report_unknown(namespace.values.span(place), "agent", agent, [ALL_AGENTS])
@@ -712,22 +718,22 @@ def with_reading_ages(program: Program) -> Program:
         for node in walk(value.typed)
         if isinstance(node, Invocation) and node.function == "age"
     )
-    asked = dict.fromkeys(call.subjects[0].name for call in calls)
+    names = dict.fromkeys(call.subjects[0].name for call in calls)
     return (
-        replace(program, robots=tuple(_with_ages(robot, asked) for robot in program.robots))
-        if asked
+        replace(program, robots=tuple(_with_ages(robot, names) for robot in program.robots))
+        if names
         else program
     )
 
 
-def _with_ages(robot: Robot, asked: dict[str, None]) -> Robot:
-    taken = {value.name for value in robot.emit}
+def _with_ages(robot: Robot, names: dict[str, None]) -> Robot:
+    fields = {value.name for value in robot.emit}
     sensors = {f"{robot.name}.{sensor.name}": sensor for sensor in robot.sensors}
     ages = []
-    for name in asked:
+    for name in names:
         if name in sensors and not sensors[name].is_direct:
             field = f"{sensors[name].name}_age"
-            while field in taken:
+            while field in fields:
                 field += "_"
             ages.append((sensors[name].name, field))
     return replace(robot, ages=tuple(ages)) if ages else robot

@@ -91,10 +91,10 @@ def training(
     if spec.train is None or isinstance(spec.train, Auto):
         return None
     _check_algorithm(spec.train, action, namespace)
-    own = spec.train.hyperparameters
-    hyperparameters = _hyperparameters(own, values)
-    replay = _hindsight(own.get("replay"), namespace)
-    starts = own.get("learning_starts")
+    settings = spec.train.hyperparameters
+    hyperparameters = _hyperparameters(settings, values)
+    replay = _hindsight(settings.get("replay"), namespace)
+    starts = settings.get("learning_starts")
     if replay is not None and starts is not None and longest_episode is not None:
         longest = longest_episode * spec.train.environments * (copies.count if copies else 1)
         if starts < longest:
@@ -116,7 +116,7 @@ def training(
         spec.train.environments,
         hyperparameters,
         Network(tuple(spec.train.network.hidden), spec.train.network.activation),
-        _action_noise(own.get("action_noise")),
+        _action_noise(settings.get("action_noise")),
         replay,
         spec.train.normalize,
         spec.train.device,
@@ -137,15 +137,15 @@ def _self_play(train: TrainingSpec) -> SelfPlay | None:
     spec = train.self_play
     if spec is None:
         return None
-    every = spec.every or max(1, train.total_timesteps // _SNAPSHOTS)
-    return SelfPlay(every, spec.pool, float(spec.newest), float(spec.scripts))
+    interval = spec.every or max(1, train.total_timesteps // _SNAPSHOTS)
+    return SelfPlay(interval, spec.pool, float(spec.newest), float(spec.scripts))
 
 
-def _hyperparameters(own: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
+def _hyperparameters(settings: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
     """Return the hyperparameters with a single value, a schedule or an adaptive rate; an unusual learning
     rate is a finding."""
     read = []
-    for name, value in own.items():
+    for name, value in settings.items():
         if isinstance(value, AdaptiveRateSpec):
             read.append(Hyperparameter(name, AdaptiveRate(value.kl, value.start)))
             continue
@@ -429,10 +429,10 @@ class _VariantCompiler:
         variant."""
         tests = self._values.root.get("tests")
         for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
-            named = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
+            node = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
             yield (
                 ("tests", test, word)
-                if isinstance(named, ScalarNode) and named.text == name
+                if isinstance(node, ScalarNode) and node.text == name
                 else ("tests", test)
             )
 
@@ -529,12 +529,12 @@ class _Reader(NamespaceReader):
             headline = "`agent` of a test belongs to a scenario with several `agents`"
             self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.stages]
-        for word, section, chosen, others in (
+        for word, section, variant, others in (
             ("case", "cases", spec.case, list(cases)),
             ("stage", "curriculum", spec.stage, stages),
         ):
-            if chosen is not None and chosen not in others and not self._values.is_invalid(section):
-                self._values.report_unknown(self._values.field(spec, word).span, word, chosen, others)
+            if variant is not None and variant not in others and not self._values.is_invalid(section):
+                self._values.report_unknown(self._values.field(spec, word).span, word, variant, others)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, driver)
         if len(self._values.findings.errors) > errors_before or driver is None:
@@ -607,11 +607,11 @@ class _Reader(NamespaceReader):
         """Return the largest number of steps of an episode; a finding if all episodes of the test may take
         too many."""
         period = self._program.period
-        own = Truncation(spec.max_steps, self._fields.fixed(spec, "max_time")).max_episode_steps(period)
+        longest = Truncation(spec.max_steps, self._fields.fixed(spec, "max_time")).max_episode_steps(period)
         steps = min(
-            own,
+            longest,
             self._program.truncation.max_episode_steps(period),
-            len(driver) if isinstance(driver, tuple) else own,
+            len(driver) if isinstance(driver, tuple) else longest,
         )
         total = steps * self._program.action_repeat * spec.episodes
         if total > MAX_STEPS and self._program.truncation != Truncation():
@@ -721,7 +721,7 @@ class _Reader(NamespaceReader):
 
 def _compared(tree: Typed) -> Iterator[Typed]:
     """Yield the single values that comparisons of a condition compare, except constants."""
-    seen: set[tuple[int, int]] = set()
+    spans: set[tuple[int, int]] = set()
     for node in walk(tree):
         for part in (
             node.args if isinstance(node, Operation) and node.operator in COMPARISONS.values() else ()
@@ -731,7 +731,7 @@ def _compared(tree: Typed) -> Iterator[Typed]:
                 single
                 and constant_values(part) is None
                 and not isinstance(part, Constant)
-                and (part.start, part.end) not in seen
+                and (part.start, part.end) not in spans
             ):
-                seen.add((part.start, part.end))
+                spans.add((part.start, part.end))
                 yield part

@@ -169,7 +169,9 @@ class FieldReader:
             return None
         count = len(components or ("",))
         # A value that is given again, as for a link that two patterns match, replaces the earlier draw.
-        self.variations[:] = [each for each in self.variations if (each.what, each.of) != (what, of)]
+        self.variations[:] = [
+            variation for variation in self.variations if (variation.what, variation.of) != (what, of)
+        ]
         if typed.type.known is Known.FIXED:
             return self._si_values(typed, text, count)
         value = replace(text.expression(typed, per_component=per_component), owner=_owner(text, of))
@@ -232,14 +234,14 @@ class FieldReader:
         return tuple(read.items())
 
     def _parameter(
-        self, spec: Section, key: str, kind: FieldType, own: Dimension, *, slides: bool
+        self, spec: Section, key: str, kind: FieldType, base_dimension: Dimension, *, slides: bool
     ) -> Parameter:
         written = getattr(spec, key)
         if not isinstance(kind, (Quantity, Range, Column)) or (
             isinstance(kind, Quantity) and written in kind.words
         ):
             return written if isinstance(written, (bool, int, float)) else str(written)
-        dimension = dimension_of(kind.dimension, own, second=slides)
+        dimension = dimension_of(kind.dimension, base_dimension, second=slides)
         if isinstance(kind, Range):
             ends = self.ends(spec, key, dimension=dimension)
             return (*ends.low, *ends.high) if ends else None
@@ -293,16 +295,16 @@ class FieldReader:
         text, options = self._values.field(section, "color"), [_rgba(word) for word in color_options(color)]
         if of is not None:
             # A link that two patterns match has the color of the later one.
-            self.colors[:] = [each for each in self.colors if each.of != of]
+            self.colors[:] = [parameter for parameter in self.colors if parameter.of != of]
         if len(options) > 1 and of is None:
             help = "write one color for all episodes"
             self._values.add("DB407", text.span, "this color must be fixed, but the value is random", help)
         elif len(options) > 1 and of is not None:
             single = Type(known=Known.EPISODE)
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
-            which = Invocation(single, 0, 0, "integer", (), ends, 0)
+            option_index = Invocation(single, 0, 0, "integer", (), ends, 0)
             shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
-            drawn = text.expression(Vector(single, 0, len(text.text), (which, *shades)))
+            drawn = text.expression(Vector(single, 0, len(text.text), (option_index, *shades)))
             self.colors.append(RandomizedParameter("color", of, replace(drawn, owner=_owner(text, of))))
         return options[0]
 
@@ -314,8 +316,8 @@ class FieldReader:
     ) -> tuple[Scope, Dimension | None, Components | None, Known]:
         kind = text.kind
         assert isinstance(kind, (Quantity, Column))  # other fields have no numbers
-        axes, own = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
-        known = context.get("known", Known[own.upper()])
+        axes, default = (kind.axes, kind.known) if isinstance(kind, Quantity) else (ANY_SHAPE, "fixed")
+        known = context.get("known", Known[default.upper()])
         scope = context.get("scope") or self._scope(Context.FIELD if known else Context.FIXED)
         return (
             scope,
@@ -329,8 +331,8 @@ class FieldReader:
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
 
 
-def _owner(text: SourceText, of: tuple[str, ...]) -> str:
-    return ":".join((text.owner, *filter(None, of)))
+def _owner(text: SourceText, subject: tuple[str, ...]) -> str:
+    return ":".join((text.owner, *filter(None, subject)))
 
 
 def _rgba(word: str) -> Color:

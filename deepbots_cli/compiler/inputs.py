@@ -47,14 +47,14 @@ class Inputs:
         packages = [
             robot.path.parent for robot in self._all_robots
         ]  # one from a package has its meshes below it
-        files = [file for each in (self, *self.variants) for file in each.files.values()]
+        files = [file for variant in (self, *self.variants) for file in variant.files.values()]
         return copy_names(
             [*self._texts, *meshes, *files], (shipped.data_dir(), *self.document.roots, *packages)
         )
 
     @property
     def _all_robots(self) -> list[ResolvedRobot]:
-        return [robot for each in (self, *self.variants) for robot in each.robots.values()]
+        return [robot for variant in (self, *self.variants) for robot in variant.robots.values()]
 
     @property
     def _texts(self) -> dict[Path, str]:

@@ -162,15 +162,15 @@ def _on_board(namespace: Namespace, robot: str | None, name: str) -> NameEntry |
     resolved = namespace.robots.get(robot) if robot else None
     if resolved is None:
         return None
-    own = (
+    tables = (
         (resolved.spec.sensors, "sensors", "a sensor"),
         (resolved.spec.poses, "poses", "a pose"),
         (resolved.spec.receive or {}, "receive", "received"),
     )
     return next(
         (
-            _keyed(namespace, ("robots", resolved.name, key, name), what)
-            for table, key, what in own
+            _keyed(namespace, ("robots", resolved.name, key, name), noun)
+            for table, key, noun in tables
             if name in table
         ),
         None,
@@ -212,8 +212,8 @@ def _one_defined(namespace: Namespace, name: str) -> NameEntry:
     return NameEntry(name, "built in")
 
 
-def _keyed(namespace: Namespace, path: NodePath, what: str, name: str | None = None) -> NameEntry:
-    return NameEntry(name or str(path[-1]), what, namespace.values.key_span(path))
+def _keyed(namespace: Namespace, path: NodePath, noun: str, name: str | None = None) -> NameEntry:
+    return NameEntry(name or str(path[-1]), noun, namespace.values.key_span(path))
 
 
 def _bodies(namespace: Namespace) -> list[NameEntry]:
@@ -314,10 +314,10 @@ def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str
     """Return each name with its meaning, and a parameter with its value."""
     origins = {name: origin.value if (origin := namespace.origin(name)) else "built in" for name in names}
     return {
-        name: f"{what}: {namespace.scenario.parameters[name]}"
+        name: f"{meaning}: {namespace.scenario.parameters[name]}"
         if name in namespace.scenario.parameters
-        else what
-        for name, what in origins.items()
+        else meaning
+        for name, meaning in origins.items()
     }
 
 
@@ -340,12 +340,12 @@ def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenar
         "joint or link pattern": _offer(links | joints, only=True),
     }
     poses = dict.fromkeys(robot.spec.poses, "a pose")
-    own = {"emit": sensors, "apply": received | sensors | poses}
+    names_by_word = {"emit": sensors, "apply": received | sensors | poses}
     return {
         **parts,
         "sensor": _offer(sensors),
         "actuator": _offer(actuators),
-        **{f"{word} expression": _offer(names) for word, names in own.items()},
+        **{f"{word} expression": _offer(names) for word, names in names_by_word.items()},
     }
 
 

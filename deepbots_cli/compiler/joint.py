@@ -102,8 +102,12 @@ def joint_program(
                 }.values()
             ),
         ),
-        supplied_by=tuple(dict(chain.from_iterable(each.supplied_by for each in programs.values())).items()),
-        ros={name: topic for each in programs.values() for name, topic in each.ros.items()},
+        supplied_by=tuple(
+            dict(
+                chain.from_iterable(agent_program.supplied_by for agent_program in programs.values())
+            ).items()
+        ),
+        ros={name: topic for agent_program in programs.values() for name, topic in agent_program.ros.items()},
         cases=tuple(replace(case, program=of_all(case.name, None)) for case in first.cases),
         curriculum=tuple(replace(stage, program=of_all(None, stage.name)) for stage in first.curriculum),
     )
@@ -115,7 +119,7 @@ def joint_program(
 def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
     """Return the agent with the actions, observations and rewards of all in a row."""
     first = next(iter(agents.values()))
-    success = tuple(name for name in first.success if all(name in each.success for each in agents.values()))
+    success = tuple(name for name in first.success if all(name in agent.success for agent in agents.values()))
     joint = Agent(
         name=ONLY_AGENT,
         robots=tuple(chain.from_iterable(agent.robots for agent in agents.values())),
@@ -134,7 +138,9 @@ def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
 def _common_criterion(agents: Iterable[Agent]) -> Solved | None:
     """Return `solved` if it is a success rate that all agents have."""
     first, *others = (agent.solved for agent in agents)
-    is_common = first is not None and first.mean_return is None and all(each == first for each in others)
+    is_common = (
+        first is not None and first.mean_return is None and all(criterion == first for criterion in others)
+    )
     return first if is_common else None
 
 
@@ -286,12 +292,15 @@ def _scripts(agents: Mapping[str, Agent], action: Sequence[ActionPart]) -> Itera
     """Yield the scripts of all agents: each chooses the parts of its own agent, and the middle of every range
     and the first option of every choice of the others."""
     for agent in agents.values():
-        own = {part.name for part in agent.action}
+        part_names = {part.name for part in agent.action}
         for script in agent.scripts:
             parts = iter(script.parts)
             yield Script(
                 script.name,
-                tuple(next(parts) if part.name in own else _idle(part, agent.reward[0]) for part in action),
+                tuple(
+                    next(parts) if part.name in part_names else _idle(part, agent.reward[0])
+                    for part in action
+                ),
             )
 
 

@@ -60,13 +60,13 @@ class DividedTests:
         if _DRIVER in entries:
             entries[_DRIVER] = Entry(entries[_DRIVER].key, self._driver(agent, written))
         elif _ACTIONS in entries:
-            own = [_get(step, agent) for step in _steps(written)]
-            first = next((item for item in own if item is not None), None)
+            actions = [_get(step, agent) for step in _steps(written)]
+            first = next((item for item in actions if item is not None), None)
             key = entries.pop(_ACTIONS).key
             if first is None:
                 entries[_DRIVER] = Entry(_scalar(key, _DRIVER), _scalar(key, ZERO))
             else:  # a step without an action has any one, which is left out again in the joined test
-                items = tuple(first if item is None else item for item in own)
+                items = tuple(first if item is None else item for item in actions)
                 entries[_ACTIONS] = Entry(key, SequenceNode(key.span, items))
         if agent != self.owner(test) and _EXPECT in entries:
             expected = {_NOTHING: Entry(_scalar(name, _NOTHING), name._replace(text="0", value=0))}
@@ -76,25 +76,27 @@ class DividedTests:
     def _driver(self, agent: str, written: MappingNode) -> ScalarNode:
         """Return the driver of an agent: its script of the name that all agents share, else its first script,
         else `random`."""
-        node, own = written.get(_DRIVER), self._scripts[agent]
+        node, scripts = written.get(_DRIVER), self._scripts[agent]
         of_agent = _get(node, agent)
         if isinstance(of_agent, ScalarNode):
             return of_agent
-        if isinstance(node, ScalarNode) and node.text in (*own, RANDOM, ZERO):
+        if isinstance(node, ScalarNode) and node.text in (*scripts, RANDOM, ZERO):
             return node
-        return _scalar(written.entries[_DRIVER].key, next(iter(own), RANDOM))
+        return _scalar(written.entries[_DRIVER].key, next(iter(scripts), RANDOM))
 
     def _check(self, entry: Entry) -> None:
         if not isinstance(entry.value, MappingNode):
             return
         agent, driver = entry.value.get(_AGENT), entry.value.get(_DRIVER)
         keys = [step for step in (driver, *_steps(entry.value)) if isinstance(step, MappingNode)]
-        names = [each.key for mapping in keys for each in mapping.entries.values()]
+        names = [item.key for mapping in keys for item in mapping.entries.values()]
         names += [agent] if isinstance(agent, ScalarNode) else []
         self._report_unknown(names, "agent", self._agents)
         if isinstance(driver, ScalarNode):
-            every = dict.fromkeys(name for own in self._scripts.values() for name in own)
-            self._report_unknown([driver], "script", [*every, RANDOM, ZERO])
+            scripts = dict.fromkeys(
+                name for agent_scripts in self._scripts.values() for name in agent_scripts
+            )
+            self._report_unknown([driver], "script", [*scripts, RANDOM, ZERO])
         for step in _steps(entry.value):
             if isinstance(step, ScalarNode):
                 self._findings.add(
@@ -104,10 +106,10 @@ class DividedTests:
                     f"write `{{{', '.join(f'{name}: ...' for name in self._agents)}}}`",
                 )
 
-    def _report_unknown(self, nodes: Iterable[ScalarNode], what: str, names: Sequence[str]) -> None:
+    def _report_unknown(self, nodes: Iterable[ScalarNode], noun: str, names: Sequence[str]) -> None:
         for node in nodes:
             if node.text not in names:
-                headline = f"there is no {what} `{node.text}`"
+                headline = f"there is no {noun} `{node.text}`"
                 self._findings.add("DB201", node.span, headline, choices_help(node.text, names))
 
     def about(self, agent: str, tests: Iterable[ScenarioTest]) -> tuple[ScenarioTest, ...]:
@@ -122,7 +124,7 @@ class DividedTests:
         """Yield the tests of the program of all agents, given those of each agent by name."""
         for name in self._written:
             owner = self.owner(name)
-            parts = {agent: own[name] for agent, own in tests.items() if name in own}
+            parts = {agent: agent_tests[name] for agent, agent_tests in tests.items() if name in agent_tests}
             if len(parts) < len(self._agents):
                 continue
             drivers = {agent: part.driver for agent, part in parts.items() if isinstance(part.driver, str)}
@@ -138,11 +140,13 @@ def _about(test: ScenarioTest, member: Member) -> ScenarioTest:
     """Return a test of one agent with the names of the program of all."""
     expected = tuple(
         replace(
-            each,
-            condition=None if each.condition is None else member.names.expression(each.condition, own=False),
-            compared=tuple(member.names.expression(value, own=False) for value in each.compared),
+            expectation,
+            condition=None
+            if expectation.condition is None
+            else member.names.expression(expectation.condition, own=False),
+            compared=tuple(member.names.expression(value, own=False) for value in expectation.compared),
         )
-        for each in test.expected
+        for expectation in test.expected
     )
     return replace(test, expected=expected, agent=member.name)
 
@@ -151,10 +155,10 @@ def _joint_actions(
     members: Mapping[str, Member], parts: Mapping[str, ScenarioTest], steps: Sequence[Node]
 ) -> Iterator[FixedAction]:
     """Yield the actions of all agents, given those of each in the steps in which it has one."""
-    own = {name: part.driver for name, part in parts.items() if not isinstance(part.driver, str)}
+    drivers = {name: part.driver for name, part in parts.items() if not isinstance(part.driver, str)}
     resting = {name: _resting(member.program.agent.action) for name, member in members.items()}
     for number, step in enumerate(steps):
-        actions = [resting[name] if _get(step, name) is None else own[name][number] for name in members]
+        actions = [resting[name] if _get(step, name) is None else drivers[name][number] for name in members]
         yield FixedAction(
             tuple(chain.from_iterable(action.choices for action in actions)),
             tuple(chain.from_iterable(action.ranges for action in actions)),

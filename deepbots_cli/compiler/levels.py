@@ -80,8 +80,8 @@ class _LevelsReader(NamespaceReader):
         return numbers if self._is_drawable(entry, parameter, numbers, place) else None
 
     def _parameter(self, name: str) -> Expression | None:
-        own = name.partition(".")[0]
-        return next((value for value in self._program.parameters if value.name == own), None)
+        parameter = name.partition(".")[0]
+        return next((value for value in self._program.parameters if value.name == parameter), None)
 
     def _draw(self, name: str, place: NodePath) -> EpisodeDraw | None:
         """Return the draw of a parameter; None after a finding."""

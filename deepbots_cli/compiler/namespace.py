@@ -145,14 +145,18 @@ class Namespace:
 
     def _report_cycle(self, definition: Definition) -> None:
         cycle = self._being_resolved[self._being_resolved.index(definition) :]
-        way = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
+        chain = " -> ".join(entry.name for entry in (*cycle[:_MAX_NAMES_IN_CYCLE], definition))
         again = definition.origin in (Origin.AUGMENT, Origin.SIGNAL)
         help = "define one of these values without the others" + (
             ", or use `previous(...)`, the value of the step before" if again else ""
         )
         headline = f"`{definition.name}` depends on itself"
         self.values.add_at_key(
-            "DB207", definition.path, headline, help, notes=(f"the cycle is {way}",) if len(cycle) > 1 else ()
+            "DB207",
+            definition.path,
+            headline,
+            help,
+            notes=(f"the cycle is {chain}",) if len(cycle) > 1 else (),
         )
         definition.symbol = Symbol(definition.name, None)
 
@@ -351,9 +355,12 @@ class SupervisorScope(_Scope):
 
     def _instead(self, text: str) -> str:
         """Return where to write the text of a definition that has no value here."""
-        named = self.context in (Context.OBSERVATION, Context.FORBID)  # these use values of `augment` by name
+        # These use values of `augment` by name.
+        by_name = self.context in (Context.OBSERVATION, Context.FORBID)
         return (
-            f"write the {text} under `augment`, and use its name here" if named else f"write the {text} here"
+            f"write the {text} under `augment`, and use its name here"
+            if by_name
+            else f"write the {text} here"
         )
 
     def _built_in(self, name: str) -> Symbol | None:

@@ -174,7 +174,7 @@ class PlacementChecker(NamespaceReader):
         area = min(kind.area for kind in kinds)
         if not any(_fits(top, kind, turns, margin) for kind in kinds):
             edge = f", with a clearance of {margin:.3g} m" if margin else ""
-            turned = f" when turned by {degrees(turns):.3g} deg" if turns else ""
+            turn_text = f" when turned by {degrees(turns):.3g} deg" if turns else ""
             covers = f"`{place.body}` ({_size(min(kinds, key=lambda kind: kind.area))}{edge})"
             ways = [
                 f"make `{support.body}` larger",
@@ -184,7 +184,7 @@ class PlacementChecker(NamespaceReader):
             help = ", or ".join(filter(None, (", ".join(ways[:-1]), ways[-1])))
             if area > _MAX_AREA_RATIO * top.area:
                 help = f"check the unit of the size of `{place.body}`"
-            headline = f"{covers} does not fit on the top of `{support.body}` ({_size(top)}){turned}"
+            headline = f"{covers} does not fit on the top of `{support.body}` ({_size(top)}){turn_text}"
         elif copies * area > top.area:
             headline = (
                 f"{copies} copies that need {area:.3g} m^2 each do not fit on the {top.area:.3g} m^2"
@@ -210,16 +210,16 @@ class PlacementChecker(NamespaceReader):
         inner = 0.0 if _is_tilted(place) else min(kind.inradius - hypot(*kind.middle) for kind in kinds)
         corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
         for thing in self._world.objects:
-            other = standing.get(thing.name)
-            if other is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
+            placement = standing.get(thing.name)
+            if placement is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
                 continue
-            patch = _standing_patch(thing, other)
-            needed = inner + max(place.clearance, other.clearance if other else 0.0)
+            patch = _standing_patch(thing, placement)
+            needed = inner + max(place.clearance, placement.clearance if placement else 0.0)
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
                 headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
                 onto = (
                     f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or "
-                    if has_top(thing) and other
+                    if has_top(thing) and placement
                     else ""
                 )
                 self._values.add_at_key(
@@ -419,9 +419,9 @@ class Places(NamespaceReader):
             if vector is not None:
                 typed = vector.typed
                 for index, part in enumerate(parts):
-                    chosen = typed.type.selected((index,))
+                    component_type = typed.type.selected((index,))
                     tree = (
-                        ComponentSelection(chosen, typed.start, typed.end, typed, (index,))
+                        ComponentSelection(component_type, typed.start, typed.end, typed, (index,))
                         if typed.type.components
                         else typed
                     )
@@ -529,7 +529,7 @@ class Places(NamespaceReader):
 
     def _check_spread(self, place: Placement, copies: int, path: NodePath) -> None:
         """Report DB105 if up to so many `copies` are placed at the same coordinates."""
-        if any(self._values.is_present((*path, way)) for way in ("region", "line", "grid", "on")):
+        if any(self._values.is_present((*path, key)) for key in ("region", "line", "grid", "on")):
             return  # there would be spots, were it not for a finding
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
         is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
@@ -572,9 +572,10 @@ class Layouts(NamespaceReader):
         else:
             shares = dict.fromkeys(list(layouts)[:1], 1.0)
         if spec is None and len(layouts) > 1:
-            one, other = list(layouts)[:2]
+            first, second = list(layouts)[:2]
             help = (
-                f"choose one with `layout: {one}`, or draw one with `layout: {{{one}: 50 %, {other}: 50 %}}`"
+                f"choose one with `layout: {first}`, or draw one with"
+                f" `layout: {{{first}: 50 %, {second}: 50 %}}`"
             )
             self._values.add_at_key("DB102", ("reset", "layouts"), "missing key `layout`", help)
         for name in shares:
@@ -691,8 +692,10 @@ class Layouts(NamespaceReader):
                 self._build(name, cell, len(spots))
             return Placement(name, {}, rests=True, spot=Cells(spots), owner=draws_owner((*path, _WALL_CELL)))
         home = self._places.at_own_pose(body)
-        turned = {key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")}
-        return replace(home, coordinates=turned, spot=Cells(spots), owner=draws_owner((*path, body)))
+        orientation = {
+            key: coordinate for key, coordinate in home.coordinates.items() if key not in ("x", "y")
+        }
+        return replace(home, coordinates=orientation, spot=Cells(spots), owner=draws_owner((*path, body)))
 
     def _build(self, name: str, cell: float, count: int) -> None:
         arena = self._world.arena

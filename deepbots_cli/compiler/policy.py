@@ -119,10 +119,10 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
         if "count" in thing_spec.model_fields_set
     ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
-    for path, what in paths:
+    for path, subject in paths:
         if values.is_present(path):
             values.add_at_key(
-                "DB108", path, f"{what} together with copies of `{name}` is not supported yet", _NOT_YET
+                "DB108", path, f"{subject} together with copies of `{name}` is not supported yet", _NOT_YET
             )
 
 
@@ -221,20 +221,20 @@ class Actions(NamespaceReader):
     def _define_choices(self, name: str, part: DiscreteAction) -> None:
         """Define the variables of an action: each option sets the variable called like the action, or the
         variables that it lists."""
-        named = [
+        names = [
             variable for values in part.choices.values() if isinstance(values, dict) for variable in values
         ]
-        variables = tuple(dict.fromkeys(named)) or (name,)
-        rows = {option: self._numbers(part, option, variables, named=bool(named)) for option in part.choices}
+        variables = tuple(dict.fromkeys(names)) or (name,)
+        rows = {option: self._numbers(part, option, variables, named=bool(names)) for option in part.choices}
         for index, variable in enumerate(variables):
             column = [row[index] for row in rows.values()]
-            chosen = Type(
+            variable_type = Type(
                 NUMBER,
                 interval=Interval(min(column, default=0.0), max(column, default=0.0)),
                 known=Known.STEP,
             )
             self._namespace.define(
-                variable, Origin.ACTION, ("action", name), partial(Symbol, variable, chosen)
+                variable, Origin.ACTION, ("action", name), partial(Symbol, variable, variable_type)
             )
         self._parts[name] = Choices(
             name, variables, tuple(Option(option, row) for option, row in rows.items())
@@ -318,9 +318,9 @@ class Observations(NamespaceReader):
     def of_critic(self, observation: tuple[Observation, ...]) -> tuple[Observation, ...]:
         """Return the values of the critic beside those of the observation."""
         entries = self._entries("critic", self._spec.critic)
-        seen = {entry.name for entry in observation}
+        names = {entry.name for entry in observation}
         for entry in entries:
-            if entry.name in seen:
+            if entry.name in names:
                 self._values.add(
                     "DB202",
                     entry.value.span,
@@ -401,30 +401,30 @@ class Observations(NamespaceReader):
         if self._namespace.origin(name) is Origin.SIGNAL:
             fix = move_to_augment_fix(root, name)
             written = " ".join(self._values.text(("signals", name)).text.split())
-            what, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
+            noun, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
         elif isinstance(augment, dict) and augment:
             fix = None
-            what = "a parameter"
+            noun = "a parameter"
             help = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
         else:
-            fix, what = None, "a parameter"
+            fix, noun = None, "a parameter"
             help = (
                 "list it under `augment`, if the policy may know it: `augment:"
                 f" [{', '.join([*augment, name])}]`"
             )
         self._values.add(
-            "DB609", text.span, f"the observation contains `{name}`, which is {what}", help, fix=fix
+            "DB609", text.span, f"the observation contains `{name}`, which is {noun}", help, fix=fix
         )
 
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
         count, picture = len(typed.type.components or ("",)), typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
-            what, seen = (
+            noun, hint = (
                 ("picture", "a pixel is a number from 0 to 255")
                 if picture
                 else ("truth value", "the policy reads it as 0 or 1")
             )
-            self._values.add("DB403", text.span, f"a {what} cannot have a range", f"write `auto`: {seen}")
+            self._values.add("DB403", text.span, f"a {noun} cannot have a range", f"write `auto`: {hint}")
             return None
         if picture:
             return (), ()
@@ -450,18 +450,18 @@ class Observations(NamespaceReader):
 
     def _check_size(self, section: str, entries: tuple[Observation, ...]) -> None:
         stack = self._spec.agent.frame_stack
-        seen = stack * sum(len(entry.low) * entry.history for entry in entries)
+        numbers = stack * sum(len(entry.low) * entry.history for entry in entries)
         pixels = stack * sum(
             math.prod(entry.value.typed.type.picture or (0,)) * entry.history for entry in entries
         )
-        for size, limit, what in (
-            (seen, MAX_OBSERVED_NUMBERS, "numbers"),
+        for size, limit, noun in (
+            (numbers, MAX_OBSERVED_NUMBERS, "numbers"),
             (pixels, MAX_OBSERVED_BYTES, "bytes of pictures"),
         ):
             if size > limit:
                 frames = f" ({size // stack:,} in each of {stack} frames)" if stack > 1 else ""
                 whole = "the observation" if section == "observation" else "the observation of the critic"
-                headline = f"{whole} has {size:,} {what}{frames}; the limit is {limit:,}"
+                headline = f"{whole} has {size:,} {noun}{frames}; the limit is {limit:,}"
                 self._values.add_at_key(
                     "DB105",
                     (section,),
@@ -502,16 +502,16 @@ class Observations(NamespaceReader):
 
     def _check_keys(self, entries: tuple[Observation, ...]) -> None:
         """Check that pictures have keys of their own, in which a dot is an underscore."""
-        taken = {"observation", "achieved_goal", "desired_goal"}
+        keys = {"observation", "achieved_goal", "desired_goal"}
         for entry in entries:
             key = entry.value.name.replace(".", "_")
-            if entry.value.typed.type.picture and key in taken:
+            if entry.value.typed.type.picture and key in keys:
                 headline = (
                     f"the picture `{entry.value.name}` needs the key `{key}` of the observation, but"
                     " this key is already used"
                 )
                 self._values.add("DB202", entry.value.span, headline, "rename the picture")
-            taken |= {key} if entry.value.typed.type.picture else set()
+            keys |= {key} if entry.value.typed.type.picture else set()
 
 
 _PARTS = ("achieved", "desired")
@@ -570,13 +570,15 @@ class Goals(NamespaceReader):
         """Return the achieved or the desired goal; both have the same dimension and components."""
         text = self._values.field(spec, name)
         typed = self._values.expression(text, SupervisorScope(self._namespace, Context.GOAL), boolean=False)
-        wanted = None
+        achieved_type = None
         if name == "desired":
             achieved = self._namespace.resolve("achieved")
-            wanted = achieved.type if achieved else None
-        if typed is None or (name == "desired" and wanted is None):
+            achieved_type = achieved.type if achieved else None
+        if typed is None or (name == "desired" and achieved_type is None):
             return Symbol(name, None)
-        dimension, components = (wanted.dimension, wanted.components) if wanted else (None, ANY_SHAPE)
+        dimension, components = (
+            (achieved_type.dimension, achieved_type.components) if achieved_type else (None, ANY_SHAPE)
+        )
         typed = expect_value(
             typed,
             self._values.report(text),
@@ -586,8 +588,8 @@ class Goals(NamespaceReader):
         )
         if typed is None:
             return Symbol(name, None)
-        if wanted:
-            typed = typed._replace(type=typed.type._replace(components=wanted.components))
+        if achieved_type:
+            typed = typed._replace(type=typed.type._replace(components=achieved_type.components))
         self._valued[name] = text.expression(
             typed, noise=self._fields.noise(spec, typed) if name == "achieved" else None
         )

@@ -229,8 +229,8 @@ def warn_beyond_limits(
     else:
         unit = Unit(str(dimension), dimension)
 
-    def in_unit(known: Interval) -> str:
-        low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in known)
+    def in_unit(interval: Interval) -> str:
+        low, high = (f"{end / unit.to_si(1.0):.{_DIGITS}g}" for end in interval)
         return low if low == high else f"{low} .. {high}"
 
     limits = allowed if allowed.low > -math.inf else single(allowed.high)
@@ -241,11 +241,11 @@ def warn_beyond_limits(
 def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
     """Return the fix that puts each number at the limit that it exceeds; None if the numbers have another
     meaning, or none would be left to draw from."""
-    kept = [_clamped(number, allowed) for number in numbers]
-    if not kept or (len(kept) > 1 and kept[0] >= kept[1]):
+    values = [_clamped(number, allowed) for number in numbers]
+    if not values or (len(values) > 1 and values[0] >= values[1]):
         return None
     edits = []
-    for number, value in zip(numbers, kept, strict=True):
+    for number, value in zip(numbers, values, strict=True):
         written = _NUMBER.match(text.text, number.start)
         if written is None:
             return None
@@ -258,8 +258,8 @@ def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -
 
 
 def _clamped(number: syntax.Number, allowed: Interval) -> float:
-    one = number.unit.to_si(1.0) if number.unit else 1.0
-    low, high = (end / one for end in allowed)
+    factor = number.unit.to_si(1.0) if number.unit else 1.0
+    low, high = (end / factor for end in allowed)
     if number.value < low:
         return _rounded(low, math.ceil)
     if number.value > high:
@@ -343,11 +343,11 @@ class Overrides:
         return model
 
     def _members(
-        self, names: list[str], pattern: str, change: LinkOverride | JointOverride, what: str
+        self, names: list[str], pattern: str, change: LinkOverride | JointOverride, noun: str
     ) -> tuple[str, ...]:
         members, missing = expand_patterns(names, pattern, self.groups)
         if missing:
-            report_unmatched(self.values, self.values.key_span(change.path), pattern, what, names)
+            report_unmatched(self.values, self.values.key_span(change.path), pattern, noun, names)
         return members
 
     def _scope(self, dimension: Dimension = NUMBER, urdf: float | None = None) -> Scope:
@@ -356,7 +356,7 @@ class Overrides:
         return self.namespace.scope(Context.FIELD, {"urdf": symbol})
 
     def _change_link(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
-        of = OfLink(self.robot, link.name)
+        subject = OfLink(self.robot, link.name)
         factors = self.namespace.fields.triple(change, "scale", known=Known.EPISODE)
         if factors:
             model = self._accepted(model, with_scale(model, link.name, factors), change, "scale")
@@ -366,11 +366,14 @@ class Overrides:
             model = self._change_mass(model, model.link(link.name), change)
         contact = {
             field: self.namespace.fields.scalar_or_randomized(
-                change, key, what, of, None, scope=self._scope()
+                change, key, parameter, subject, None, scope=self._scope()
             )
-            for key, (field, what) in _CONTACT.items()
+            for key, (field, parameter) in _CONTACT.items()
         }
-        model, paint = with_friction(model, link.name, **contact), self.namespace.fields.color(change, of)
+        model, paint = (
+            with_friction(model, link.name, **contact),
+            self.namespace.fields.color(change, subject),
+        )
         return with_color(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
@@ -390,10 +393,10 @@ class Overrides:
     def _change_mass(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        of = OfLink(self.robot, link.name)
+        subject = OfLink(self.robot, link.name)
         scope = self._scope(MASS, link.inertial.mass if link.inertial else None)
-        mass = self.namespace.fields.scalar_or_randomized(change, "mass", "mass", of, None, scope=scope)
-        if mass == 0 and not self.namespace.fields.is_randomized("mass", of):
+        mass = self.namespace.fields.scalar_or_randomized(change, "mass", "mass", subject, None, scope=scope)
+        if mass == 0 and not self.namespace.fields.is_randomized("mass", subject):
             self.values.add(
                 "DB105", self.values.field(change, "mass").span, "`mass` is 0 kg", "write more than 0 kg"
             )
@@ -402,11 +405,11 @@ class Overrides:
     def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        of, read = OfLink(self.robot, link.name), self.namespace.fields
-        offset = read.vector_or_randomized(change, "com", "center_of_mass", of, per_component=SPACE)
+        subject, read = OfLink(self.robot, link.name), self.namespace.fields
+        offset = read.vector_or_randomized(change, "com", "center_of_mass", subject, per_component=SPACE)
         if offset is None:
             return model
-        varies = read.is_randomized("center_of_mass", of)
+        varies = read.is_randomized("center_of_mass", subject)
         fixed: Vector = ZERO if varies else (offset[0], offset[1], offset[2])
         model = self._accepted(model, with_center(model, link.name, fixed), change, "com")
         return with_link(model, replace(model.link(link.name), center_varies=varies))
@@ -414,11 +417,11 @@ class Overrides:
     def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        of, read = OfLink(self.robot, link.name), self.namespace.fields
-        factor = read.scalar_or_randomized(change, "inertia", "inertia", of, None)
+        subject, read = OfLink(self.robot, link.name), self.namespace.fields
+        factor = read.scalar_or_randomized(change, "inertia", "inertia", subject, None)
         if factor is None:
             return model
-        fixed = 1.0 if read.is_randomized("inertia", of) else factor
+        fixed = 1.0 if read.is_randomized("inertia", subject) else factor
         return self._accepted(model, with_inertia(model, link.name, fixed), change, "inertia")
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
@@ -431,10 +434,12 @@ class Overrides:
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
         position, effort, limit = joint_dimension(joint), effort_dimension(joint), joint.limit
 
-        def drawn(key: str, what: JointParameter, urdf: float | None, dimension: Dimension) -> float | None:
-            of, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
+        def drawn(
+            key: str, parameter: JointParameter, urdf: float | None, dimension: Dimension
+        ) -> float | None:
+            subject, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
             return self.namespace.fields.scalar_or_randomized(
-                change, key, what, of, None, dimension=dimension, scope=scope
+                change, key, parameter, subject, None, dimension=dimension, scope=scope
             )
 
         def fixed(key: str, urdf: float | None, dimension: Dimension) -> float | None:
@@ -554,12 +559,12 @@ class ResolvedRobot:
 
     def links_of(self, spec: Section, values: ValueReader) -> tuple[str, ...]:
         """Return the links that `link` or `links` of a sensor or actuator names; none after a finding."""
-        one = getattr(spec, "link", None)
-        if one is None:
+        link = getattr(spec, "link", None)
+        if link is None:
             return self._named(spec, "links", self.link_names, values)
-        if one not in self.link_names:
-            values.report_unknown(values.span((*spec.path, "link")), "link", one, self.link_names)
-        return (one,) if one in self.link_names else ()
+        if link not in self.link_names:
+            values.report_unknown(values.span((*spec.path, "link")), "link", link, self.link_names)
+        return (link,) if link in self.link_names else ()
 
     def _named(self, spec: Section, key: str, candidates: list[str], values: ValueReader) -> tuple[str, ...]:
         """Return the names that the patterns under a key match; none after a finding."""
@@ -681,8 +686,8 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
     for name, patterns in spec.groups.items():
         place = (*spec.path, "groups", name)
         if name in joints or name in links:
-            what = "joint" if name in joints else "link"
-            values.add_at_key("DB202", place, f"`{name}` is already a {what}", "choose another name")
+            noun = "joint" if name in joints else "link"
+            values.add_at_key("DB202", place, f"`{name}` is already a {noun}", "choose another name")
         as_joints, not_joints = expand_patterns(joints, patterns, groups)
         as_links, not_links = expand_patterns(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:

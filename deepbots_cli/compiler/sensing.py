@@ -87,13 +87,13 @@ class SensorsCompiler(NamespaceReader):
             for symbol in self.symbols.values()
             if symbol.type and symbol.type.picture
         )
-        for count, limit, what in (
+        for count, limit, noun in (
             (rays, MAX_SENSED_RAYS, "rays"),
             (values, MAX_OBSERVED_BYTES, "bytes of pictures"),
         ):
             if count > limit:
                 headline = (
-                    f"the sensors of `{self._robot.name}` have {count:,} {what}; the limit is {limit:,}"
+                    f"the sensors of `{self._robot.name}` have {count:,} {noun}; the limit is {limit:,}"
                 )
                 help = "use fewer rays or smaller pictures: the robot reads all its sensors in every timestep"
                 self._values.add_at_key("DB005", (*self._robot.spec.path, "sensors"), headline, help)
@@ -107,16 +107,16 @@ class SensorsCompiler(NamespaceReader):
             isinstance(spec, JointSensor)
             and joint_dimension(self._robot.model.joint(sensor.subjects[0])) == LENGTH
         )
-        own = self._fields.parameters(
+        parameters = self._fields.parameters(
             spec, kind_parameters(type(spec), *BASES), typed.dimension, slides=slides
         )
-        if own is None:
+        if parameters is None:
             return
         faults, typed = _noise_model(self._namespace, spec, typed)
         if isinstance(spec, HeightScan) or (isinstance(spec, RaySensor) and spec.lookup is None):
             sensor = self._with_ray_reach(sensor, spec, faults)
         unit = "" if typed.boolean or typed.picture else str(typed.dimension)
-        self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=own)
+        self._sensors[name] = replace(sensor, unit=unit, faults=faults, parameters=parameters)
         self.symbols[name] = Symbol(name, typed._replace(known=Known.STEP))
 
     def _read(self, name: str, spec: SensorSpec) -> tuple[Sensor, Type] | None:
@@ -513,7 +513,8 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
         if resolution:
             half = max(resolution) / 2
             reach = [
-                Interval(each.low - half, each.high + half) if each.is_finite else each for each in reach
+                Interval(interval.low - half, interval.high + half) if interval.is_finite else interval
+                for interval in reach
             ]
         typed = typed.with_intervals(reach)
     return None if model == NoiseModel() and len(namespace.fields.variations) == drawn else model, typed
@@ -538,10 +539,10 @@ def _error(
         dimension = typed.dimension / TIME
     else:
         dimension = typed.dimension
-    of, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.fields.variations)
+    owner, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.fields.variations)
     error = (
         namespace.fields.vector_or_randomized(
-            spec, key, "sensor", of, dimension=dimension, per_component=typed.components or ("",)
+            spec, key, "sensor", owner, dimension=dimension, per_component=typed.components or ("",)
         )
         or ()
     )

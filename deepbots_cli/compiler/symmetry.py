@@ -43,14 +43,14 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     if not reader.is_inverse:
         return None
     if agent.goal is not None or agent.images:
-        what = "a `goal`" if agent.goal is not None else "pictures"
+        subject = "a `goal`" if agent.goal is not None else "pictures"
         namespace.values.add(
-            "DB612", _PATH, f"`symmetry` does not know the mirror image of {what}", "remove `symmetry`"
+            "DB612", _PATH, f"`symmetry` does not know the mirror image of {subject}", "remove `symmetry`"
         )
         return None
     observed = [
-        RangedName(seen.name, seen.steps_ago, seen.unit, seen.low, seen.high, seen.truth)
-        for seen in agent.inputs
+        RangedName(entry.name, entry.steps_ago, entry.unit, entry.low, entry.high, entry.truth)
+        for entry in agent.inputs
     ]
     acted = [
         RangedName(name, 0, part.unit, part.low, part.high) for part in agent.ranges for name in part.names
@@ -73,13 +73,13 @@ class _SymmetryReader:
         self._words: dict[str, str] = {}
         self.is_inverse = True
         for word, other in spec.swap.items():
-            for one, image in ((word, other), (other, word)):
-                if self._words.setdefault(one, image) != image:
+            for original, image in ((word, other), (other, word)):
+                if self._words.setdefault(original, image) != image:
                     self.is_inverse = False
                     self._values.add(
                         "DB202",
                         (*_PATH, "swap", word),
-                        f"`{one}` has two mirror images, `{self._words[one]}` and `{image}`",
+                        f"`{original}` has two mirror images, `{self._words[original]}` and `{image}`",
                         "write each word in one pair; a mirror image of a mirror image is the original",
                     )
         words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
@@ -94,7 +94,7 @@ class _SymmetryReader:
     def _changes_sign(self, name: str) -> bool:
         """Return whether a number is listed under `flip`; a previous action has the sign of the action."""
         names = (name, name.removeprefix(_PREVIOUS))
-        return any(fnmatchcase(each, pattern) for pattern in self._flips for each in names)
+        return any(fnmatchcase(candidate, pattern) for pattern in self._flips for candidate in names)
 
     def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
         """Return the mirror image of numbers; None after a finding."""
@@ -110,13 +110,13 @@ class _SymmetryReader:
             if place is None:
                 missing[number.name] = image
                 continue
-            other = numbers[place]
-            if reason := self._reason_against(number, other):
+            image_number = numbers[place]
+            if reason := self._reason_against(number, image_number):
                 wrong[number.name] = reason
                 continue
             sign = -1.0 if self._changes_sign(number.name) else 1.0
             sources.append(place)
-            factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, other, sign)
+            factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, image_number, sign)
             factors.append(factor)
             offsets.append(offset)
         self._report_missing(section, missing)
@@ -132,12 +132,12 @@ class _SymmetryReader:
             return None
         return Mirror(tuple(sources), tuple(factors), tuple(offsets))
 
-    def _reason_against(self, number: RangedName, other: RangedName) -> str:
+    def _reason_against(self, number: RangedName, image_number: RangedName) -> str:
         """Return why two numbers are no mirror images of each other; empty if they may be."""
-        if (number.unit, number.is_truth) != (other.unit, other.is_truth):
-            return f"`{other.name}` is another kind of value"
-        if self._changes_sign(number.name) != self._changes_sign(other.name):
-            return f"only one of them and `{other.name}` changes its sign"
+        if (number.unit, number.is_truth) != (image_number.unit, image_number.is_truth):
+            return f"`{image_number.name}` is another kind of value"
+        if self._changes_sign(number.name) != self._changes_sign(image_number.name):
+            return f"only one of them and `{image_number.name}` changes its sign"
         if number.is_truth and self._changes_sign(number.name):
             return "a truth value cannot change its sign"
         return ""
@@ -187,8 +187,8 @@ class _SymmetryReader:
                 )
 
 
-def _between_ranges(number: RangedName, other: RangedName, sign: float) -> tuple[float, float]:
+def _between_ranges(number: RangedName, image_number: RangedName, sign: float) -> tuple[float, float]:
     """Return factor and offset from the other number, scaled to [-1, 1], to this one."""
-    middles = [(entry.low + entry.high) / 2.0 for entry in (number, other)]
-    halves = [(entry.high - entry.low) / 2.0 for entry in (number, other)]
+    middles = [(entry.low + entry.high) / 2.0 for entry in (number, image_number)]
+    halves = [(entry.high - entry.low) / 2.0 for entry in (number, image_number)]
     return sign * halves[1] / halves[0], (sign * middles[1] - middles[0]) / halves[0] + 0.0

@@ -58,12 +58,12 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
         else:
             topics_by_field[name] = (field, topic)
     first = mapping(replace(program, ros={}))
-    every = {
+    all_topics = {
         name: (field, first[name]) for name, field in fields.items() if name in first and name not in spec.ros
     } | topics_by_field
-    problems = conflicts(every)
-    measured = {topic.name for name, (_, topic) in every.items() if name in sensors}
-    commanded = {topic.name for name, (_, topic) in every.items() if name not in sensors}
+    problems = conflicts(all_topics)
+    measured = {topic.name for name, (_, topic) in all_topics.items() if name in sensors}
+    commanded = {topic.name for name, (_, topic) in all_topics.items() if name not in sensors}
     for name, (_, given_topic) in topics_by_field.items():
         if given_topic.name in measured & commanded:
             headline = f"the topic {given_topic.name} carries sensors and commands"

@@ -348,15 +348,15 @@ class ValueReader:
 
         return report
 
-    def _definition_fix(self, path: NodePath, meant: str | None) -> Fix | None:
+    def _definition_fix(self, path: NodePath, replacement: str | None) -> Fix | None:
         """Return the fix that gives a number another unit where it is defined; None for a formula."""
         node = descend(self.root, path)[0]
-        if meant is None or not isinstance(node, ScalarNode):
+        if replacement is None or not isinstance(node, ScalarNode):
             return None
         number = _LEADING_NUMBER.match(node.text)
-        if number is None or float(number[0]) != float(meant.split()[0]):
+        if number is None or float(number[0]) != float(replacement.split()[0]):
             return None
-        return Fix.replacing(node.part(0, len(node.text)), node.text, meant, safe=False)
+        return Fix.replacing(node.part(0, len(node.text)), node.text, replacement, safe=False)
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:

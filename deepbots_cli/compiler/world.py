@@ -207,10 +207,10 @@ def _points(spec: world_spec.Line | world_spec.Wall, namespace: Namespace) -> tu
     points = [point for point in corners if point is not None]
     if len(points) < len(corners):
         return None
-    for index, (one, other) in enumerate(
+    for index, (start, end) in enumerate(
         zip(points, [*points[1:], points[0]] if spec.closed else points[1:], strict=False)
     ):
-        if one == other:
+        if start == end:
             after = (index + 1) % len(points)
             headline = (
                 "two points in a row are the same" if after else "the last point repeats the first point"
@@ -246,10 +246,10 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     paint = namespace.fields.color(spec) or WALL_COLOR
     boxes = []
     ends = (*points[1:], points[0]) if spec.closed else points[1:]
-    for piece, one, other in zip(names, points, ends, strict=False):
-        heading = math.atan2(other[1] - one[1], other[0] - one[0])
-        middle = ((one[0] + other[0]) / 2, (one[1] + other[1]) / 2, height / 2)
-        box = Box((math.dist(one, other) + thickness, thickness, height))  # so that corners are closed
+    for piece, start, end in zip(names, points, ends, strict=False):
+        heading = math.atan2(end[1] - start[1], end[0] - start[0])
+        middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, height / 2)
+        box = Box((math.dist(start, end) + thickness, thickness, height))  # so that corners are closed
         boxes.append(
             ObjectBody(
                 piece, box, Pose(middle, (0.0, 0.0, heading)), color=paint, friction=friction, fixed=True
@@ -435,9 +435,9 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     (heights,) = lower(typed, text.owner)
     drawn = dict.fromkeys(name.name for name in names_in(heights) if name.name not in sides)
     if drawn or is_drawn(heights):
-        what = f"`{next(iter(drawn))}`, which is drawn in every episode" if drawn else "a random draw"
+        subject = f"`{next(iter(drawn))}`, which is drawn in every episode" if drawn else "a random draw"
         help = "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
-        values.add("DB407", text.span, f"`heights` must be fixed, but uses {what}", help)
+        values.add("DB407", text.span, f"`heights` must be fixed, but uses {subject}", help)
         return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
@@ -501,18 +501,18 @@ def _body(
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
 ) -> ObjectBody:
-    value, of = namespace.fields.scalar_or_randomized, OfLink(name)
+    value, subject = namespace.fields.scalar_or_randomized, OfLink(name)
     return ObjectBody(
         name,
         body_shape,
-        mass=variants[0].mass if variants else _mass(thing, body_shape, of, namespace),
-        color=(None if variants else namespace.fields.color(thing, of)) or _DEFAULT_COLOR,
+        mass=variants[0].mass if variants else _mass(thing, body_shape, subject, namespace),
+        color=(None if variants else namespace.fields.color(thing, subject)) or _DEFAULT_COLOR,
         fixed=bool(thing.fixed),
         solid=thing.solid is not False,
-        friction=1.0 if variants else value(thing, "friction", "lateral_friction", of, 1.0),
-        spinning_friction=value(thing, "spinning_friction", "spinning_friction", of, 0.0),
-        rolling_friction=value(thing, "rolling_friction", "rolling_friction", of, 0.0),
-        restitution=value(thing, "restitution", "restitution", of, 0.0),
+        friction=1.0 if variants else value(thing, "friction", "lateral_friction", subject, 1.0),
+        spinning_friction=value(thing, "spinning_friction", "spinning_friction", subject, 0.0),
+        rolling_friction=value(thing, "rolling_friction", "rolling_friction", subject, 0.0),
+        restitution=value(thing, "restitution", "restitution", subject, 0.0),
         pooled=bool(variants),
         variants=variants,
     )
@@ -568,14 +568,14 @@ def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespa
     return None
 
 
-def _mass(thing: world_spec.Material, body_shape: Shape, of: OfLink, namespace: Namespace) -> float:
+def _mass(thing: world_spec.Material, body_shape: Shape, subject: OfLink, namespace: Namespace) -> float:
     """Return the mass in kg."""
     still = bool(thing.fixed) or thing.solid is False
     if thing.mass is None:
         return _usual_mass(body_shape, thing, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
         return namespace.fields.fixed(thing, "mass", known=Known.EPISODE) or 0.0
-    return namespace.fields.scalar_or_randomized(thing, "mass", "mass", of, 0.0)
+    return namespace.fields.scalar_or_randomized(thing, "mass", "mass", subject, 0.0)
 
 
 def _usual_mass(body_shape: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
@@ -635,9 +635,16 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
 
 def _parameters(spec: world_spec.World, namespace: Namespace) -> dict[str, Any]:
     """Return the fields of `WorldModel` that the section gives, without fields that had a finding."""
-    whats: tuple[WorldParameter, ...] = get_args(WorldParameter)
-    values = {what: namespace.fields.vector_or_randomized(spec, what, what, OfWorld()) for what in whats}
-    return {what: numbers if len(numbers) > 1 else numbers[0] for what, numbers in values.items() if numbers}
+    parameters: tuple[WorldParameter, ...] = get_args(WorldParameter)
+    values = {
+        parameter: namespace.fields.vector_or_randomized(spec, parameter, parameter, OfWorld())
+        for parameter in parameters
+    }
+    return {
+        parameter: numbers if len(numbers) > 1 else numbers[0]
+        for parameter, numbers in values.items()
+        if numbers
+    }
 
 
 def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespace) -> None:
@@ -650,13 +657,13 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
     if code:
         text = namespace.values.field(spec, "timestep")
         written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
-        meant = (
+        hint = (
             f"write `{written[1]} ms` if you mean milliseconds; "
             if written and timestep > _LONG_TIMESTEP_S
             else ""
         )
         namespace.values.add(
-            code, text.span, f"the timestep is {timestep:g} s", f"{meant}a timestep of 10 to 100 ms is usual"
+            code, text.span, f"the timestep is {timestep:g} s", f"{hint}a timestep of 10 to 100 ms is usual"
         )
 
 
@@ -675,15 +682,17 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
-    of, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
-    whats = {field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact}
+    subject, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
+    parameters = {
+        field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact
+    }
     ground: dict[str, Any] = {
         field.name: namespace.fields.scalar_or_randomized(
-            spec, field.name, cast("LinkParameter", whats[field.name]), of, field.default
+            spec, field.name, cast("LinkParameter", parameters[field.name]), subject, field.default
         )
         for field in contact
     }
-    return Ground(**ground, color=namespace.fields.color(spec, of))
+    return Ground(**ground, color=namespace.fields.color(spec, subject))
 
 
 def _arena(spec: world_spec.Arena, namespace: Namespace) -> Arena | None:

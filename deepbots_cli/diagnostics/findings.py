@@ -361,8 +361,8 @@ class Selection:
         return inactive
 
     def _has(self, code: str) -> bool:
-        chosen = 0 if self._select is None else self._select.get(code, -1)
-        return chosen > self._ignore.get(code, -1)
+        rank = 0 if self._select is None else self._select.get(code, -1)
+        return rank > self._ignore.get(code, -1)
 
 
 def _codes(selectors: RuleSelectors) -> Mapping[str, int]:
@@ -402,28 +402,28 @@ def suppress(
 
     A comment on a rule that did not run, in preview or for want of a simulation, is not reported.
     """
-    wanted: dict[tuple[Source, int, str], _Suppression] = {}
+    suppressions: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
     for source in sources:
         for entry in islice(_suppressions(source), _MAX_CODES):
             if isinstance(entry, Finding):
                 unused.append(entry)
             else:
-                wanted.setdefault((source, entry.line, entry.code), entry)
-    kept = []
+                suppressions.setdefault((source, entry.line, entry.code), entry)
+    remaining = []
     used = set()
     for finding in findings:
         key = (finding.span.source, finding.span.start_position.line, finding.code)
-        if finding.severity == "warning" and key in wanted:
+        if finding.severity == "warning" and key in suppressions:
             used.add(key)
         else:
-            kept.append(finding)
+            remaining.append(finding)
     unused += [
         _unused(entry)
-        for key, entry in wanted.items()
+        for key, entry in suppressions.items()
         if key not in used and _could_be_found(entry.code, preview, deep, exploits)
     ]
-    return kept, sorted(unused, key=lambda finding: finding.sort_key)
+    return remaining, sorted(unused, key=lambda finding: finding.sort_key)
 
 
 def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:

@@ -34,7 +34,7 @@ def without_bars(text: str) -> str | None:
     """Return the text with `abs(x)` for each `|x|`; None if the text has none."""
     if len(text) > _MAX_LENGTH or not _BARS.search(text):
         return None
-    return _BARS.sub(lambda found: f"abs({found[1].strip()})", text)
+    return _BARS.sub(lambda match: f"abs({match[1].strip()})", text)
 
 
 def call(names: tuple[str, ...]) -> str:

@@ -414,13 +414,13 @@ _CATALOG = (
 )
 
 
-def _read(_name: str, found: Any) -> Iterator[tuple[str, Rule]]:
+def _read(_name: str, value: Any) -> Iterator[tuple[str, Rule]]:
     """Yield the rules that an entry point names.
 
     Raises:
         ValueError: A rule is incomplete, or uses a code or a name of deepbots.
     """
-    for rule in [found] if isinstance(found, Rule) else list(found):
+    for rule in [value] if isinstance(value, Rule) else list(value):
         if not isinstance(rule, Rule) or rule.check is None or not rule.about:
             raise ValueError(f"{rule!r} is not a Rule with `check` and `about`")
         if not re.fullmatch(r"[A-Z]{2,8}[0-9]{1,4}", rule.code) or rule.code.startswith("DB"):
@@ -436,9 +436,9 @@ RULES: PluginTable[Rule] = PluginTable("deepbots.rules", {entry.code: entry for 
 def matching_rules(word: str) -> tuple[Rule, ...]:
     """Return the rule whose code or name is `word`, whatever its case, or all rules whose codes begin with
     it."""
-    wanted = word.strip().lower().replace("_", "-")
-    named = tuple(rule for rule in RULES.values() if wanted == rule.name)
-    return named or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(wanted))
+    name = word.strip().lower().replace("_", "-")
+    rules = tuple(rule for rule in RULES.values() if name == rule.name)
+    return rules or tuple(rule for rule in RULES.values() if rule.code.lower().startswith(name))
 
 
 def unknown_rule_message(word: str) -> str:

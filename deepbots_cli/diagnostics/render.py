@@ -40,7 +40,7 @@ _COMMAND = re.compile(r"^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)", re.MULTILINE)
 
 def escaped(text: str) -> str:
     """Return `text` on one line, with unsafe characters as escapes."""
-    return _UNSAFE.sub(lambda found: f"\\u{{{ord(found.group()):x}}}", text)
+    return _UNSAFE.sub(lambda match: f"\\u{{{ord(match.group()):x}}}", text)
 
 
 def shortened(text: str) -> str:
@@ -53,7 +53,7 @@ def escape_log_commands(text: str) -> str:
     `::stop-commands::x.yaml`."""
     if "::" not in text and "##" not in text:
         return text
-    return _COMMAND.sub(lambda found: f"{found[1] or ''}\\u{{{'23' if found[2] else '3a'}}}", text)
+    return _COMMAND.sub(lambda match: f"{match[1] or ''}\\u{{{'23' if match[2] else '3a'}}}", text)
 
 
 def message(finding: Finding) -> str:

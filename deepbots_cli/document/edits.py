@@ -113,8 +113,8 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
         if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2]):
             return None
         return Span(source, max(ends), max(ends)), f", {plain}"
-    own = [entry.key.span.start for entry in entries if entry.key.span.source is source]
-    column = min(source.position(start).column for start in own) - 1
+    starts = [entry.key.span.start for entry in entries if entry.key.span.source is source]
+    column = min(source.position(start).column for start in starts) - 1
     is_aligned = len(line) - len(line.lstrip(" ")) == column
     if not is_aligned and line.count("\n") > 1:
         return None
@@ -185,16 +185,17 @@ def _addition(
         entry = f"{key}: {{{entry}}}"
     if is_section:
         entry = f"{keys[0]}:\n  {entry}"
-    own = [each for each in holder.entries.values() if each.key.span.source is source]
+    neighbors = [neighbor for neighbor in holder.entries.values() if neighbor.key.span.source is source]
     ends = [
-        max(each.key.span.end, each.value.span.end if each.value.span.source is source else 0) for each in own
+        max(neighbor.key.span.end, neighbor.value.span.end if neighbor.value.span.source is source else 0)
+        for neighbor in neighbors
     ]
     if holder.span.text.startswith("{"):
         at = max(ends, default=holder.span.start + 1)
         return at, f", {entry}" if ends else entry
     if not ends:
         return None
-    column = min(source.position(each.key.span.start).column for each in own) - 1
+    column = min(source.position(neighbor.key.span.start).column for neighbor in neighbors) - 1
     rest = _REST_OF_LINE.match(source.text, max(ends))
     at = rest.end() if rest else source.text.find("\n", max(ends)) + 1 or len(source.text)
     newline = _newline(source)

@@ -93,8 +93,8 @@ class UnusableFile:
         if near := _similar(self.path, self.by):
             return f"did you mean {near}?"
         if self.nearest_name:
-            meant = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
-            return meant if self.is_name else f"{meant} {self.path} does not exist"
+            hint = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
+            return hint if self.is_name else f"{hint} {self.path} does not exist"
         if self.library is shipped.SCENARIOS:
             return self._help_scenario()
         return f"paths are relative to the file that contains them; {self.path} does not exist"
@@ -193,7 +193,7 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
     """Return the files beside `path` with one of the suffixes, in the order of their names."""
     try:
         return sorted(
-            other for other in islice(path.parent.iterdir(), _MAX_ENTRIES) if other.suffix in suffixes
+            sibling for sibling in islice(path.parent.iterdir(), _MAX_ENTRIES) if sibling.suffix in suffixes
         )
     except OSError:
         return []
@@ -202,7 +202,7 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
 def _similar(path: Path, by: Path | None) -> str | None:
     """Return the name of a file beside `path` that was probably meant, and is not the file that names it."""
     suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-    by_stem = {other.stem: other.name for other in _beside(path, suffixes) if other != by}
+    by_stem = {sibling.stem: sibling.name for sibling in _beside(path, suffixes) if sibling != by}
     near = nearest_word(path.stem, by_stem)
     return by_stem[near] if near else None
 
@@ -249,8 +249,10 @@ def resolve_reference(
     path = _file_at(reference, base, tuple(roots))
     if isinstance(path, Path):
         return path
-    named = library.path(reference) if library else None
-    return named.resolve() if named else replace(path, library=library, base=base.resolve(), by=by)
+    library_path = library.path(reference) if library else None
+    return (
+        library_path.resolve() if library_path else replace(path, library=library, base=base.resolve(), by=by)
+    )
 
 
 def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:

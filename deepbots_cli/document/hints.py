@@ -193,9 +193,11 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         )
     if not rest:
         return problem.finding("a value is missing", "write a value", at)
-    if rest.startswith("|") and (meant := foreign.without_bars(rest)):
-        fix = Fix((Edit(Span(problem.source, at, at + len(rest)), meant),), safe=False)
-        return problem.finding("`|` does not mean the absolute value", f"write `{meant}`", at, len(rest), fix)
+    if rest.startswith("|") and (replacement := foreign.without_bars(rest)):
+        fix = Fix((Edit(Span(problem.source, at, at + len(rest)), replacement),), safe=False)
+        return problem.finding(
+            "`|` does not mean the absolute value", f"write `{replacement}`", at, len(rest), fix
+        )
     sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
     return problem.finding(f"a value cannot start with {sign}", f"put it in quotes: {_quoted(rest)}", at)
 
@@ -279,11 +281,11 @@ def _is_readable(text: str, end: int) -> bool:
 def _second_colon(problem: _Problem, help: str) -> Finding:
     line = problem.rest(problem.line_start)
     key = _KEY.match(line)
-    meant = foreign.conditional(line[key.end() :]) if key else None
-    if key is not None and meant:
+    replacement = foreign.conditional(line[key.end() :]) if key else None
+    if key is not None and replacement:
         return problem.finding(
             "this condition is in the form of another language",
-            f"write `{meant}`",
+            f"write `{replacement}`",
             problem.line_start + key.end(),
             len(line) - key.end(),
         )
@@ -378,8 +380,8 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     elif match := _ASSIGNED.match(line):
         help = f"write a colon: `{match[1]}: {match[2][:_MAX_SHOWN]}`"
         edit = (match.end(1), match.start(2), ": ")
-    elif meant := missing_colon(line):
-        key, corrected = meant
+    elif correction := missing_colon(line):
+        key, corrected = correction
         otherwise = (
             "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
         )
@@ -508,8 +510,8 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
             help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
-        elif chosen := _WHERE.fullmatch(text):
-            help, fix = f"write `{chosen[2]} if {chosen[1]} else {chosen[3]}`", None
+        elif call := _WHERE.fullmatch(text):
+            help, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
 
@@ -563,10 +565,13 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     elif is_flow and _GLUED.match(key.text):
         help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
     elif (
-        is_flow and " " in key.text and not _HAS_COLON.match(text, end) and (meant := missing_colon(key.text))
+        is_flow
+        and " " in key.text
+        and not _HAS_COLON.match(text, end)
+        and (correction := missing_colon(key.text))
     ):
-        help = f"write a colon after the key: `{meant[1]}`"
-        fix = Fix.replacing(key.span, key.text, meant[1], safe=False)
+        help = f"write a colon after the key: `{correction[1]}`"
+        fix = Fix.replacing(key.span, key.text, correction[1], safe=False)
     elif is_flow and not _HAS_COLON.match(text, end):
         help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:

@@ -112,9 +112,9 @@ def _spaced(text: str) -> str:
             done.append(_between_lines(gap, moved, first=before is None, last=behind is None))
             moved = 0
         else:
-            wanted = _blanks(gap, before, behind, columns)
-            moved += len(wanted) - len(gap)
-            done.append(wanted)
+            blanks = _blanks(gap, before, behind, columns)
+            moved += len(blanks) - len(gap)
+            done.append(blanks)
     return "".join(done)
 
 
@@ -162,7 +162,7 @@ class _Columns:
     def aligned(self, offset: int) -> bool:
         """Return whether a token of the line above or below begins in the same column."""
         line, column = self._source.position(offset)
-        return any(column in self._columns[other] for other in self._neighbors[line])
+        return any(column in self._columns[neighbor] for neighbor in self._neighbors[line])
 
 
 # Indentation
@@ -174,12 +174,12 @@ def _indented(text: str) -> str:
     done: list[str] = []
     shift = 0
     for number, line in enumerate(text.split("\n"), 1):
-        shift = own = shifts.get(number, shift)
+        shift = line_shift = shifts.get(number, shift)
         # A comment belongs to the entry below it.
         if number not in shifts and number not in inside and line.strip():
             index = bisect_right(beginnings, number)
-            own = shifts[beginnings[index]] if index < len(beginnings) else shift
-        done.append(_shifted(line, own, dashes.get(number, ())))
+            line_shift = shifts[beginnings[index]] if index < len(beginnings) else shift
+        done.append(_shifted(line, line_shift, dashes.get(number, ())))
     return "\n".join(done)
 
 

@@ -151,11 +151,11 @@ def _roots(
     folder: Path, overrides: Texts[str], permissions: Permissions, project: Path | None = None
 ) -> tuple[Path, ...]:
     # A path in an assignment is the user's own, and relative to the working directory.
-    own = [
+    folders = [
         project.resolve() if project else files.project_root(folder),
         *([files.project_root(Path.cwd())] if overrides else []),
     ]
-    return tuple(dict.fromkeys((*own, *shipped.data_roots(), *allowed_folders(permissions.folders))))
+    return tuple(dict.fromkeys((*folders, *shipped.data_roots(), *allowed_folders(permissions.folders))))
 
 
 def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
@@ -228,15 +228,15 @@ class _Reader:
             return None
         entries = dict(tree.entries)
         extends, remove = entries.pop("extends", None), entries.pop("remove", None)
-        tree = own = replace(tree, entries=entries)
+        tree = file_tree = replace(tree, entries=entries)
         if extends is not None:
             base = self.referenced(extends, folder, chain)
             if base is None:
                 return None
             # A test is about the scenario of its own file: another one moves, scores and ends differently.
-            kept = {key: entry for key, entry in base.entries.items() if key != TESTS}
-            tree = merge(replace(base, entries=kept), tree)
-        return self.pruned(tree, remove.value, own) if remove else tree
+            base_entries = {key: entry for key, entry in base.entries.items() if key != TESTS}
+            tree = merge(replace(base, entries=base_entries), tree)
+        return self.pruned(tree, remove.value, file_tree) if remove else tree
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
         """Return `node`, from a file in `folder`, with included files in their places."""
@@ -249,8 +249,8 @@ class _Reader:
                 )
             case MappingNode():
                 below = {
-                    key: Entry(own, self.expanded(value, folder, chain, depth + 1))
-                    for key, (own, value) in node.entries.items()
+                    key: Entry(key_node, self.expanded(value, folder, chain, depth + 1))
+                    for key, (key_node, value) in node.entries.items()
                 }
                 include = below.pop("include", None)
                 if include is None:

@@ -257,10 +257,10 @@ def without_paths(node: Node, paths: Iterable[NodePath]) -> Node:
     removed = {step for step, rests in below.items() if () in rests}
     match node:
         case MappingNode():
-            kept = {key: entry for key, entry in node.entries.items() if key not in removed}
+            remaining = {key: entry for key, entry in node.entries.items() if key not in removed}
             entries = {
                 key: Entry(entry.key, without_paths(entry.value, below[key])) if key in below else entry
-                for key, entry in kept.items()
+                for key, entry in remaining.items()
             }
             return dataclasses.replace(node, entries=entries)
         case SequenceNode():

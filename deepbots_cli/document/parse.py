@@ -103,7 +103,7 @@ def parse(
 def has_same_values(source: Source, text: str) -> bool:
     """Return whether another text of the document has the same values: text that looks like a comment may be
     part of a value."""
-    before, after = (parse(each, Findings()) for each in (source, Source(source.name, text)))
+    before, after = (parse(version, Findings()) for version in (source, Source(source.name, text)))
     return before is not None and after is not None and to_data(before) == to_data(after)
 
 
@@ -224,8 +224,8 @@ class _Builder:
         empty = [item for item in scalars if item.value is None]
         for item in empty:
             self.findings.add("DB107", item.span, "a list item is empty", "give it a value, or remove it")
-        kept = tuple(item for item in items if item is not None)
-        return None if cut or empty or len(kept) < len(items) else SequenceNode(span, kept)
+        nodes = tuple(item for item in items if item is not None)
+        return None if cut or empty or len(nodes) < len(items) else SequenceNode(span, nodes)
 
     def mapping(self, start: Event, depth: int) -> MappingNode:
         pairs = [
@@ -240,7 +240,7 @@ class _Builder:
             )
         entries: dict[str, Entry] = {}
         keys_without_value: list[ScalarNode] = []
-        seen: dict[str, ScalarNode] = {}
+        first_keys: dict[str, ScalarNode] = {}
         for key, value in pairs:
             if key is None or any(
                 cut_at.start <= part.span.start < cut_at.end
@@ -253,7 +253,7 @@ class _Builder:
                 headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
                 self.findings.add("DB103", key.span, headline, hints.help_for_key(key))
                 continue
-            first = seen.setdefault(key.text, key)
+            first = first_keys.setdefault(key.text, key)
             if first is not key:
                 also = (Label(first.span, "first defined here"),)
                 self.findings.add(

@@ -40,10 +40,10 @@ def _added_dirs() -> tuple[Path, ...]:
                 raise ModuleNotFoundError(f"there is no package {entry.value}")
             folder = Path(next(iter(spec.submodule_search_locations))).resolve()
             for kind in (_SCENARIOS, _ROBOTS):
-                names = {name for other in (data_dir(), *folders) for name in _names((other,), kind)}
-                taken = sorted(names.intersection(_names((folder,), kind)))
-                if taken:
-                    raise ValueError(f"the name {taken[0]!r} is taken")
+                names = {name for directory in (data_dir(), *folders) for name in _names((directory,), kind)}
+                duplicates = sorted(names.intersection(_names((folder,), kind)))
+                if duplicates:
+                    raise ValueError(f"the name {duplicates[0]!r} is taken")
         except Exception as error:  # noqa: BLE001 - to look for a package may run the code of a plug-in
             warn_unavailable(entry, error)
         else:

@@ -103,12 +103,12 @@ class Chain:
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
-        turned = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
-        solution, missing = self._search(list(positions), goal, turned)
+        local_attitude = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
+        solution, missing = self._search(list(positions), goal, local_attitude)
         if missing > TOLERANCE_M * TOLERANCE_M:
-            other, still_missing = self._search(self._middle(positions), goal, turned)
+            second_solution, still_missing = self._search(self._middle(positions), goal, local_attitude)
             if still_missing < missing:
-                solution = other
+                solution = second_solution
         return [solution[place] for place in self._driven]
 
     def _middle(self, positions: Sequence[float]) -> list[float]:
@@ -120,10 +120,10 @@ class Chain:
         return middle
 
     def _search(
-        self, joints: list[float], goal: Triple, turned: Quaternion | None
+        self, joints: list[float], goal: Triple, local_attitude: Quaternion | None
     ) -> tuple[list[float], float]:
         """Return the end of the search from these positions, and the square of the error that is left."""
-        error, jacobian = self._linearized(joints, goal, turned)
+        error, jacobian = self._linearized(joints, goal, local_attitude)
         damping, missing, idle = 1e-4, float(error @ error), 0
         for _ in range(MAX_ITERATIONS):
             if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
@@ -136,7 +136,7 @@ class Chain:
                 self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True
             ):
                 tried[place] = value
-            new_error, new_jacobian = self._linearized(tried, goal, turned)
+            new_error, new_jacobian = self._linearized(tried, goal, local_attitude)
             left = float(new_error @ new_error)
             idle = idle + 1 if left > STALL_RATIO * missing else 0
             if left < missing:

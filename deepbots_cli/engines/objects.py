@@ -47,7 +47,7 @@ def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
     """Return the object in each of its variants, by their names; by its own if it has none."""
     fields = ("shape", "mass", "color", "friction", "fixed")
     shown = {
-        v.name: replace(body, variants=(), **{what: getattr(v, what) for what in fields})
+        v.name: replace(body, variants=(), **{field: getattr(v, field) for field in fields})
         for v in body.variants
     }
     return shown or {body.name: body}
@@ -56,12 +56,12 @@ def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
 def as_robot(body: ObjectBody) -> RobotModel:
     """Return the object as a robot of one link with the object's name; the inertia of a mesh is 0, for the
     engine to find."""
-    seen = Geometry(body.shape, color=body.color)
+    geometry = Geometry(body.shape, color=body.color)
     link = Link(
         name=body.name,
         inertial=homogeneous_inertial(body.shape, body.mass) or Inertial(body.mass),
-        visuals=(seen,),
-        collisions=(seen,) if body.solid else (),
+        visuals=(geometry,),
+        collisions=(geometry,) if body.solid else (),
         friction=Friction(body.friction, body.spinning_friction, body.rolling_friction, body.restitution),
     )
     return RobotModel(name=body.name, links=(link,), joints=(), root=body.name)
@@ -116,9 +116,9 @@ def self_collision_pairs(model: RobotModel) -> Iterator[tuple[str, str]]:
             members = rigid_group(model, group[joint.parent])
             group |= dict.fromkeys(members, group[joint.parent])
     joined = {frozenset((group[joint.parent], group[joint.child])) for joint in model.joints}
-    for one, other in combinations(group, 2):
-        if group[one] != group[other] and frozenset((group[one], group[other])) not in joined:
-            yield one, other
+    for first, second in combinations(group, 2):
+        if group[first] != group[second] and frozenset((group[first], group[second])) not in joined:
+            yield first, second
 
 
 def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:
@@ -231,7 +231,7 @@ class Pool(Generic[Body]):
             return bind(self.current)
         table = {id(body): bind(body) for body in self}
 
-        def of_chosen(*given: P.args, **named: P.kwargs) -> R:
-            return table[id(self.current)](*given, **named)
+        def of_chosen(*args: P.args, **kwargs: P.kwargs) -> R:
+            return table[id(self.current)](*args, **kwargs)
 
         return of_chosen

@@ -314,10 +314,10 @@ class _Checker:
             raise self._fault("DB402", node, f"`.{member}` of a single value", "only vectors have components")
         if isinstance(components, RowComponents):
             return self._pick_of_rows(value, components, member, node, before)
-        wanted = (member,) if member in components else tuple(member)
-        if not set(wanted) <= set(components) or len(set(wanted)) < len(wanted):
+        names = (member,) if member in components else tuple(member)
+        if not set(names) <= set(components) or len(set(names)) < len(names):
             raise self._unknown("component", member, components, node, before)
-        indices = tuple(components.index(name) for name in wanted)
+        indices = tuple(components.index(name) for name in names)
         return ComponentSelection(value.type.selected(indices), node.start, node.end, value, indices)
 
     def _pick_of_rows(
@@ -325,27 +325,27 @@ class _Checker:
     ) -> Typed:
         """Return a row by its name, or one or several components of all rows."""
         rows, columns = components.rows, components.columns
-        chosen: Components
+        selection: Components
         if member in rows:
-            chosen, indices = columns, components.row(member)
+            selection, indices = columns, components.row(member)
         elif member in columns:
-            chosen, indices = rows, components.column(member)
+            selection, indices = rows, components.column(member)
         else:
             if not set(member) <= set(columns) or len(set(member)) < len(member):
                 raise self._unknown("component", member, (*rows, *columns), node, before)
-            chosen = RowComponents(rows, tuple(member))
+            selection = RowComponents(rows, tuple(member))
             by_column = [components.column(name) for name in member]
             indices = tuple(place for row in zip(*by_column, strict=True) for place in row)
-        selected = value.type.selected(indices)._replace(components=chosen)
+        selected = value.type.selected(indices)._replace(components=selection)
         return ComponentSelection(selected, node.start, node.end, value, indices)
 
     def _subject(self, node: syntax.Node, kinds: frozenset[Kind], function: str) -> Subject:
         """Return the part of the world that an argument names; DB203 for one of another kind, DB402 for
         none."""
-        wanted = _one_of(kinds)
+        expected = _one_of(kinds)
         if not isinstance(node, syntax.Name):
             help = "write the name of one, as in `position(cart.tip)`"
-            raise self._fault("DB203", node, f"`{function}` needs {wanted}, not a value", help)
+            raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", help)
         scope, name = self._scope, node.dotted
         subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
@@ -362,7 +362,7 @@ class _Checker:
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
         description = subject.kind.description if subject is not None else "a value"
-        help = _known(fitting, f"the scenario does not have {wanted}")
+        help = _known(fitting, f"the scenario does not have {expected}")
         if subject is not None and subject.kind is Kind.OBJECTS and fitting:
             help = f"use a function of two bodies, as in `min(distance({min(fitting)}, {name}))`; {help}"
         if kinds == {Kind.CAMERA}:
@@ -374,7 +374,9 @@ class _Checker:
                 if fitting
                 else f"add a sensor with `type: camera` to a robot, and write its name in place of `{name}`"
             )
-        raise self._fault("DB203", node, f"`{name}` is {description}, but `{function}` needs {wanted}", help)
+        raise self._fault(
+            "DB203", node, f"`{name}` is {description}, but `{function}` needs {expected}", help
+        )
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
         """Return the error for a name that is no value: a part of the world, a function, or unknown."""
@@ -392,9 +394,9 @@ class _Checker:
             return self._fault(
                 "DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`"
             )
-        if asked := self._asked_of_a_body(node):
-            help = f"read values of the world with a function: `{asked}`"
-            return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(asked, safe=False))
+        if call := self._asked_of_a_body(node):
+            help = f"read values of the world with a function: `{call}`"
+            return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(call, safe=False))
         return self._unknown(
             "name",
             name,
@@ -406,22 +408,22 @@ class _Checker:
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """Return `position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
-            body, (asked, *rest) = ".".join(node.parts[:length]), node.parts[length:]
+            body, (member, *rest) = ".".join(node.parts[:length]), node.parts[length:]
             subject = (
                 self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
             )
             if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL):
-                function = FUNCTIONS.get(asked)
+                function = FUNCTIONS.get(member)
                 if function is not None and function.family is Family.WORLD and len(function.params) == 1:
-                    return ".".join([f"{asked}({body})", *rest])
-                return f"position({body}).{asked}" if asked in SPACE and not rest else None
+                    return ".".join([f"{member}({body})", *rest])
+                return f"position({body}).{member}" if member in SPACE and not rest else None
         return None
 
     def _unknown(
         self,
-        what: str,
+        noun: str,
         name: str,
-        known: Iterable[str],
+        choices: Iterable[str],
         place: syntax.Node,
         before: str | None = "",
         also: str | None = None,
@@ -431,7 +433,7 @@ class _Checker:
         `before` and the name are the text of `place`; with None, no fix is offered. The help `also` is for
         names that are like none of the known.
         """
-        names = sorted(known)
+        names = sorted(choices)
         owned = with_owner(name, names)
         near = owned or suggest_replacement(name, names)
         listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
@@ -442,7 +444,7 @@ class _Checker:
             filter(None, (f"did you mean `{near.text}`?" if near else "", "" if is_clear else listed))
         )
         fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
-        return self._fault("DB402", place, f"unknown {what} `{name}`", help, fix)
+        return self._fault("DB402", place, f"unknown {noun} `{name}`", help, fix)
 
     # literals
 
@@ -695,14 +697,14 @@ class _Checker:
         params, count = function.params, len(node.args)
         fewest = sum(not param.optional for param in params)
         if count < fewest or (count > len(params) and not params[-1].variadic):
-            wanted = (
+            expected = (
                 f"at least {fewest}"
                 if params[-1].variadic
                 else " or ".join(str(n) for n in sorted({fewest, len(params)}))
             )
-            noun = "argument" if wanted == "1" else "arguments"
+            noun = "argument" if expected == "1" else "arguments"
             raise self._fault(
-                "DB401", node, f"`{function.name}` takes {wanted} {noun}, not {count}", _usage(function)
+                "DB401", node, f"`{function.name}` takes {expected} {noun}, not {count}", _usage(function)
             )
 
         def argument(index: int) -> tuple[list[Subject], list[tuple[Param, Typed]]]:
@@ -887,11 +889,13 @@ def _known(names: list[str], none: str) -> str:
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:
-    named = [kind.description for kind in Kind if kind in kinds]
+    descriptions = [kind.description for kind in Kind if kind in kinds]
     if kinds >= {Kind.WALL, Kind.WALLS}:
-        named.remove(Kind.WALLS.description)
-        named[named.index(Kind.WALL.description)] = "a wall"
-    return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} or {named[-1]}"
+        descriptions.remove(Kind.WALLS.description)
+        descriptions[descriptions.index(Kind.WALL.description)] = "a wall"
+    return (
+        descriptions[0] if len(descriptions) == 1 else f"{', '.join(descriptions[:-1])} or {descriptions[-1]}"
+    )
 
 
 def _keep_above(low: float) -> str:

@@ -107,8 +107,8 @@ class PhysicalQuantity(NamedTuple):
 
 
 _QUANTITIES = {
-    known.dimension: known
-    for known in (
+    quantity.dimension: quantity
+    for quantity in (
         PhysicalQuantity(LENGTH, "a length", example="0.5 m", plausible_limit=1e5),
         PhysicalQuantity(LENGTH**2, "an area"),
         PhysicalQuantity(LENGTH**3, "a volume"),

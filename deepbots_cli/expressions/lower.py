@@ -253,7 +253,7 @@ def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, 
     """Return the value for every piece of a wall, joined: the least clearance, whether any is touched or
     seen."""
     read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
-    reads = [read(*each) for each in product(*(pieces.get(name, (name,)) for name in names))]
+    reads = [read(*combination) for combination in product(*(pieces.get(name, (name,)) for name in names))]
     return reads[0] if len(reads) == 1 else fold_operation(function.pieces_operator, *reads)
 
 
@@ -336,8 +336,8 @@ def operation_code(
             )
         return infix(template(text).op, args)  # type: ignore[attr-defined]
     if names[-1].startswith("*"):
-        rest = len(names) - 1
-        args = [*args[:rest], Code(", ".join(arg.text for arg in args[rest:]))]
+        fixed_count = len(names) - 1
+        args = [*args[:fixed_count], Code(", ".join(arg.text for arg in args[fixed_count:]))]
     return printed(template(text), dict(zip(names, args, strict=True)))
 
 

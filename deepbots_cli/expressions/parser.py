@@ -507,16 +507,16 @@ class _Parser:
                 before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help
             )
         token = self._peek
-        if token.text in _CONDITIONAL_SIGNS and (meant := foreign.conditional(self._text)):
+        if token.text in _CONDITIONAL_SIGNS and (replacement := foreign.conditional(self._text)):
             return _SyntaxError(
                 token.start,
                 token.end,
                 "this condition is in the form of another language",
-                f"write `{meant}`",
+                f"write `{replacement}`",
             )
-        if token.text == "|" and missing and (meant := foreign.without_bars(self._text)):
+        if token.text == "|" and missing and (replacement := foreign.without_bars(self._text)):
             headline = "`|` does not mean the absolute value"
-            return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(meant.split())}`")
+            return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(replacement.split())}`")
         if token.text == "(" and (names := self._names_before()):
             first = self._tokens[self._at - 2 * len(names) + 1]
             help = f"call the function without a prefix: `{foreign.call(names)}`"

@@ -106,8 +106,12 @@ class Type(NamedTuple):
             if self.components and len(indices) > 1
             else None
         )
-        chosen = self._replace(components=names)
-        return chosen.with_intervals(self.intervals[index] for index in indices) if self.intervals else chosen
+        selection = self._replace(components=names)
+        return (
+            selection.with_intervals(self.intervals[index] for index in indices)
+            if self.intervals
+            else selection
+        )
 
     def interval_of(self, component: str | None) -> Interval:
         """Return the interval of one component; that of the whole, if no other is known."""
@@ -430,13 +434,13 @@ _READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all
 
 def size(node: Typed) -> int:
     """Return an upper bound of the number of operations over all components, cut off at twice `MAX_SIZE`."""
-    own = len(node.type.components) if node.type.components else 1
+    count = len(node.type.components) if node.type.components else 1
     if isinstance(node, (Constant, Reference)):
-        return min(own, 2 * MAX_SIZE)
+        return min(count, 2 * MAX_SIZE)
     of_world = isinstance(node, Invocation) and bool(node.subjects)
     repeated = _READS_PER_ROTATED_COMPONENT if of_world else 1
-    total = own * (_WORLD_SIZE if of_world else 1)
+    total = count * (_WORLD_SIZE if of_world else 1)
     for child in children(node):
         single = child.type.components is None and not isinstance(node, Vector)
-        total += size(child) * (own if single else 1) * repeated
+        total += size(child) * (count if single else 1) * repeated
     return min(total, 2 * MAX_SIZE)

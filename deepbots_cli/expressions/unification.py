@@ -232,9 +232,11 @@ def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict
     ((name, text),) = names.items()
     if not all(map(_is_proportional, plain)):
         return f"{listed}; if it should have a unit, add it {place}", {name: None}
-    meant = [f"{text} {unit}" for unit in _probable_units(dimension, max(map(abs, map(float, text.split()))))]
-    written = " or ".join(f"`{name}: {one}`" for one in meant)
-    return f"{listed}: write {written} {place}", {name: meant[0] if len(meant) == 1 else None}
+    quantities = [
+        f"{text} {unit}" for unit in _probable_units(dimension, max(map(abs, map(float, text.split()))))
+    ]
+    written = " or ".join(f"`{name}: {quantity}`" for quantity in quantities)
+    return f"{listed}: write {written} {place}", {name: quantities[0] if len(quantities) == 1 else None}
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
@@ -278,16 +280,16 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, dict[str, str | None]
     if needed / dimension == ANGLE:
         return "multiply by the angle: `* rad`", {}
     names: dict[str, str | None] = {name: None for name, text in _named_numbers(value) if not text}
-    of = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
+    suffix = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
     name, written = _with_unit(value, needed)
     line = f"{name}: {written}" if name else written
     shown = f": `{line}`" if line else ""
     if name in names and len(names) == 1:
         names[name] = written
     if dimension == SPEED and needed == ANGULAR_VELOCITY:
-        meant = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
-        return f"correct the unit{of}{shown}; or, {meant}: {CORRECTED_LINE}", names
-    return f"correct the unit{of}{shown}, or multiply by a factor in {needed / dimension}", names
+        hint = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
+        return f"correct the unit{suffix}{shown}; or, {hint}: {CORRECTED_LINE}", names
+    return f"correct the unit{suffix}{shown}, or multiply by a factor in {needed / dimension}", names
 
 
 def _divisor(dimension: Dimension) -> str:
@@ -302,12 +304,12 @@ def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
     if isinstance(value, Constant) and value.unit:
         name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
     else:
-        named = {
+        values_by_name = {
             part.symbol.name: part.symbol.value or ()
             for part in _references(value)
             if part.type.dimension == dimension
         }
-        name, numbers = next(iter(named.items())) if len(named) == 1 else ("", ())
+        name, numbers = next(iter(values_by_name.items())) if len(values_by_name) == 1 else ("", ())
         unit = str(dimension)
         degrees = round(math.degrees(numbers[0]), 9) if dimension == ANGLE and len(numbers) == 1 else math.nan
         if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(
@@ -440,11 +442,11 @@ def expect_value(
         value = value._replace(type=value.type._replace(dimension=dimension))
     _require_shape(value, components, what, report, shape_help)
     if value.type.known > known:
-        needed, other = ("fixed or drawn once per episode", "that does not change within an episode")
+        needed, alternative = ("fixed or drawn once per episode", "that does not change within an episode")
         if known is Known.FIXED:
-            needed, other = ("fixed", "with a fixed value")
+            needed, alternative = ("fixed", "with a fixed value")
         headline = f"{what} must be {needed}, but this value is {value.type.known.description}"
-        raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {other}")
+        raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {alternative}")
     if value.type.interval.is_finite and not boolean:
         _require_size(value, known, what, report)
     return spread(value, components)

@@ -38,7 +38,7 @@ def units_in(text: str) -> Iterator[Unit]:
     """Yield the units that follow a number in a text, in their order."""
     text = text[:MAX_TEXT]
     matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]
-    for match in sorted(matches, key=lambda each: each.start()):
+    for match in sorted(matches, key=lambda match: match.start()):
         unit = _unit(match[1])
         if unit is not None:
             yield unit

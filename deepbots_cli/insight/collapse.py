@@ -137,9 +137,13 @@ def _return_meanwhile(evidence: TrainingEvidence, fall: Decline) -> tuple[float,
     the return."""
     if fall.measure != "success_rate":
         return None
-    own = [(each["steps"], fmean(each["returns"])) for each in evidence.evaluations if "steps" in each]
-    best = [value for steps, value in own if steps == fall.best_steps]
-    late = [value for steps, value in own if steps >= fall.last_steps]
+    points = [
+        (evaluation["steps"], fmean(evaluation["returns"]))
+        for evaluation in evidence.evaluations
+        if "steps" in evaluation
+    ]
+    best = [value for steps, value in points if steps == fall.best_steps]
+    late = [value for steps, value in points if steps >= fall.last_steps]
     return (best[0], fmean(late)) if best and late else None
 
 
@@ -174,12 +178,14 @@ def suspects(evidence: TrainingEvidence, fall: Decline) -> list[Suspect]:
         _after_teacher,
     )
     causes += [rule(evidence, fall) for rule in rules]
-    named = [
-        each for each in causes if each is not None and each.weight >= SUSPECTED and each.now != each.advised
+    candidates = [
+        suspect
+        for suspect in causes
+        if suspect is not None and suspect.weight >= SUSPECTED and suspect.now != suspect.advised
     ]
     by_path: dict[str, Suspect] = {}  # of several reasons for a change of one setting, the strongest
-    for each in sorted(named, key=lambda each: -each.weight):
-        by_path.setdefault(each.path, each)
+    for suspect in sorted(candidates, key=lambda suspect: -suspect.weight):
+        by_path.setdefault(suspect.path, suspect)
     return list(by_path.values())
 
 
@@ -266,8 +272,10 @@ def _reward_scale(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     training = evidence.program.agent.training
     if training is None or training.normalize == "reward" or not evidence.evaluations:
         return None
-    size = float(np.mean([abs(value) for each in evidence.evaluations for value in each["returns"]]))
-    high = max(abs(value) for each in evidence.evaluations for value in each["returns"])
+    size = float(
+        np.mean([abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"]])
+    )
+    high = max(abs(value) for evaluation in evidence.evaluations for value in evaluation["returns"])
     if size <= 0:
         return None
     weight = math.log(high / _USUAL_RETURN) / math.log(_LARGE_RETURN) if high > 0 else 0.0
@@ -287,11 +295,11 @@ def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     length = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if gamma is None:
         return None
-    wanted = min(0.99, max(0.9, round(1 - 4 / length, 3)))
-    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - wanted)
+    advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
+    horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
     if gamma >= 1:
         reason = "`gamma` is 1, so errors of the critic about later rewards do not fade"
-        return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, 0.9)
+        return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, 0.9)
     # A horizon of a third of the usual one is common; of a tenth it hides the end of an episode.
     weight = (
         math.log(usual / horizon) / math.log(8)
@@ -302,7 +310,7 @@ def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
         f"`gamma` is {gamma:g}: rewards {'count' if horizon < usual else 'add up'} over about"
         f" {horizon:.0f} of {length:,} steps"
     )
-    return Suspect("train.gamma", f"{gamma:g}", f"{wanted:g}", reason, weight)
+    return Suspect("train.gamma", f"{gamma:g}", f"{advised:g}", reason, weight)
 
 
 def _trace(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:

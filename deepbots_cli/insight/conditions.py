@@ -131,7 +131,7 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
     conditions = {ending.name: builder.ending_condition(ending) for ending in program.endings}
     if program.agent.goal is not None:
         conditions.setdefault("goal_reached", builder.goal(program.agent.goal, negated=False))
-    seen = [
+    values = [
         entry.value
         for entry in program.agent.observation
         if include_observation
@@ -140,10 +140,14 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
         # What several agents see has the names of each agent, and not those of the program of all.
         and not program.members
     ]
-    kept = {value.name: builder.probe(value.typed, value) for value in seen if builder.is_measurable(value)}
+    observed_signals = {
+        value.name: builder.probe(value.typed, value) for value in values if builder.is_measurable(value)
+    }
     signals = (*program.signals, *builder.probes.values())
     return InstrumentedProgram(
-        replace(program, signals=signals, stored_signals=frozenset(builder.probes)), conditions, kept
+        replace(program, signals=signals, stored_signals=frozenset(builder.probes)),
+        conditions,
+        observed_signals,
     )
 
 
@@ -186,9 +190,9 @@ class _ConditionBuilder:
             case Operation(operator="not", args=(inner,)):
                 return self._condition(inner, expression, negated=not negated, joined=joined)
             case Operation(operator="and" | "or" as joining, args=args) if node.type.components is None:
-                both: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
+                connective: Literal["and", "or"] = "or" if (joining == "or") != negated else "and"
                 return CompoundCondition(
-                    both, tuple(self._condition(arg, expression, negated=negated) for arg in args)
+                    connective, tuple(self._condition(arg, expression, negated=negated) for arg in args)
                 )
             case Operation(operator=written, args=(left, right)) if (
                 written in SIGN_OF_OPERATOR and not left.type.boolean
@@ -203,17 +207,17 @@ class _ConditionBuilder:
             case Invocation(function="any" | "all" as function, args=(inner,)) if (
                 not inner.type.has_group_components
             ):
-                every: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
+                reduction: Literal["any", "all"] = "any" if (function == "any") != negated else "all"
                 if isinstance(inner, Operation) and inner.operator in SIGN_OF_OPERATOR:
-                    return self._condition(inner, expression, negated=negated, joined=every)
+                    return self._condition(inner, expression, negated=negated, joined=reduction)
             case Reference(symbol=symbol) if (
                 symbol.name == "goal_reached" and self._program.agent.goal is not None
             ):
                 return self.goal(self._program.agent.goal, negated=negated)
             case Reference(symbol=symbol) if symbol.name in self._named and node.type.components is None:
-                other = self._named[symbol.name]
-                if not any(map(is_drawn, other.scalars)):
-                    return self._condition(other.typed, other, negated=negated)
+                definition = self._named[symbol.name]
+                if not any(map(is_drawn, definition.scalars)):
+                    return self._condition(definition.typed, definition, negated=negated)
         return Comparison(
             expression.text[node.start : node.end],
             "not_equal" if negated else "equal",
@@ -256,11 +260,11 @@ class _ConditionBuilder:
 def _distance(goal: Goal, agent: Supervisor) -> float:
     """Return the distance of the achieved goal from the desired one, both as observed."""
     size = len(goal.low)
-    seen = agent.goal.tolist()
+    numbers = agent.goal.tolist()
     return math.hypot(
         *(
-            (one - other) * half
-            for one, other, half in zip(seen[:size], seen[size:], goal.halves, strict=True)
+            (achieved - desired) * half
+            for achieved, desired, half in zip(numbers[:size], numbers[size:], goal.halves, strict=True)
         )
     )
 
@@ -285,8 +289,8 @@ def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
         (sides[index % len(sides)], bounds[index % len(bounds)])
         for index in range(max(len(sides), len(bounds)))
     ]
-    chosen = max if condition.reduction == "any" else min
-    value, bound = chosen(pairs, key=lambda pair: _margin(condition.operator, *pair))
+    extreme = max if condition.reduction == "any" else min
+    value, bound = extreme(pairs, key=lambda pair: _margin(condition.operator, *pair))
     holds = _FUNCTIONS[SIGN_OF_OPERATOR[condition.operator]](value, bound)
     if condition.bound is None:
         return MeasuredComparison(condition, holds, float(value))
@@ -320,4 +324,4 @@ def deciding_comparison(
     parts = [part for part in condition.parts if holds(part, now)] or list(condition.parts)
     new = [part for part in parts if before is not None and not holds(part, before)] or parts
     deciding = [deciding_comparison(part, before, now) for part in new]
-    return next((each for each in deciding if each.margin is not None), deciding[0])
+    return next((comparison for comparison in deciding if comparison.margin is not None), deciding[0])

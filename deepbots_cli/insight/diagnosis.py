@@ -183,17 +183,17 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
             *starts,
             *explored,
         )
-    statements = sorted(statements_about(causes, training), key=lambda each: -each.evidence["likelihood"])
+    statements = sorted(statements_about(causes, training), key=lambda entry: -entry.evidence["likelihood"])
     unlikely = [statement for statement in statements if statement.evidence["likelihood"] < CERTAIN]
     left_out = set[str]() if training.is_mature else set(_PROVISIONAL_CAUSES)
     left_out |= _SYMPTOMS if len(unlikely) < len(statements) else set()
-    kept = [
+    remaining = [
         statement for statement in statements if not (statement in unlikely and statement.cause in left_out)
     ]
-    explained = set[str]().union(*(_EXPLAINED.get(statement.cause, ()) for statement in kept))
-    kept = [statement for statement in kept if statement.cause not in explained]
-    own = [replace(each, settings=_settings_of_agent(training, each)) for each in kept]
-    return [replace(statement, command=_next_command(training, statement)) for statement in own]
+    explained = set[str]().union(*(_EXPLAINED.get(statement.cause, ()) for statement in remaining))
+    remaining = [statement for statement in remaining if statement.cause not in explained]
+    with_settings = [replace(entry, settings=_settings_of_agent(training, entry)) for entry in remaining]
+    return [replace(statement, command=_next_command(training, statement)) for statement in with_settings]
 
 
 def _settings_of_agent(evidence: TrainingEvidence, statement: Statement) -> Mapping[str, str]:
@@ -222,7 +222,7 @@ def causes_after(run: Path, permissions: Permissions = Permissions()) -> list[St
     causes: list[Statement] = []
     for training in read_trainings(Run.open(run)):
         name = f"{training.agent}: " if training.agent else ""
-        causes += [replace(each, text=f"{name}{each.text}") for each in causes_of(training, permissions)]
+        causes += [replace(cause, text=f"{name}{cause.text}") for cause in causes_of(training, permissions)]
     return causes
 
 
@@ -281,9 +281,9 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
         return ""
     if statement.cause == "not_finite" and (failure := latest_failure(run.path)) is not None:
         return f"deepbots diagnose {quote(str(failure))}"
-    has_failed_episode = not all(each.is_success for each in evidence.final_episodes) and (
+    has_failed_episode = not all(episode.is_success for episode in evidence.final_episodes) and (
         evidence.run.program.defines_success
-        or any(each.ended_by in evidence.run.program.failures for each in evidence.final_episodes)
+        or any(episode.ended_by in evidence.run.program.failures for episode in evidence.final_episodes)
     )
     form = _COMMANDS.get(
         statement.cause, "diagnose {run} --episode failed" if has_failed_episode else "view {run}"
@@ -313,7 +313,7 @@ def has_learned(evidence: TrainingEvidence) -> Literal["exploring", "evaluated"]
         """Return whether successes suffice in a scenario without `solved`."""
         return solved is None and succeeds and len(successes) >= MIN_EPISODES and fmean(successes) >= required
 
-    final = SuccessRate([each.is_success for each in evidence.final_episodes])
+    final = SuccessRate([episode.is_success for episode in evidence.final_episodes])
     excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
     if not excluded and (
         _met_while_exploring(evidence)
@@ -325,7 +325,9 @@ def has_learned(evidence: TrainingEvidence) -> Literal["exploring", "evaluated"]
         if evidence.evaluations and evidence.program.defines_success
         else ()
     )
-    last = evaluated if evidence.is_last_stage else [each.is_success for each in evidence.final_episodes]
+    last = (
+        evaluated if evidence.is_last_stage else [episode.is_success for episode in evidence.final_episodes]
+    )
     return "evaluated" if evidence.solved or suffices(last) else None
 
 
@@ -387,7 +389,7 @@ def not_finite(evidence: TrainingEvidence) -> Numbers | None:
     " joints that it drives.",
 )
 def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
-    own = [
+    places = [
         place
         for place, number in enumerate(evidence.program.agent.numbers)
         if number.name != "previous_action"
@@ -395,7 +397,7 @@ def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
     dead, steps = [], 0
     for part, traces in evidence.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
-        if pairs and max(_difference(one, other, own) for one, other in pairs) < SAME_OBSERVATION:
+        if pairs and max(_difference(first, second, places) for first, second in pairs) < SAME_OBSERVATION:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:
@@ -410,18 +412,18 @@ def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
     }
 
 
-def _difference(one: Trace, other: Trace, numbers: Sequence[int]) -> float:
+def _difference(first: Trace, second: Trace, numbers: Sequence[int]) -> float:
     """Return the largest difference of the observations, and of the values that the endings compare."""
-    if one.steps != other.steps:
+    if first.steps != second.steps:
         return 1.0
-    seen = np.abs(one.observations[:, numbers] - other.observations[:, numbers]).max(initial=0.0)
-    kept = [
+    largest = np.abs(first.observations[:, numbers] - second.observations[:, numbers]).max(initial=0.0)
+    differences = [
         abs(a - b)
-        for x, y in zip(one.values, other.values, strict=True)
+        for x, y in zip(first.values, second.values, strict=True)
         for key in x
         for a, b in zip(x[key], y[key], strict=True)
     ]
-    return float(max(seen, *kept, 0.0)) if kept else float(seen)
+    return float(max(largest, *differences, 0.0)) if differences else float(largest)
 
 
 @statement(
@@ -539,7 +541,7 @@ def learning_rate_too_high(evidence: TrainingEvidence) -> Numbers | None:
 def _names_rate(evidence: TrainingEvidence) -> bool:
     """Return whether the cause of a fall names the learning rate."""
     return evidence.decline is not None and any(
-        each.path == "train.learning_rate" for each in suspects(evidence, evidence.decline)
+        suspect.path == "train.learning_rate" for suspect in suspects(evidence, evidence.decline)
     )
 
 
@@ -625,31 +627,31 @@ def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     gamma, won = evidence.number_setting("gamma"), evidence.episodes.lengths[evidence.episodes.successes > 0]
     if gamma is None or gamma >= 1.0:
         return None
-    seen = len(won) >= MIN_EPISODES
+    has_successes = len(won) >= MIN_EPISODES
     length = (
         float(np.median(won))
-        if seen
+        if has_successes
         else float(evidence.program.truncation.max_episode_steps(evidence.program.period))
     )
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
-    if not (seen or is_far) and (
+    if not (has_successes or is_far) and (
         evidence.facts.terms_towards_success or not evidence.program.defines_success
     ):
         return None  # rewards on the way do
-    wanted = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
-    if wanted <= gamma:
+    advised = min(0.999, round(1.0 - 3.0 / length, 3))  # a weight of 5 %
+    if advised <= gamma:
         return None
     # A factor that is far too small; else rewards on the way may do.
     return {
         "likelihood": 0.915 if is_far else 0.45,
         "gamma": gamma,
         "length": round(length),
-        "of": "the median of the successes" if seen else "the limit of an episode",
+        "of": "the median of the successes" if has_successes else "the limit of an episode",
         "weight": Percentage(gamma**length),
-        "wanted": wanted,
-        "settings": {"train.gamma": f"{wanted:g}"},
+        "wanted": advised,
+        "settings": {"train.gamma": f"{advised:g}"},
     }
 
 
@@ -717,13 +719,17 @@ def exploration_delays_stage(evidence: TrainingEvidence) -> Numbers | None:
         if until is None or until.metric == "steps" or until.episodes is None or not len(after):
             continue
         values = "successes" if until.metric == "success_rate" else "returns"
-        done = [each for each in evidence.all_evaluations if each.get("stage") == stage.name]
+        done = [
+            evaluation for evaluation in evidence.all_evaluations if evaluation.get("stage") == stage.name
+        ]
         reached = [
-            k for k in range(len(done)) if all(fmean(each[values]) >= until.threshold for each in done[k:])
+            k
+            for k in range(len(done))
+            if all(fmean(evaluation[values]) >= until.threshold for evaluation in done[k:])
         ]
         delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
         if delay > max(worst.get("delay", 0), 0.1 * evidence.planned):
-            rate = EvaluationRate([each["successes"] for each in done[reached[0] :]])
+            rate = EvaluationRate([evaluation["successes"] for evaluation in done[reached[0] :]])
             worst = {
                 "likelihood": 0.5,
                 "stage": stage.name,
@@ -773,10 +779,10 @@ def _exploration_changes(evidence: TrainingEvidence, factor: float) -> list[Chan
             )
         )
     if noise is not None and (noise.end or factor > 1):
-        wanted = (
+        advised = (
             f"{max(0.3, 2 * noise.start):.2g}" if factor > 1 else f"{noise.start:g} -> {0.1 * noise.end:.2g}"
         )
-        path, value = evidence.noise_setting(wanted)
+        path, value = evidence.noise_setting(advised)
         changes.append(Change(path, noise.text, value, verb))
     if chance is not None and (chance or factor > 1):
         wanted_chance = max(chance, min(0.3, 3 * chance or 0.1)) if factor > 1 else 0.1 * chance

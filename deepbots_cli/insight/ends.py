@@ -103,14 +103,18 @@ def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
     ):
         return None
     done = [
-        each for each in evidence.evaluations if "steps" in each and each.get("stage", "") == evidence.stage
+        evaluation
+        for evaluation in evidence.evaluations
+        if "steps" in evaluation and evaluation.get("stage", "") == evidence.stage
     ]
-    if len(done) < 2 or min(len(each["successes"]) for each in done) < MIN_EPISODES:
+    if len(done) < 2 or min(len(evaluation["successes"]) for evaluation in done) < MIN_EPISODES:
         return None
-    saved = [each for each in done if model.steps is not None and each["steps"] == model.steps]
-    kept = saved[0] if saved else max(done, key=_mean_return)
-    best = max(done, key=lambda each: (fmean(each["successes"]), _mean_return(each)))
-    if fmean(best["successes"]) - fmean(kept["successes"]) < _CLEARLY_MORE:
+    saved = [
+        evaluation for evaluation in done if model.steps is not None and evaluation["steps"] == model.steps
+    ]
+    kept_evaluation = saved[0] if saved else max(done, key=_mean_return)
+    best = max(done, key=lambda evaluation: (fmean(evaluation["successes"]), _mean_return(evaluation)))
+    if fmean(best["successes"]) - fmean(kept_evaluation["successes"]) < _CLEARLY_MORE:
         return None
     remedy = "Train again: this version of deepbots keeps the model that succeeds most, by new starts."
     if measure_of(agent.solved, defines_success=True) == "mean_return":
@@ -120,9 +124,9 @@ def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
         )
     return {
         "likelihood": 0.8,
-        "kept_at": int(kept["steps"]),
-        "kept": SuccessRate(kept["successes"]),
-        "kept_return": _mean_return(kept),
+        "kept_at": int(kept_evaluation["steps"]),
+        "kept": SuccessRate(kept_evaluation["successes"]),
+        "kept_return": _mean_return(kept_evaluation),
         "best_at": int(best["steps"]),
         "best": SuccessRate(best["successes"]),
         "best_return": _mean_return(best),
@@ -143,11 +147,11 @@ def _mean_return(evaluation: Mapping[str, Any]) -> float:
 def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
     length = training_length(evidence)
     rise = returns_rise(evidence)
-    what = f"stage '{evidence.stage}'" if evidence.stage else "the training"
+    subject = f"stage '{evidence.stage}'" if evidence.stage else "the training"
     if rise is not None and plateau(evidence) is None:
         first, last, gain, chance = rise
         mean = (
-            f"the mean return of the last quarter of {what} is {last:.3g}, {gain:.3g} above that of the"
+            f"the mean return of the last quarter of {subject} is {last:.3g}, {gain:.3g} above that of the"
             " first half"
         )
         return {

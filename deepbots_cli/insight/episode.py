@@ -41,7 +41,7 @@ def explain(trace: Trace) -> list[Statement]:
 def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str, Any]:
     """Return the explanation as a dictionary, in SI units; `margin` is the distance of the value beyond the
     bound."""
-    evidence_by_cause = {each.cause: each.evidence for each in statements}
+    evidence_by_cause = {entry.cause: entry.evidence for entry in statements}
     limit, drop = evidence_by_cause.get("truncation_limit"), evidence_by_cause.get("critic")
     return {
         "episode": trace.title,
@@ -75,9 +75,9 @@ _WORDS = {"success": "succeeded", "failure": "failed", "time limit": "reached it
 def ending(trace: Trace) -> Numbers | None:
     if trace.outcome not in _WORDS:
         return None
-    of = f" (agent {trace.agent})" if trace.agent else ""
+    suffix = f" (agent {trace.agent})" if trace.agent else ""
     return {
-        "what": f"{trace.title[0].upper()}{trace.title[1:]}{of}",
+        "what": f"{trace.title[0].upper()}{trace.title[1:]}{suffix}",
         "outcome": _WORDS[trace.outcome],
         "ending": trace.ended_by or "",
         "steps": trace.steps,
@@ -110,7 +110,7 @@ def margin(trace: Trace) -> Numbers | None:
     if end is None or end.margin is None or end.bound is None:
         return None
     value, bound = end.condition.sides
-    named = f" ({bound})" if not bound[:1].isdigit() else ""
+    suffix = f" ({bound})" if not bound[:1].isdigit() else ""
     if end.value > end.bound:
         where = "over"
     elif end.value < end.bound:
@@ -121,7 +121,7 @@ def margin(trace: Trace) -> Numbers | None:
         **end.as_json(),
         "side": value,
         "shown": _shown(trace, end.condition, end.value),
-        "limit": _shown(trace, end.condition, end.bound) + named,
+        "limit": _shown(trace, end.condition, end.bound) + suffix,
         "by": _shown(trace, end.condition, abs(end.margin), 3),
         "where": where,
     }
@@ -170,7 +170,7 @@ def approach(trace: Trace) -> Numbers | None:
         return None
     leaf = trace.end.condition
     past = [measure(leaf, values) for values in trace.values]
-    margins = [each.margin for each in past if each.margin is not None]
+    margins = [comparison.margin for comparison in past if comparison.margin is not None]
     start = len(margins) - 1
     while start > 0 and margins[start - 1] < margins[start]:
         start -= 1
@@ -202,14 +202,14 @@ def nearest(trace: Trace) -> Numbers | None:
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, moment = nearest_moment(trace, leaf, () if never else beside)
     limit, value = (_shown(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
-    others = "" if never or fewest > 1 else "while the other conditions were true, "
+    prefix = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
         needed = f"{leaf.sides[0]} {SIGN_OF_OPERATOR[leaf.operator]} {limit}"
-        best = f"{others}the nearest value was {value}"
+        best = f"{prefix}the nearest value was {value}"
     else:
         needed = f"`{leaf.text}` {'false' if negated else 'true'}"
-        best = f"{others}it was {'true' if negated else 'false'}"
+        best = f"{prefix}it was {'true' if negated else 'false'}"
     return {
         **moment.as_json(),
         "ending": name,
@@ -389,12 +389,12 @@ def choices(trace: Trace) -> Numbers | None:
 
 @statement("further_endings", "Further endings that were also true in step {step} ({count}): {names}.")
 def further_endings(trace: Trace) -> Numbers | None:
-    held = [
+    names = [
         name
         for name, condition in trace.instrumented.conditions.items()
         if condition is not None and holds(condition, trace.values[-1])
     ]
-    also = [name for name in held if name not in (trace.ended_by, "goal_reached")]
+    also = [name for name in names if name not in (trace.ended_by, "goal_reached")]
     return (
         {"names": list_text(also, len(also)), "count": len(also), "step": trace.steps}
         if also and trace.end is not None

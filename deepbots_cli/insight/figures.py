@@ -157,8 +157,8 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     by_term = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
     sizes = np.array(
         [
-            np.mean([np.interp(at, steps, np.abs(values)) for steps, values in each], axis=0)
-            for each in by_term
+            np.mean([np.interp(at, steps, np.abs(values)) for steps, values in term_curves], axis=0)
+            for term_curves in by_term
         ]
     )
     figure, ((panel,),) = new_figure(theme, 2.9)
@@ -254,10 +254,14 @@ def trajectories(
     The first part is drawn as a line, others and moving targets in dots, a target that stands still as a
     star. `fixed` are the outlines of objects that stand still.
     """
-    tracks = [each.positions[part] for each in shown for part in moving.parts if part in each.positions]
+    tracks = [
+        episode.positions[part] for episode in shown for part in moving.parts if part in episode.positions
+    ]
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
     side = int(spans[1] > spans[0])  # the horizontal axis in the view from the side
-    targets = [each.positions[part] for each in shown for part in moving.targets if part in each.positions]
+    targets = [
+        episode.positions[part] for episode in shown for part in moving.targets if part in episode.positions
+    ]
     climbs = bool(spans[2] > _MIN_CLIMB * spans[side])
     if not climbs and spans[1 - side] < _MIN_WIDTH * spans[side]:
         return _over_time(shown, moving, side, world.timestep, theme)
@@ -316,10 +320,16 @@ def _draw_episodes(
     theme: str,
 ) -> None:
     """Draw all episodes, those with a label above the others."""
-    labeled = [each for each in shown if each.label]
-    for each in [*(each for each in shown if not each.label), *labeled]:
+    labeled = [episode for episode in shown if episode.label]
+    for episode in [*(episode for episode in shown if not episode.label), *labeled]:
         _draw_episode(
-            panel, plane, each, moving, COLORS[labeled.index(each) if each.label else 6], timestep, theme
+            panel,
+            plane,
+            episode,
+            moving,
+            COLORS[labeled.index(episode) if episode.label else 6],
+            timestep,
+            theme,
         )
 
 

@@ -498,16 +498,16 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
     models = {body.name: body.model for body in scenario.world.robots}
     for robot in scenario.robots:
         model = models[robot.name]
-        named = [actuator.link for actuator in robot.actuators if isinstance(actuator, Cartesian)]
-        named += [
+        robot_links = [actuator.link for actuator in robot.actuators if isinstance(actuator, Cartesian)]
+        robot_links += [
             link
             for sensor in robot.sensors
             if sensor.kind == "position"
             for link in sensor.subjects
             if link != model.root
         ]
-        if not named:
-            placed = [
+        if not robot_links:
+            moved_joints = [
                 model.joint(joint)
                 for start in scenario.reset.joint_starts
                 if start.robot == robot.name
@@ -515,8 +515,10 @@ def end_links(scenario: Program) -> list[tuple[str, str]]:
             ]
             parents = {joint.parent for joint in model.joints}
             leaves = [link.name for link in model.links if link.name not in parents]
-            named = [leaf for leaf in leaves if any(joint_moves_link(model, joint, leaf) for joint in placed)]
-        links += [(robot.name, link) for link in dict.fromkeys(named)]
+            robot_links = [
+                leaf for leaf in leaves if any(joint_moves_link(model, joint, leaf) for joint in moved_joints)
+            ]
+        links += [(robot.name, link) for link in dict.fromkeys(robot_links)]
     return links
 
 
@@ -645,10 +647,10 @@ def _signals(scenario: Program, root: Node) -> list[Row]:
 
 def _observation(scenario: Program) -> list[Row]:
     """Return a row per observed number; with histories, with its age in steps before the last one."""
-    seen = [(scenario.agent.numbers[index], ago) for index, ago in scenario.agent.seen]
-    remembers = any(ago for _, ago in seen)
+    entries = [(scenario.agent.numbers[index], ago) for index, ago in scenario.agent.seen]
+    remembers = any(ago for _, ago in entries)
     rows: list[Row] = []
-    for index, (entry, ago) in enumerate(seen):
+    for index, (entry, ago) in enumerate(entries):
         row: dict[str, object] = {
             "index": index,
             "name": entry.full_name,

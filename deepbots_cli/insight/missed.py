@@ -94,36 +94,36 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
     if len(missed) < _MIN_EPISODES:
         return None
     ending = Counter(name for _, name, _ in missed).most_common(1)[0][0]
-    mine = [(trace, _without_clocks(leaves)) for trace, name, leaves in missed if name == ending]
-    leaves = mine[0][1]
-    if len(leaves) < 2 or len(mine) < _MIN_EPISODES:
+    pairs = [(trace, _without_clocks(leaves)) for trace, name, leaves in missed if name == ending]
+    leaves = pairs[0][1]
+    if len(leaves) < 2 or len(pairs) < _MIN_EPISODES:
         return None
     counts = [
-        [sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in mine
+        [sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in pairs
     ]
     worst = Counter(row.index(min(row)) for row in counts)
     place, episodes = worst.most_common(1)[0]
-    moments = sum(len(trace.values) for trace, _ in mine)
+    moments = sum(len(trace.values) for trace, _ in pairs)
     totals = [sum(row[k] for row in counts) for k in range(len(leaves))]
     others = {
         leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != place
     }
     fewest = min(others.values(), default=0)
-    if episodes < _COMMON * len(mine) or fewest < _OFTEN * moments or totals[place] > _SELDOM * fewest:
+    if episodes < _COMMON * len(pairs) or fewest < _OFTEN * moments or totals[place] > _SELDOM * fewest:
         return None
     leaf = leaves[place]
-    values = [nearest_moment(trace, leaf)[1] for trace, _ in mine]
-    bounds = [each.bound for each in values if each.bound is not None]
+    values = [nearest_moment(trace, leaf)[1] for trace, _ in pairs]
+    bounds = [comparison.bound for comparison in values if comparison.bound is not None]
     return MissedCondition(
         ending=ending,
         condition=leaf,
         true=totals[place],
         moments=moments,
-        nearest=median(each.value for each in values) if bounds else None,
+        nearest=median(comparison.value for comparison in values) if bounds else None,
         bound=median(bounds) if bounds else None,
         others=others,
         episodes=episodes,
-        of=len(mine),
+        of=len(pairs),
     )
 
 
@@ -149,7 +149,7 @@ def missed_condition(evidence: TrainingEvidence) -> Numbers | None:
     leaf, unit = miss.condition, evidence.facts.units.of(miss.condition.unit, *reversed(miss.condition.sides))
     near = ""
     if miss.nearest is not None and miss.bound is not None:
-        value, bound = (quantity_text(each, unit, 3) for each in (miss.nearest, miss.bound))
+        value, bound = (quantity_text(number, unit, 3) for number in (miss.nearest, miss.bound))
         near = f"; the nearest value is {value} in the median, and the threshold {bound}"
     terms = evidence.facts.terms_about(leaf.text)
     aim = (

@@ -64,8 +64,8 @@ def _spans(evidence: TrainingEvidence) -> dict[str, tuple[float, float]]:
     """
     if evidence.probe_moments < 2 * MIN_EPISODES:
         return {}
-    seen = np.concatenate([trace.observations for trace in evidence.probes])
-    spans = zip(np.ptp(seen, axis=0), seen[0], strict=True)
+    rows = np.concatenate([trace.observations for trace in evidence.probes])
+    spans = zip(np.ptp(rows, axis=0), rows[0], strict=True)
     return {
         number.full_name: (float(span), float(first))
         for number, (span, first) in zip(evidence.program.agent.numbers, spans, strict=True)
@@ -75,7 +75,7 @@ def _spans(evidence: TrainingEvidence) -> dict[str, tuple[float, float]]:
 
 def _unscaled(evidence: TrainingEvidence, name: str, value: float) -> str:
     """Return a number of the observation, from -1 to 1, as the value that it represents."""
-    number = next(each for each in evidence.program.agent.numbers if each.full_name == name)
+    number = next(entry for entry in evidence.program.agent.numbers if entry.full_name == name)
     if number.is_truth:
         return "true" if value else "false"
     return evidence.facts.range_text(number, number.low + (value + 1) / 2 * (number.high - number.low))

@@ -155,14 +155,14 @@ def scored(program: Program, readings: Sequence[Reading]) -> tuple[Program, list
     rewards = tuple(term for term in program.agent.reward if f"reward.{term.name}" not in dropped)
     if not rewards:
         rewards = (replace(program.agent.reward[0], lowered=(Const(0.0),)),)
-    kept = tuple(ending for ending in program.endings if f"termination.{ending.name}" not in dropped)
-    names = {ending.name for ending in kept}
+    endings = tuple(ending for ending in program.endings if f"termination.{ending.name}" not in dropped)
+    names = {ending.name for ending in endings}
     program = program.with_agents(
         reward=rewards,
         success=tuple(name for name in program.agent.success if name in names),
     )
     notes = [f"{name} is left out: nothing measures {_listed(lacking)}" for name, lacking in dropped.items()]
-    return replace(program, endings=kept), notes
+    return replace(program, endings=endings), notes
 
 
 def _listed(names: Sequence[str], most: int = 3) -> str:
@@ -199,10 +199,10 @@ class MeasuredWorld(EngineProxy):
         name = f"{body}.{link}" if link else body
         return self._roots.get(name, name)
 
-    def _vector(self, function: str, name: str, own: Sequence[float]) -> Any:
+    def _vector(self, function: str, name: str, numbers: Sequence[float]) -> Any:
         return tuple(
             self.facts.get((function, (name,), part), number)
-            for part, number in zip(_XYZW, own, strict=False)
+            for part, number in zip(_XYZW, numbers, strict=False)
         )
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
@@ -238,7 +238,8 @@ class MeasuredWorld(EngineProxy):
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         read, names = super().joint_torques(robot, joints), [(f"{robot}.{joint}",) for joint in joints]
         return lambda: [
-            self.facts.get(("joint_torque", name, None), own) for name, own in zip(names, read(), strict=True)
+            self.facts.get(("joint_torque", name, None), torque)
+            for name, torque in zip(names, read(), strict=True)
         ]
 
     def contact(
@@ -494,9 +495,9 @@ def try_robot(
     """
     bare = robot_program(program)
     readings = sent_readings(bare)
-    kept, notes = scored(bare, readings)
+    scored_program, notes = scored(bare, readings)
     topics = mapping(program)
-    player = RobotEpisodes(kept, readings, engine=engine, permissions=permissions)
+    player = RobotEpisodes(scored_program, readings, engine=engine, permissions=permissions)
     with closing(player.environment):
         driver = make_driver(player.environment)
         outputs = outputs_of_entries(player.outputs)
@@ -507,7 +508,7 @@ def try_robot(
             receives = mapped([field_of(reading.info) for reading in readings], topics)
             sends = [
                 action_field(len(program.agent.choices) or len(program.agent.range_names)),
-                *mapped([each.field for each in outputs], topics, commands=True),
+                *mapped([entry.field for entry in outputs], topics, commands=True),
             ]
             about = About(
                 "policy",

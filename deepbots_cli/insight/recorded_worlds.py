@@ -112,12 +112,12 @@ class Column(NamedTuple):
 
 def columns_of(watch: InstrumentedProgram) -> list[Column]:
     """Return the columns of the values that `Recorder` keeps."""
-    kept = _kept(watch)
+    signals = _kept(watch)
     return [
         *(
-            Column(each.full_name, each.unit.removeprefix("1"))
-            for each in watch.program.agent.numbers
-            if each.name in kept
+            Column(number.full_name, number.unit.removeprefix("1"))
+            for number in watch.program.agent.numbers
+            if number.name in signals
         ),
         *(Column(f"{REWARD}{term.name}", "") for term in watch.program.agent.reward),
     ]
@@ -126,7 +126,7 @@ def columns_of(watch: InstrumentedProgram) -> list[Column]:
 def _kept(watch: InstrumentedProgram) -> dict[str, str]:
     """Return the kept value of each entry of the observation, without the previous action, which does not
     describe a world."""
-    return {name: kept for name, kept in watch.observed_signals.items() if name != "previous_action"}
+    return {name: signal for name, signal in watch.observed_signals.items() if name != "previous_action"}
 
 
 class Recorder(gym.Wrapper[Any, Any, Any, Any]):
@@ -241,10 +241,10 @@ class ValueComparison:
         self._base = self._errors(self._here)
         self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
 
-    def _small_until(self, mine: Array, other: Array) -> int:
+    def _small_until(self, here: Array, there: Array) -> int:
         """Return the moments before the differences have grown, and a few more."""
-        length = min(len(mine), len(other))
-        large = (np.abs(mine[:length] - other[:length]) > _GROWN * self._width).any(axis=1)
+        length = min(len(here), len(there))
+        large = (np.abs(here[:length] - there[:length]) > _GROWN * self._width).any(axis=1)
         return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
 
     def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
@@ -254,13 +254,13 @@ class ValueComparison:
         `until` is the number of moments of each episode; by default all that both worlds have.
         """
         squares = []
-        for mine, other, usual, most in zip(
+        for candidate, there, usual, most in zip(
             values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
         ):
-            length = min(len(usual), len(other), most)
-            both = min(length, len(mine))
-            squares.append(np.minimum(((mine[:both] - other[:both]) / self._width) ** 2, 1.0))
-            squares.append(np.ones((length - both, len(self._width))))  # an episode that ended too early
+            length = min(len(usual), len(there), most)
+            count = min(length, len(candidate))
+            squares.append(np.minimum(((candidate[:count] - there[:count]) / self._width) ** 2, 1.0))
+            squares.append(np.ones((length - count, len(self._width))))  # an episode that ended too early
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
     def explained(self, values: Sequence[Array]) -> float:
@@ -273,7 +273,10 @@ class ValueComparison:
         """
         shares = []
         for until in (None, self._early):
-            base, left = (self._errors(each, until)[self._numbers].sum() for each in (self._here, values))
+            base, left = (
+                self._errors(world_values, until)[self._numbers].sum()
+                for world_values in (self._here, values)
+            )
             shares.append(1.0 - left / base if base else 0.0)
         return float(np.mean(shares))
 
@@ -300,26 +303,26 @@ class ValueComparison:
         )
         return sum(map(self._apart, effects, others)) <= _SAME * size
 
-    def _apart(self, one: Sequence[Array], other: Sequence[Array]) -> float:
-        return sum(float(np.square(off).sum()) for off in map(self._off, one, other))
+    def _apart(self, first: Sequence[Array], second: Sequence[Array]) -> float:
+        return sum(float(np.square(off).sum()) for off in map(self._off, first, second))
 
-    def _off(self, mine: Array, other: Array) -> Array:
+    def _off(self, first: Array, second: Array) -> Array:
         """Return the difference of the numbers of an episode in widths, 1 at most, and 0 where one of both
         worlds has ended."""
-        both = min(len(mine), len(other))
-        off = np.clip((other[:both] - mine[:both]) / self._width, -1.0, 1.0)[:, self._numbers]
-        return np.pad(off, ((0, max(len(mine), len(other)) - both), (0, 0)))
+        count = min(len(first), len(second))
+        off = np.clip((second[:count] - first[:count]) / self._width, -1.0, 1.0)[:, self._numbers]
+        return np.pad(off, ((0, max(len(first), len(second)) - count), (0, 0)))
 
     def part(self) -> ValueComparison:
         """Return the comparison of a few episodes, those with the largest differences, until these have
         grown, and of a few steps."""
         apart = [
-            np.square((mine[:early] - other[:early]) / self._width)[:, self._numbers].mean()
-            for mine, other, early in self._pairs()
+            np.square((here[:early] - there[:early]) / self._width)[:, self._numbers].mean()
+            for here, there, early in self._pairs()
         ]
-        chosen = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
+        numbers = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
         recorded, repeated = [], []
-        for number in chosen:
+        for number in numbers:
             length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
             start, actions, values = self.recorded[number]
             recorded.append(RecordedEpisode(start, actions[: length - 1], values[:length]))
@@ -336,10 +339,11 @@ class ValueComparison:
         rows = []
         for place, column in enumerate(self._columns):
             first: tuple[int, int] | None = None
-            for number, (mine, other) in enumerate(zip(self._here, self._there, strict=True)):
-                length = min(len(mine), len(other))
+            for number, (values_here, values_there) in enumerate(zip(self._here, self._there, strict=True)):
+                length = min(len(values_here), len(values_there))
                 off = np.flatnonzero(
-                    np.abs(mine[:length, place] - other[:length, place]) > _THRESHOLD * self._width[place]
+                    np.abs(values_here[:length, place] - values_there[:length, place])
+                    > _THRESHOLD * self._width[place]
                 )
                 if len(off) and (first is None or off[0] < first[1]):
                     first = number, int(off[0])
@@ -352,7 +356,7 @@ class ValueComparison:
                         column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))
                     )
                 )
-        return sorted(rows, key=lambda each: (each.step, -each.share))
+        return sorted(rows, key=lambda row: (row.step, -row.share))
 
     def measured_causes(self) -> Iterator[Effect]:
         """Yield errors of measured numbers: all that are exact, together, since each explains only its own
@@ -381,10 +385,10 @@ class ValueComparison:
     def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
         """Return the change of a number after which hardly a difference is left: in words, its age in steps,
         and the number."""
-        column, mine = self._columns[place], [values[:, place] for values in self._here]
+        column, series = self._columns[place], [values[:, place] for values in self._here]
         pairs = [
             (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
-            for a, b in zip(mine, self._there, strict=True)
+            for a, b in zip(series, self._there, strict=True)
         ]
         x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
         tried: list[tuple[str, int, list[Array]]] = []
@@ -397,13 +401,13 @@ class ValueComparison:
                 words = f"is {exact}"
             else:
                 words = f"is multiplied by {factor:.3g}"
-            tried.append((f"{column.name} {words}", 0, [factor * values for values in mine]))
+            tried.append((f"{column.name} {words}", 0, [factor * values for values in series]))
             offset = float(np.mean(y - x))
             tried.append(
                 (
                     f"{column.name} is larger by {offset:.3g}{column.unit and ' ' + column.unit}",
                     0,
-                    [values + offset for values in mine],
+                    [values + offset for values in series],
                 )
             )
         for other in self._numbers:
@@ -422,7 +426,7 @@ class ValueComparison:
                     age,
                     [
                         np.concatenate([values[:1].repeat(age), values[:-age]])[: len(values)]
-                        for values in mine
+                        for values in series
                     ],
                 )
             )
@@ -432,9 +436,9 @@ class ValueComparison:
 
     def _left(self, place: int, replaced: Sequence[Array]) -> float:
         squares = []
-        for mine, other in zip(replaced, self._there, strict=True):
-            length = min(len(mine), len(other))
+        for candidate, there in zip(replaced, self._there, strict=True):
+            length = min(len(candidate), len(there))
             squares.append(
-                np.minimum(((mine[:length] - other[:length, place]) / self._width[place]) ** 2, 1.0)
+                np.minimum(((candidate[:length] - there[:length, place]) / self._width[place]) ** 2, 1.0)
             )
         return float(np.mean(np.concatenate(squares)))

@@ -189,7 +189,7 @@ class Report:
     def __post_init__(self) -> None:
         try:
             self.agents = [
-                ReportAgent(member, [plots.read_agent_log(each.run.path, member) for each in self.runs])
+                ReportAgent(member, [plots.read_agent_log(entry.run.path, member) for entry in self.runs])
                 for member in self.runs[0].run.program.members.values()
             ]
         except RunError as error:
@@ -250,14 +250,19 @@ class Report:
         evaluations = [member.evaluation for member in self.runs]
         if self.attempts or folder_kind(self.path) is not SourceKind.GROUP:
             return self.runs[0].verdict.text
-        text = "mean return " + _seed_statistics("{:.4g}", [each.mean_return for each in evaluations])
-        rates = [each.success_rate for each in evaluations if each.success_rate is not None]
+        text = "mean return " + _seed_statistics(
+            "{:.4g}", [evaluation.mean_return for evaluation in evaluations]
+        )
+        rates = [evaluation.success_rate for evaluation in evaluations if evaluation.success_rate is not None]
         if len(rates) == len(evaluations):
             text += ", success rate " + _seed_statistics("{:.1%}", rates, (0.0, 1.0))
         answers = [member.verdict.solved for member in self.runs]
         solved = f"; {answers.count(True)} solved" if None not in answers else ""
-        remarks = in_parentheses(words for each in evaluations for words in each.remarks)
-        fewest, most = min(each.episodes for each in evaluations), max(each.episodes for each in evaluations)
+        remarks = in_parentheses(words for evaluation in evaluations for words in evaluation.remarks)
+        fewest, most = (
+            min(evaluation.episodes for evaluation in evaluations),
+            max(evaluation.episodes for evaluation in evaluations),
+        )
         counts = f"{most:,}" if fewest == most else f"{fewest:,} to {most:,}"
         seeds = counted(len(evaluations), "seed")
         return f"{text}, over {seeds} with {counts} held-out episodes each{remarks}{solved}"
@@ -295,19 +300,22 @@ class Report:
     def choose_episodes(self, count: int = _MAX_TRACED_EPISODES) -> list[ReportEpisode]:
         """Choose episodes at equal distances in the order of their returns. The first, the middle and the
         last have a label."""
-        every = [
+        episodes = [
             ReportEpisode(member, number)
             for member in self.runs
             for number in range(len(member.evaluation.outcomes))
         ]
-        every.sort(key=lambda shown: -shown.outcome.total_return)
-        places, middle = {round(place) for place in np.linspace(0, len(every) - 1, count)}, len(every) // 2
+        episodes.sort(key=lambda shown: -shown.outcome.total_return)
+        places, middle = (
+            {round(place) for place in np.linspace(0, len(episodes) - 1, count)},
+            len(episodes) // 2,
+        )
         if middle not in places:
             places.remove(min(places, key=lambda place: abs(place - middle)))
             places.add(middle)
-        labels = dict(zip((len(every) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
+        labels = dict(zip((len(episodes) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
         return [
-            ReportEpisode(every[place].run, every[place].number, labels.get(place, ""))
+            ReportEpisode(episodes[place].run, episodes[place].number, labels.get(place, ""))
             for place in sorted(places)
         ]
 
@@ -321,35 +329,35 @@ class Report:
     ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
         self.episodes = shown
-        ordered = sorted(shown, key=lambda each: self.runs.index(each.run))
-        for member, mine in groupby(ordered, lambda each: each.run):
+        ordered = sorted(shown, key=lambda episode: self.runs.index(episode.run))
+        for member, group in groupby(ordered, lambda episode: episode.run):
             shown_run = Showing(
                 str(member.run.path), engine=member.evaluation.engine, permissions=permissions
             )
             with closing(open_player(shown_run.open())) as player:
-                for each in mine:
-                    frames = player.episode(member.evaluation.seed, each.number)
+                for episode in group:
+                    frames = player.episode(member.evaluation.seed, episode.number)
                     first = next(frames)
-                    each.positions = trajectories.read_positions(
+                    episode.positions = trajectories.read_positions(
                         player.reader.layout,
-                        chain((first,), _recording_actions(player, frames, each.actions)),
+                        chain((first,), _recording_actions(player, frames, episode.actions)),
                     )
-                    each.end_poses = (first.links, player.frame.links)
+                    episode.end_poses = (first.links, player.frame.links)
                     again = fmean(agent.episode_return for agent in player.frame.agents.values())
-                    if abs(again - each.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
+                    if abs(again - episode.outcome.total_return) > 1e-6 * max(1.0, abs(again)):
                         self.notes.append(
-                            f"episode {each.number} of seed {member.run.record.seed} has the return"
+                            f"episode {episode.number} of seed {member.run.record.seed} has the return"
                             f" {again:.4g} when it is run again, but "
-                            f"{each.outcome.total_return:.4g} in the evaluation: the versions or the machine"
-                            " differ; "
+                            f"{episode.outcome.total_return:.4g} in the evaluation: the versions or the"
+                            " machine differ; "
                             "the path and the clip show the new episode"
                         )
-                    if clips and each.label:
-                        self._film(player, each)
-                    on_episode(ordered.index(each) + 1, len(shown))
+                    if clips and episode.label:
+                        self._film(player, episode)
+                    on_episode(ordered.index(episode) + 1, len(shown))
         self.outlines = _standing(player, shown)
         self.moving = trajectories.find_moving(
-            player.program, player.env.world, [each.positions for each in shown]
+            player.program, player.env.world, [episode.positions for episode in shown]
         )
 
     def _film(self, player: Player, shown: ReportEpisode) -> None:
@@ -415,9 +423,9 @@ class Report:
             "Share of each reward term: absolute value of its sum over an episode, relative to all terms."
         )
         yield "shares", shares, figures.shares(agent.logs, theme)
-        taken = [action for episode in self.episodes for action in episode.actions]
+        actions = [action for episode in self.episodes for action in episode.actions]
         caption = f"What the policy does in {len(self.episodes)} evaluation episodes; numbers from -1 to 1."
-        yield "actions", caption, figures.actions(agent.member, taken, theme)
+        yield "actions", caption, figures.actions(agent.member, actions, theme)
 
     @property
     def units(self) -> ShownUnits:
@@ -616,7 +624,7 @@ def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Tripl
     """Return the outlines of objects that have one form, and one place in all these episodes."""
     outlines = []
     for thing in player.env.world.objects:
-        poses = {links.get((thing.name, thing.name)) for each in shown for links in each.end_poses}
+        poses = {links.get((thing.name, thing.name)) for episode in shown for links in episode.end_poses}
         pose = poses.pop() if len(poses) == 1 else None
         if pose is not None and not thing.variants:
             outlines.append(figures.outline(thing.shape, pose))

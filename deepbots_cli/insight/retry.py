@@ -276,13 +276,16 @@ class _Retries:
         )
 
 
-def _is_worse(verdict: RunVerdict, other: RunVerdict) -> bool:
+def _is_worse(verdict: RunVerdict, best_verdict: RunVerdict) -> bool:
     """Return whether an evaluation is clearly worse: the intervals of success rate, or else of mean return,
     do not overlap."""
-    one, best = verdict.evaluation, other.evaluation
-    if one is None or best is None:
-        return one is None
-    pairs = ((one.success_interval, best.success_interval), (one.return_interval, best.return_interval))
+    evaluation, best = verdict.evaluation, best_verdict.evaluation
+    if evaluation is None or best is None:
+        return evaluation is None
+    pairs = (
+        (evaluation.success_interval, best.success_interval),
+        (evaluation.return_interval, best.return_interval),
+    )
     interval, higher = next(
         ((a, b) for a, b in pairs if a is not None and b is not None and a != b), (None, None)
     )

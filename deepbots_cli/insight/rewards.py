@@ -37,7 +37,7 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
     whole = sum(map(abs, sums.values()))
     if len(sums) < 2 or not whole:
         return None
-    name = max(sums, key=lambda each: abs(sums[each]))
+    name = max(sums, key=lambda term: abs(sums[term]))
     share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in evidence.random if trace.steps)
     others = [
@@ -73,18 +73,18 @@ def reward_exploited(evidence: TrainingEvidence) -> Numbers | None:
         return None
     terms = _term_means(evidence)
     extra = {name: value - example.terms.get(name, 0.0) for name, value in terms.items()}
-    term = max(extra, key=lambda each: extra[each], default="")
-    paying, named = "", "the term that pays for it"
+    term = max(extra, key=lambda name: extra[name], default="")
+    paying, term_text = "", "the term that pays for it"
     if term and extra[term] > 0:
-        named = f"'{term}'"
+        term_text = f"'{term}'"
         paying = (
-            f" {named} pays most of the difference: {terms[term]:.3g} per episode, and"
+            f" {term_text} pays most of the difference: {terms[term]:.3g} per episode, and"
             f" {example.terms.get(term, 0.0):.3g}"
         )
         paying += f" in {example.episode}."
-    once = f"Let {named} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
+    once = f"Let {term_text} pay once, or only for a change (`delta(...)`), or end the episode where it pays"
     if term and evidence.facts.is_progress(term):
-        once = f"Scale {named} down"
+        once = f"Scale {term_text} down"
     aimed = SuccessRate(example.successes)
     return {
         "likelihood": 0.929,  # behind the causes that name what the policy does instead
@@ -174,18 +174,22 @@ def _policy_outcomes(evidence: TrainingEvidence) -> list[_Outcome]:
     """Return the results of the policy at the end of the training: without exploration, with exploration, and
     of the kept model."""
     begin = evidence.first_step + 0.75 * evidence.stage_steps
-    late = [each for each in evidence.evaluations if "steps" in each and each["steps"] > begin]
-    returns = [float(value) for each in late for value in each["returns"]]
-    successes = [float(value) for each in late for value in each["successes"]]
+    late = [
+        evaluation
+        for evaluation in evidence.evaluations
+        if "steps" in evaluation and evaluation["steps"] > begin
+    ]
+    returns = [float(value) for evaluation in late for value in evaluation["returns"]]
+    successes = [float(value) for evaluation in late for value in evaluation["successes"]]
     episodes = evidence.episodes_between(0.75, 1.0)[-100:]
-    kept = evidence.final_episodes if evidence.is_last_stage else ()
+    final = evidence.final_episodes if evidence.is_last_stage else ()
     outcomes = [
         _Outcome("its last evaluations", returns, successes),
         _Outcome("the last episodes of the training", episodes.returns, episodes.successes),
         _Outcome(
             "the evaluation of the kept model",
-            [each.total_return for each in kept],
-            [float(each.is_success) for each in kept],
+            [episode.total_return for episode in final],
+            [float(episode.is_success) for episode in final],
         ),
     ]
     return [outcome for outcome in outcomes if len(outcome.returns) >= MIN_EPISODES]
@@ -269,19 +273,19 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
         return None
     curves = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
     ends = {
-        each: (
+        term: (
             float(curve[: max(1, len(curve) // 20)].mean()),
             float(curve[-max(1, len(curve) // 4) :].mean()),
         )
-        for each, curve in curves.items()
+        for term, curve in curves.items()
         if len(curve)
     }
-    saved = {each: after - start for each, (start, after) in ends.items() if start < after <= 0}
+    saved = {term: after - start for term, (start, after) in ends.items() if start < after <= 0}
     if sum(saved.values()) < 0.5 * gain:  # what it does in these steps pays, such as coming nearer
         return None
-    largest = sorted(saved, key=lambda each: -saved[each])
+    largest = sorted(saved, key=lambda term: -saved[term])
     costs = list_text(
-        [f"'{each}' went from {ends[each][0]:.3g} to {ends[each][1]:.3g} per episode" for each in largest]
+        [f"'{term}' went from {ends[term][0]:.3g} to {ends[term][1]:.3g} per episode" for term in largest]
     )
     return {
         "sooner": f" '{name}' ends {Percentage(count / len(late)):.0%} of them after {now:.0f} steps on"
@@ -289,7 +293,7 @@ def _fails_sooner(evidence: TrainingEvidence) -> dict[str, Any] | None:
         f" of the training lasted {before:.0f}.",
         "saving": f" The shorter episodes save costs: {costs}.",
         "ending": name,
-        "terms": {each: {"early": start, "late": after} for each, (start, after) in ends.items()},
+        "terms": {term: {"early": start, "late": after} for term, (start, after) in ends.items()},
     }
 
 
@@ -342,10 +346,10 @@ def standing_still_pays(evidence: TrainingEvidence) -> Numbers | None:
         or still < 0.8 * policy
     ):
         return None
-    own = [term for term in evidence.facts.terms_towards_success if evidence.facts.is_progress(term)]
+    terms = [term for term in evidence.facts.terms_towards_success if evidence.facts.is_progress(term)]
     progress = "Reward progress towards success (such as the change of a distance)"
-    if own:
-        names = list_text([f"'{term}'" for term in own])
+    if terms:
+        names = list_text([f"'{term}'" for term in terms])
         progress = f"Raise {names}, which already rewards progress, until it earns more than standing still"
     return {
         "likelihood": 0.93,
@@ -394,7 +398,7 @@ def loitering(evidence: TrainingEvidence) -> Numbers | None:
     ):
         return None
     name, longest = (
-        max(paid, key=lambda each: paid[each]),
+        max(paid, key=lambda term: paid[term]),
         evidence.program.truncation.max_episode_steps(evidence.program.period),
     )
     stayed = float(late.returns[at_limit].mean())
@@ -432,9 +436,9 @@ def _stays_near(trace: Trace) -> bool:
         for outer in comparisons_in(condition) if condition is not None else ():
             for leaf in comparisons_in(outer.lasting) if outer.lasting is not None else (outer,):
                 past = [measure(leaf, values) for values in trace.values]
-                half, missing = past[len(past) // 2 :], [-(each.margin or 0.0) for each in past]
+                half, missing = past[len(past) // 2 :], [-(comparison.margin or 0.0) for comparison in past]
                 nearer = leaf.bound is not None and np.median(missing[len(past) // 2 :]) <= 0.35 * missing[0]
-                if not past[0].holds and (nearer or np.mean([each.holds for each in half]) >= 0.25):
+                if not past[0].holds and (nearer or np.mean([moment.holds for moment in half]) >= 0.25):
                     return True
     return False
 
@@ -500,7 +504,7 @@ def rising_term(evidence: TrainingEvidence) -> tuple[str, float, float] | None:
         if len(curve := evidence.curve(f"reward/{term.name}")):
             quarter = max(1, len(curve) // 4)
             ends.append((term.name, float(curve[:quarter].mean()), float(curve[-quarter:].mean())))
-    rising = max(ends, key=lambda each: each[2] - each[1], default=None)
+    rising = max(ends, key=lambda end: end[2] - end[1], default=None)
     return rising if rising is not None and rising[2] > rising[1] else None
 
 
@@ -525,10 +529,10 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         or not evidence.is_last_stage
     ):
         return None
-    what, returns = "late episodes of the training", late.returns
+    sample, returns = "late episodes of the training", late.returns
     if len(evidence.final_episodes) >= MIN_EPISODES:
-        what = "episodes of the evaluation"
-        returns = np.array([each.total_return for each in evidence.final_episodes])
+        sample = "episodes of the evaluation"
+        returns = np.array([episode.total_return for episode in evidence.final_episodes])
     mean, low, high = float(returns.mean()), float(returns.min()), float(returns.max())
     if (
         mean <= 0
@@ -570,7 +574,7 @@ def return_at_ceiling(evidence: TrainingEvidence) -> Numbers | None:
         "high": high,
         "most": most,
         "episodes": len(returns),
-        "what": what,
+        "what": sample,
         "bound": bound if bound < np.inf else None,
         "required": required,
         "bounded": f" The reward allows at most {bound:.4g} in {steps:,} steps." if is_near else "",
@@ -584,7 +588,9 @@ def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
     training's own episodes."""
     half = evidence.first_step + 0.5 * evidence.stage_steps
     done = [
-        fmean(each["returns"]) for each in evidence.evaluations if "steps" in each and each["steps"] >= half
+        fmean(evaluation["returns"])
+        for evaluation in evidence.evaluations
+        if "steps" in evaluation and evaluation["steps"] >= half
     ]
     if len(done) >= _FLAT_EVALUATIONS:
         return max(abs(value - mean) for value in done) <= 2 * _CEILING * mean

@@ -67,20 +67,20 @@ def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
     quarters = np.array_split(np.arange(len(evidence.all_episodes.steps)), 4)
     if min(map(len, quarters)) < MIN_EPISODES:
         return None
-    own = [float(evidence.all_episodes.successes[quarter].mean()) for quarter in quarters]
-    best = int(np.argmax(own[:-1]))
+    rates = [float(evidence.all_episodes.successes[quarter].mean()) for quarter in quarters]
+    best = int(np.argmax(rates[:-1]))
     for name, successes in evidence.rivals.items():
-        other = [float(successes[quarter].mean()) for quarter in quarters]
-        if own[best] - own[-1] >= _CHANGE and other[-1] - other[best] >= _CHANGE:
+        rival_rates = [float(successes[quarter].mean()) for quarter in quarters]
+        if rates[best] - rates[-1] >= _CHANGE and rival_rates[-1] - rival_rates[best] >= _CHANGE:
             return {
                 "likelihood": 0.7,
                 "agent": evidence.agent,
                 "rival": name,
                 "since": int(evidence.all_episodes.steps[quarters[best][-1]]),
-                "own_before": Percentage(own[best]),
-                "own": Percentage(own[-1]),
-                "other_before": Percentage(other[best]),
-                "other": Percentage(other[-1]),
+                "own_before": Percentage(rates[best]),
+                "own": Percentage(rates[-1]),
+                "other_before": Percentage(rival_rates[best]),
+                "other": Percentage(rival_rates[-1]),
                 "run": quote(str(evidence.run.path)),
             }
     return None
@@ -116,7 +116,7 @@ class _Record(NamedTuple):
 def strategies_cycle(evidence: TrainingEvidence) -> Numbers | None:
     result = evidence.run.record.result
     records = [] if result is None else [_Record.of(games) for games in result.pool_games]
-    pairs = combinations([each for each in records if each is not None], 2)
+    pairs = combinations([record for record in records if record is not None], 2)
     lost = [(old, late) for old, late in pairs if old.high < 0.5 < late.low]
     if not lost:
         return None

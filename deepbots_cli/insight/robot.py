@@ -69,8 +69,8 @@ def robot_program(program: Program) -> Program:
         )
     moved = program.agent.robots
     robots = tuple(
-        replace(each, to_route=Route(), from_route=Route()) if each.name in moved else each
-        for each in program.robots
+        replace(robot, to_route=Route(), from_route=Route()) if robot.name in moved else robot
+        for robot in program.robots
     )
     return replace(program, robots=robots, timing="immediate")
 
@@ -127,7 +127,9 @@ def _of_channel(program: Program, leaf: EngineRead) -> Scalar:
     """Return the age of a sensor, as its robot sends it. The values themselves are new in every step."""
     robot, _, sensor = leaf.subjects[0].partition(".")
     fields = {
-        f"{each.name}.{name}": f"{each.name}.{field}" for each in program.robots for name, field in each.ages
+        f"{entry.name}.{name}": f"{entry.name}.{field}"
+        for entry in program.robots
+        for name, field in entry.ages
     }
     return Name(fields[f"{robot}.{sensor}"]) if sensor else Const(leaf.function == "message_received")
 
@@ -163,7 +165,7 @@ class SimulatedRobot(Driver):
         self.answers: list[float] = []
         self.steps = self.late_steps = self.held_steps = self.episodes = 0
         self.intake = Intake([_without_limits(entry) for entry in outputs], speed=None)
-        self._limits = {each.field.name: (each.low, each.high) for each in outputs_of_entries(outputs)}
+        self._limits = {entry.field.name: (entry.low, entry.high) for entry in outputs_of_entries(outputs)}
         self._lockstep, self._patience = lockstep, patience
         self._period = environment.scenario.period / speed
         self._space = environment.action_space
@@ -316,15 +318,15 @@ class SimulatedRobot(Driver):
         return True
 
 
-def _fitting(value: Any, space: Any, other: Any) -> Any:
+def _fitting(value: Any, space: Any, fallback: Any) -> Any:
     """Return an action of the space from the numbers of a message; `other` if they are none."""
     size = int(np.prod(space.shape))
     if value.size != size or not np.isfinite(value).all():
-        return other
+        return fallback
     if isinstance(space, spaces.Box):
         return np.clip(value.reshape(space.shape), space.low, space.high).astype(space.dtype)
     fitted = value.astype(np.int64).reshape(space.shape)[()]
-    return fitted if space.contains(fitted) else other
+    return fitted if space.contains(fitted) else fallback
 
 
 def _without_limits(entry: Output) -> Input:
@@ -423,12 +425,13 @@ def report_lines(found: Mapping[str, Any]) -> list[str]:
     rate = "" if found["success_rate"] is None else f", success {found['success_rate']:.1%}"
     endings = ", ".join(f"{count} {name}" for name, count in found["endings"].items())
     times = ", ".join(f"{word} {found[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
-    held, late = found["steps_without_new_command"], found["late_steps"]
+    held_steps, late_steps = found["steps_without_new_command"], found["late_steps"]
     return [
         found["link"],
         f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by:"
         f" {endings}",
-        f"  steps     {found['steps']:,}; {held:,} without a new command, {late:,} that began late",
+        f"  steps     {found['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
+        " late",
         f"  answer    {times}",
         *(f"  refused   {count:,} commands: {kind}" for kind, count in found["refused"].items()),
     ]

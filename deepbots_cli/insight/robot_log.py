@@ -140,7 +140,7 @@ def explain_log(episode: LoggedEpisode) -> list[str]:
         f"episode {episode.number}: {episode.steps:,} steps of the policy in {episode.seconds:.1f} s{answer}"
     ]
     lines += [
-        f"  {each.time:8.2f} s  {EVENT_PREFIXES.get(each.kind, '')}{each.text}" for each in episode.events
+        f"  {event.time:8.2f} s  {EVENT_PREFIXES.get(event.kind, '')}{event.text}" for event in episode.events
     ]
     if episode.safe_steps:
         lines.append(f"  {episode.safe_steps:,} commands of the safe posture in all")
@@ -250,7 +250,7 @@ def compare_log(
         there = np.array([float(values[number.source].reshape(-1)[number.place]) for values in simulated])
         here = np.array([*_logged(logged, number, path)])
         rows.append(_compared(number, here, there, times))
-    return sorted(rows, key=lambda each: -each.distance)
+    return sorted(rows, key=lambda comparison: -comparison.distance)
 
 
 def _logged(rows: Sequence[object], number: _Field, path: Path) -> Iterator[float]:

@@ -76,7 +76,7 @@ class ScenarioFacts:
             if running.of(node).high > 0.0 and aims.intersection(self._readings(node))
         ]
         return tuple(
-            name for name, _ in sorted(towards, key=lambda each: not is_progress(self._analysis, each[1]))
+            name for name, _ in sorted(towards, key=lambda entry: not is_progress(self._analysis, entry[1]))
         )
 
     def terms_about(self, comparison: str) -> tuple[str, ...]:
@@ -96,7 +96,7 @@ class ScenarioFacts:
 
     def is_progress(self, term: str) -> bool:
         """Return whether a term pays for a change, as with `delta`."""
-        nodes = [node for each, node in self._analysis.reward.terms if each.name == term]
+        nodes = [node for entry, node in self._analysis.reward.terms if entry.name == term]
         return any(is_progress(self._analysis, node) for node in nodes)
 
     def price_of(self, failure: str) -> float | None:

@@ -195,7 +195,7 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
     if until.metric == "success_rate" and late.high < until.threshold:
         return None  # the stage asks for more
     final, value = (
-        SuccessRate([each.is_success for each in evidence.final_episodes]),
+        SuccessRate([episode.is_success for episode in evidence.final_episodes]),
         criterion_value(evidence),
     )
     task = (
@@ -209,14 +209,14 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
         else (f"it was at {criterion_number(until, value)}")
     )
     threshold = Criterion("success_rate", 0.8, None) if until.metric == "steps" else until
-    wanted = (
+    target = (
         min(threshold.threshold, value)
         if value is not None and until.metric != "steps"
         else threshold.threshold
     )
     remedy = (
         "Let the stage end when the policy has learned it, for example with"
-        f" {_until(threshold, wanted, in_evaluation=True)}."
+        f" {_until(threshold, target, in_evaluation=True)}."
     )
     return {
         "likelihood": 0.93,
@@ -264,11 +264,11 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
         return None  # it is learned: an easy stage that counts
     before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
-    wanted = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
+    target = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
     remedy = "Put an easier stage before it"
-    if until.metric == "mean_return" or wanted >= 0.2:
+    if until.metric == "mean_return" or target >= 0.2:
         remedy = (
-            f"Lower the criterion to a value that the stage reaches, such as {_until(until, wanted)};"
+            f"Lower the criterion to a value that the stage reaches, such as {_until(until, target)};"
             " or put an easier stage before it"
         )
     return {
@@ -296,9 +296,9 @@ def _rate(episodes: Any) -> float:
 def is_rare(evidence: TrainingEvidence) -> bool:
     """Return whether there was hardly any success in the present stage, including its late episodes and
     evaluations."""
-    of, last = SuccessRate(evidence.episodes.successes), evidence.episodes.successes[-100:]
-    seldom = not of["successes"] or (
-        len(last) and float(last.mean()) <= _RARE and (of.high <= _RARE or _stays_rare(evidence))
+    rate, last = SuccessRate(evidence.episodes.successes), evidence.episodes.successes[-100:]
+    seldom = not rate["successes"] or (
+        len(last) and float(last.mean()) <= _RARE and (rate.high <= _RARE or _stays_rare(evidence))
     )
     return bool(seldom) and evidence.late_success.rate <= 0.1
 
@@ -337,9 +337,9 @@ def plateau(evidence: TrainingEvidence) -> tuple[int, float, float] | None:
     quarter, middle = (evidence.first_step + share * evidence.stage_steps for share in (0.25, 0.5))
     early = [
         float(s)
-        for each in evidence.evaluations
-        if quarter < each.get("steps", np.inf) < middle
-        for s in each["successes"]
+        for evaluation in evidence.evaluations
+        if quarter < evaluation.get("steps", np.inf) < middle
+        for s in evaluation["successes"]
     ]
     if early and evidence.late_success.rate > max(0.9, fmean(early) + 0.15):
         return None
@@ -402,11 +402,11 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     differing = (
         value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)
     )
-    chosen = next((value for value in differing if _is_apart(value.parts)), None)
-    if chosen is None:
+    drawn_value = next((value for value in differing if _is_apart(value.parts)), None)
+    if drawn_value is None:
         return None
-    name, bins, label = chosen.name, chosen.parts, chosen.label
-    worst, best = (choose(bins, key=lambda each: each.success_rate) for choose in (min, max))
+    name, bins, label = drawn_value.name, drawn_value.parts, drawn_value.label
+    worst, best = (choose(bins, key=lambda part: part.success_rate) for choose in (min, max))
     rates = [
         {
             "low": b.low,
@@ -417,7 +417,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         }
         for b in bins
     ]
-    parts = "; ".join(f"{_range(each, label)} {each.success_rate:.0%}" for each in bins)
+    parts = "; ".join(f"{_range(part, label)} {part.success_rate:.0%}" for part in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
     sees = evidence.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
@@ -443,15 +443,13 @@ def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Epis
         return "the evaluation", evidence.final_episodes
     late = evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
     done = []
-    for each in late:
+    for row in late:
         try:
-            drawn = json.loads(each.drawn) if each.drawn else {}
+            drawn = json.loads(row.drawn) if row.drawn else {}
         except ValueError:
             continue
         if isinstance(drawn, Mapping):
-            done.append(
-                Episode(each.returns, int(each.lengths), bool(each.successes), each.endings, drawn=drawn)
-            )
+            done.append(Episode(row.returns, int(row.lengths), bool(row.successes), row.endings, drawn=drawn))
     return "late episodes of the training", done
 
 
@@ -460,7 +458,7 @@ def _chance(bins: Sequence[DrawnBin]) -> float:
     (chi-squared test)."""
     from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
 
-    counts = np.array([[each.successes, each.episodes - each.successes] for each in bins], float)
+    counts = np.array([[part.successes, part.episodes - part.successes] for part in bins], float)
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
     return (
         float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
@@ -470,8 +468,8 @@ def _chance(bins: Sequence[DrawnBin]) -> float:
 def _is_apart(bins: Sequence[DrawnBin]) -> bool:
     """Return whether the worst part succeeds less than half as often as the best one, considering their
     intervals."""
-    return min(each.success_interval[1] for each in bins) < 0.5 * max(
-        each.success_interval[0] for each in bins
+    return min(part.success_interval[1] for part in bins) < 0.5 * max(
+        part.success_interval[0] for part in bins
     )
 
 
@@ -530,24 +528,25 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         for name, curve in late.items()
         if len(curve)
     }
-    name, whole = max(paid, key=lambda each: paid[each], default=""), sum(paid.values())
+    name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    though, remedy, own = (
+    though, remedy, terms = (
         "",
         "Add a reward term for progress towards success,",
         evidence.facts.terms_towards_success,
     )
-    if own:
-        others = sum(
+    if terms:
+        other_reward = sum(
             float(curve[-max(1, len(curve) // 4) :].mean())
-            for each, curve in late.items()
-            if len(curve) and each != own[0]
+            for term, curve in late.items()
+            if len(curve) and term != terms[0]
         )
-        late_part = late[own[0]][-max(1, len(late[own[0]]) // 4) :]
-        remedy = f"Compare '{own[0]}', which leads towards success, with the other terms"
+        late_part = late[terms[0]][-max(1, len(late[terms[0]]) // 4) :]
+        remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if len(late_part):
             remedy += (
-                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give {others:.3g})"
+                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give"
+                f" {other_reward:.3g})"
             )
         remedy += " and raise it,"
     uses_path = any(

@@ -70,7 +70,7 @@ class Statement:
         return {
             "cause": self.cause,
             "text": self.text,
-            **{name: each for name, each in further.items() if each},
+            **{name: value for name, value in further.items() if value},
             "evidence": self.evidence,
         }
 
@@ -136,9 +136,9 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
         if evidence is not None:
             shown = {key: _number_text(value) for key, value in evidence.items()}
             settings = evidence.get("settings", {})
-            kept = {key: value for key, value in evidence.items() if key != "settings"}
+            numbers = {key: value for key, value in evidence.items() if key != "settings"}
             sentence, remedy = (form.format(**shown).strip() for form in (rule.text, rule.advice))
-            statements.append(Statement(rule.name, sentence, remedy, kept, settings))
+            statements.append(Statement(rule.name, sentence, remedy, numbers, settings))
     return statements
 
 

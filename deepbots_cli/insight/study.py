@@ -87,7 +87,7 @@ class StudyReport:
         if len(self.ranked) < MIN_TRIALS or len({trial.score for trial in self.ranked}) < MIN_TRIALS // 2:
             return None
         by_seed = self.journal.importances(len(record.seeds), lower_is_better=record.lower_is_better)
-        return {name: [each.get(name, 0.0) for each in by_seed] for name in record.search}
+        return {name: [values.get(name, 0.0) for values in by_seed] for name in record.search}
 
     @property
     def result(self) -> str:
@@ -237,8 +237,8 @@ class StudyReport:
 
     def _row(self, trial: StudyTrial) -> dict[str, object]:
         interval = self.study.record.score_interval(trial)
-        returns = [each.mean_return for each in trial.seeds if each.mean_return is not None]
-        solved = sum(each.steps is not None for each in trial.seeds)
+        returns = [seed.mean_return for seed in trial.seeds if seed.mean_return is not None]
+        solved = sum(seed.steps is not None for seed in trial.seeds)
         return {
             **{name: getattr(trial, name) for name in ("number", "state", "reason")},
             "texts": list(trial.values.values()),

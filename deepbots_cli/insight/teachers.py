@@ -27,7 +27,7 @@ def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
     }
     if not rates or policy.episodes < MIN_EPISODES or _has_teacher(evidence):
         return None
-    name = max(rates, key=lambda each: rates[each].rate)
+    name = max(rates, key=lambda script: rates[script].rate)
     # A script of less than 70 % hardly teaches what the policy cannot find itself.
     if rates[name].episodes < MIN_EPISODES or rates[name].rate < 0.7 or rates[name].low <= policy.high:
         return None
@@ -43,7 +43,7 @@ def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
 def policy_rate(evidence: TrainingEvidence) -> SuccessRate:
     """Return the success rate of the policy: in the quoted evaluation, else in the last quarter of the
     training."""
-    episodes = [each.is_success for each in evidence.final_episodes] if evidence.is_last_stage else []
+    episodes = [episode.is_success for episode in evidence.final_episodes] if evidence.is_last_stage else []
     return SuccessRate(episodes or evidence.episodes_between(0.75, 1.0).successes)
 
 
@@ -59,7 +59,7 @@ def teacher_rate(evidence: TrainingEvidence) -> SuccessRate | None:
     training, logged = evidence.program.agent.training, evidence.curve("teacher/success_rate")
     if training is None or training.teacher is None:
         return None
-    sizes = [len(each["successes"]) for each in evidence.evaluations if "steps" in each]
+    sizes = [len(evaluation["successes"]) for evaluation in evidence.evaluations if "steps" in evaluation]
     if len(logged) and sizes:
         won = round(float(logged[-1]) * sizes[-1])
         return SuccessRate([1.0] * won + [0.0] * (sizes[-1] - won))
@@ -112,7 +112,7 @@ def teacher_sees_more(evidence: TrainingEvidence) -> Numbers | None:
         return None
     script = SuccessRate([trace.outcome == "success" for trace in played])
     policy = (
-        SuccessRate([each.is_success for each in evidence.final_episodes])
+        SuccessRate([episode.is_success for episode in evidence.final_episodes])
         if evidence.final_episodes
         else evidence.late_success
     )

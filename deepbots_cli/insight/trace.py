@@ -156,9 +156,14 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
             ),
             0,
         )
-        seen = [value_of_row(each, row) if team else each for each in self.observations]
+        agent_observations = [
+            value_of_row(observation, row) if team else observation for observation in self.observations
+        ]
         newest = [place for place, value in enumerate(program.agent.inputs) if value.steps_ago == 0]
-        vectors = [each.get("observation", np.zeros(0)) if isinstance(each, dict) else each for each in seen]
+        vectors = [
+            observation.get("observation", np.zeros(0)) if isinstance(observation, dict) else observation
+            for observation in agent_observations
+        ]
         observations = np.array([np.asarray(vector, float)[newest] for vector in vectors]).reshape(
             len(vectors), len(newest)
         )
@@ -174,7 +179,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
             title=title,
             instrumented=self.instrumented,
             observations=observations,
-            actions=[value_of_row(each, row) if team else each for each in self.actions],
+            actions=[value_of_row(action, row) if team else action for action in self.actions],
             terms={
                 term.name: np.array([terms[row][term.name] for terms in self._terms], float)
                 for term in program.agent.reward
@@ -235,7 +240,8 @@ def trace_episodes(
             trace = world.trace(f"episode {number} of {run.path}", notes=run.notes())
             row = list(world.world.agents).index(trace.agent) if trace.agent else None
             observations = [
-                seen if row is None else value_of_row(seen, row) for seen in world.observations[:-1]
+                observation if row is None else value_of_row(observation, row)
+                for observation in world.observations[:-1]
             ]
             trace.critic = policy.values(observations)
             yield trace
@@ -278,8 +284,8 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
                         "; ".join(version_changes(recording))
                         or "it was made on another machine, or changed since then"
                     )
-                    what = f"{recording.path}: the episode differs from its recording at step {place}"
-                    raise UsageError(f"{what}, so it cannot be explained here: {reason}")
+                    problem = f"{recording.path}: the episode differs from its recording at step {place}"
+                    raise UsageError(f"{problem}, so it cannot be explained here: {reason}")
             yield world.trace(f"episode {recorded.number} of {recording.path}")
 
 

@@ -108,12 +108,12 @@ class TrainingEvidence:
         """The place of the present stage, the furthest that an episode or an evaluation was in; 0 without a
         curriculum."""
         names, result = [stage.name for stage in self.stages], self.run.record.result
-        seen = {
+        stages = {
             *self.all_episodes.stages,
-            *(each.get("stage", "") for each in self.all_evaluations),
+            *(evaluation.get("stage", "") for evaluation in self.all_evaluations),
             result.stage if result else "",
         }
-        return max((names.index(name) for name in seen if name in names), default=0)
+        return max((names.index(name) for name in stages if name in names), default=0)
 
     @property
     def stage(self) -> str:
@@ -152,7 +152,7 @@ class TrainingEvidence:
         """The evaluations of the present stage; in the last stage, including the evaluations in the scenario
         itself."""
         names = {self.stage, ""} if self.is_last_stage else {self.stage}
-        return [each for each in self.all_evaluations if each.get("stage", "") in names]
+        return [evaluation for evaluation in self.all_evaluations if evaluation.get("stage", "") in names]
 
     @cached_property
     def first_step(self) -> int:
@@ -216,8 +216,8 @@ class TrainingEvidence:
         if not self.program.defines_success:
             return EvaluationRate([])
         begin = self.first_step + 0.75 * self.stage_steps
-        late = [each for each in self.evaluations if each.get("steps", 0) > begin]
-        return EvaluationRate([each["successes"] for each in late or self.evaluations[-1:]])
+        late = [evaluation for evaluation in self.evaluations if evaluation.get("steps", 0) > begin]
+        return EvaluationRate([evaluation["successes"] for evaluation in late or self.evaluations[-1:]])
 
     @cached_property
     def settings(self) -> Mapping[str, Any]:
@@ -270,11 +270,11 @@ class TrainingEvidence:
         if solved is None or self.final_episodes or self.verdict.solved:
             return bool(self.verdict.solved)
         means = [
-            (fmean(each["returns"]), fmean(each["successes"]))
-            for each in self.evaluations
+            (fmean(evaluation["returns"]), fmean(evaluation["successes"]))
+            for evaluation in self.evaluations
             if self.is_last_stage
         ]
-        return any(meets_solved(solved, *each) for each in means)
+        return any(meets_solved(solved, *pair) for pair in means)
 
     def curve(self, tag: str) -> Array:
         """Return the values of a curve in the present stage, or of `train/...` in all stages; empty if
@@ -380,7 +380,10 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
     episodes, evaluations = logs_of(run.path, agent)
     done = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
     if done:
-        returns, successes = [each.total_return for each in done], [each.is_success for each in done]
+        returns, successes = (
+            [episode.total_return for episode in done],
+            [episode.is_success for episode in done],
+        )
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     rivals = [name for name in members if run.program.has_rivals and name != agent]
     return replace(
@@ -408,17 +411,17 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
 def _scalars_of_agent(of_all: Mapping[str, Any], member: Member) -> dict[str, Any]:
     """Return the scalars of one of several agents under its own tags, and those of all agents; an agent that
     plays the policy of another one has the updates of this policy."""
-    own = {tag: curve for tag, curve in of_all.items() if tag.startswith("self_play/")}
+    scalars = {tag: curve for tag, curve in of_all.items() if tag.startswith("self_play/")}
     for name in (member.names.mirrors, member.name):
         prefix = f"{name}/"
         updates = ("train/", "critic/") if name != member.name else ("",)
-        own |= {
+        scalars |= {
             tag.removeprefix(prefix): curve
             for tag, curve in of_all.items()
             if tag.startswith(prefix) and tag.removeprefix(prefix).startswith(updates)
         }
     terms = {f"reward/{joint}": f"reward/{term}" for term, joint in member.terms.items()}
-    return own | {own_tag: of_all[tag] for tag, own_tag in terms.items() if tag in of_all}
+    return scalars | {own_tag: of_all[tag] for tag, own_tag in terms.items() if tag in of_all}
 
 
 def read_training(run: Run) -> TrainingEvidence:
@@ -434,7 +437,10 @@ def read_training(run: Run) -> TrainingEvidence:
     done: Sequence[Episode] = ()
     if not running and (last := quoted_episodes(run)) is not None:
         done = last[1].outcomes
-        returns, successes = [each.total_return for each in done], [each.is_success for each in done]
+        returns, successes = (
+            [episode.total_return for episode in done],
+            [episode.is_success for episode in done],
+        )
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     verdict = run_verdict(run.path, run.record)
     return TrainingEvidence(
@@ -503,7 +509,9 @@ class _Probes:
                 name: self._episode(seeds[0], constant_driver(action), CONSTANT_ACTION_STEPS)
                 for name, action in actions.items()
             }
-            training.constant_actions[part] = {name: each[0] for name, each in traces.items() if each}
+            training.constant_actions[part] = {
+                name: action_traces[0] for name, action_traces in traces.items() if action_traces
+            }
         longest = training.program.truncation.max_episode_steps(training.program.period)
         for name in scripts:
             episodes = [
@@ -552,18 +560,20 @@ class _Probes:
 
 def _repeat_failed(evidence: TrainingEvidence, deadline: float, permissions: Permissions) -> list[Trace]:
     """Repeat the first episodes without success of the quoted evaluation, until the deadline."""
-    kept = (
+    quoted = (
         quoted_episodes(evidence.run)
         if evidence.final_episodes and evidence.run.program.defines_success
         else None
     )
-    if kept is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
+    if quoted is None or evidence.run.program.agent.copies is not None or time.monotonic() > deadline:
         return []
-    numbers = [number for number, each in enumerate(evidence.final_episodes) if not each.is_success]
+    numbers = [number for number, episode in enumerate(evidence.final_episodes) if not episode.is_success]
     numbers = numbers[:FAILED_EPISODES]
     traces = []
     try:
-        for trace in trace_episodes(evidence.run, numbers, **kept[1].replay_options, permissions=permissions):
+        for trace in trace_episodes(
+            evidence.run, numbers, **quoted[1].replay_options, permissions=permissions
+        ):
             traces.append(trace)
             if time.monotonic() > deadline:
                 break

@@ -89,14 +89,14 @@ class Transfer:
     def is_much_lower(self) -> bool:
         """Whether the return in the other world is lower by more than a fifth, and the intervals of both do
         not overlap."""
-        one, other = self.here, self.there
+        here, there = self.here, self.there
         if (
-            one.return_interval is None
-            or other.return_interval is None
-            or other.return_interval[1] >= one.return_interval[0]
+            here.return_interval is None
+            or there.return_interval is None
+            or there.return_interval[1] >= here.return_interval[0]
         ):
             return False
-        return other.mean_return < one.mean_return - (1 - SHARE_OF_NOMINAL) * abs(one.mean_return)
+        return there.mean_return < here.mean_return - (1 - SHARE_OF_NOMINAL) * abs(here.mean_return)
 
 
 def _names(
@@ -192,7 +192,12 @@ def transfer(
     )
     conditions = robustness.conditions if robustness is not None else ()
     judged = [*zip(names, (here, there), strict=True)]
-    easiest = ((each.name, side.levels[0]) for each in conditions for side in each.sides if side.levels)
+    easiest = (
+        (condition.name, side.levels[0])
+        for condition in conditions
+        for side in condition.sides
+        if side.levels
+    )
     judged += [(f"{name} {level.level}", level.evaluation) for name, level in easiest]
     gates = []
     for name, result in judged:
@@ -218,9 +223,9 @@ def _works(
 ) -> tuple[tuple[bool | None, bool | None], str]:
     """Return whether the policy works in each of two worlds, and the meaning of working."""
     if gates:
-        one, other = (all(gate.met for gate in gates if gate.subject == name) for name in names)
-        return (one, other), "the given requirements"
+        here, there = (all(gate.met for gate in gates if gate.subject == name) for name in names)
+        return (here, there), "the given requirements"
     if solved is None:
         return (None, None), ""
-    one, other = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
-    return (one, other), f"`solved` of the scenario ({solved.description})"
+    here, there = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
+    return (here, there), f"`solved` of the scenario ({solved.description})"

@@ -70,10 +70,10 @@ def command_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
         for robot in program.robots
         for name in entries_at(root, "robots", robot.name, "actuators")
     ]
-    chosen = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
+    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
     if len(places) > 1:
-        chosen["all actuators"] = places
-    for words, actuators in chosen.items():
+        groups["all actuators"] = places
+    for words, actuators in groups.items():
         paths = [("robots", robot, "apply", name) for robot, name in actuators]
         if commands := [path for path in paths if written(root, *path)]:
             yield Plan("command", partial(_scaled_texts, root, commands), subject=words)
@@ -126,9 +126,9 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
     names, choices = program.agent.range_names, program.agent.choices
     if len(choices) == 1 and not names:
         options = choices[0].options
-        for one, other in combinations(range(len(options)), 2):
-            text = f"the options {options[one].name} and {options[other].name} are swapped"
-            yield "order of options", text, _swapped_options(one, other)
+        for first, second in combinations(range(len(options)), 2):
+            text = f"the options {options[first].name} and {options[second].name} are swapped"
+            yield "order of options", text, _swapped_options(first, second)
     if choices:
         return
     for name, is_part in _parts(program).items():
@@ -137,10 +137,14 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
             f"the action {name} has the other sign",
             _negated(np.where(is_part, -1.0, 1.0)),
         )
-    for one, other in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
+    for first, second in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
         places = np.arange(len(names))
-        places[[one, other]] = other, one
-        yield "order of actions", f"the actions {names[one]} and {names[other]} are swapped", _ordered(places)
+        places[[first, second]] = second, first
+        yield (
+            "order of actions",
+            f"the actions {names[first]} and {names[second]} are swapped",
+            _ordered(places),
+        )
 
 
 def action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]]]:
@@ -169,8 +173,8 @@ def always(act: Act, _: float) -> Act:
     return act
 
 
-def _swapped_options(one: int, other: int) -> Callable[[Any], Any]:
-    return lambda action: {one: other, other: one}.get(int(action), action)
+def _swapped_options(first: int, second: int) -> Callable[[Any], Any]:
+    return lambda action: {first: second, second: first}.get(int(action), action)
 
 
 def _negated(signs: Array) -> Callable[[Any], Any]:

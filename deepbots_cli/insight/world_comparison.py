@@ -107,7 +107,7 @@ class WorldComparison:
 
     @property
     def observation_differs(self) -> bool:
-        return any(not each.name.startswith(REWARD) for each in self.differences)
+        return any(not difference.name.startswith(REWARD) for difference in self.differences)
 
 
 def compare_worlds(
@@ -143,7 +143,7 @@ def compare_worlds(
     recorded = record_episodes(run, here, model, seed, episodes, permissions)
     comparison = ValueComparison(columns, recorded, repeat_episodes(there, recorded, permissions))
     result = WorldComparison(
-        len(recorded), max(len(each.actions) for each in recorded), tuple(comparison.differences()), ()
+        len(recorded), max(len(episode.actions) for episode in recorded), tuple(comparison.differences()), ()
     )
     if not result.observation_differs:
         return result
@@ -151,11 +151,13 @@ def compare_worlds(
     with closing(Recorder(here, permissions)) as unchanged:
         kinds = [*_kinds(here, unchanged, document, permissions)]
         for row in _simulated_causes(comparison, kinds, on_world):
-            same = next((other for other in rows if comparison.all_same([other.values], [row.values])), None)
-            if same is None:
+            duplicate = next(
+                (other for other in rows if comparison.all_same([other.values], [row.values])), None
+            )
+            if duplicate is None:
                 rows.append(row)
             else:
-                same.texts.extend(row.texts)
+                duplicate.texts.extend(row.texts)
     causes = [Cause(_either(row.texts), comparison.explained(row.values)) for row in rows]
     likely = sorted(
         (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
@@ -175,7 +177,7 @@ def _simulated(comparison: ValueComparison, kind: _Kind, amount: float) -> list[
         values = kind.simulate(amount, comparison.recorded)
     except DeepbotsError:
         return None
-    return values if all(np.isfinite(each).all() for each in values) else None
+    return values if all(np.isfinite(array).all() for array in values) else None
 
 
 def _simulated_causes(
@@ -210,7 +212,7 @@ def _simulated_causes(
         )
         if likeness <= 0.0:
             continue
-        same = next(
+        duplicate = next(
             (
                 group
                 for group in groups
@@ -218,10 +220,10 @@ def _simulated_causes(
             ),
             None,
         )
-        if same is None:
+        if duplicate is None:
             groups.append(_Group([kind], effects, likeness))
         else:
-            same.kinds.append(kind)
+            duplicate.kinds.append(kind)
     likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
     for number, group in enumerate(likely):
         for amount in group.kinds[0].amounts:
@@ -358,6 +360,7 @@ def _kinds(here: World, unchanged: Recorder, document: Document, permissions: Pe
             yield _Kind(plan.kind, plan.name, with_plan(plan), amounts, probes, FACTOR)
     for plan, largest in torque_limits(program):
         limits, first = (
-            tuple(factor * largest for factor in each if factor < 1.0) for each in (_FACTORS, _PROBED_FACTORS)
+            tuple(factor * largest for factor in factors if factor < 1.0)
+            for factors in (_FACTORS, _PROBED_FACTORS)
         )
         yield _Kind(plan.kind, plan.name, with_plan(plan), limits, first, plan.form)

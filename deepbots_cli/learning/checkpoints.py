@@ -191,14 +191,14 @@ class Checkpoints:
         now = time.monotonic()
         self._due = now + max(INTERVAL_S, MIN_INTERVAL_PER_COST * (now - began))
 
-    def _remove_others(self, kept: set[Path]) -> None:
+    def _remove_others(self, remaining: set[Path]) -> None:
         """Remove everything but files and folders in the folder of the checkpoints, and the folders that they
         are in."""
         root = self.run.checkpoints
-        above = {parent for path in kept for parent in path.parents if parent.is_relative_to(root)}
+        above = {parent for path in remaining for parent in path.parents if parent.is_relative_to(root)}
         for folder in above:
             for path in folder.iterdir() if folder.is_dir() else ():
-                if path not in kept and path not in above:
+                if path not in remaining and path not in above:
                     shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def _arrays(self) -> dict[str, Array]:

@@ -173,8 +173,8 @@ class GroupDifference:
     def compared(self) -> Measure | None:
         """The measure of the verdict: `measure`, or the other one if `measure` cannot be compared; None if
         neither can."""
-        other: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
-        return next((name for name in (self.measure, other) if getattr(self, name) is not None), None)
+        alternative: Measure = "mean_return" if self.measure == "success_rate" else "success_rate"
+        return next((name for name in (self.measure, alternative) if getattr(self, name) is not None), None)
 
     @property
     def _verdict_on_measure(self) -> str:
@@ -377,13 +377,13 @@ def compare_engines(
 
 
 def _paired(
-    one: EvaluationResult | GroupResult, other: EvaluationResult | GroupResult
+    first: EvaluationResult | GroupResult, second: EvaluationResult | GroupResult
 ) -> tuple[Difference, Difference | None]:
     """Compute the differences of return and success, by episodes or runs in the same order. The difference of
     success is None if one side defines no success."""
-    (before, succeeded), (after, succeeds) = _scores(one), _scores(other)
-    has_success = one.success_defined and other.success_defined
-    bounds = (one.evaluations[0] if isinstance(one, GroupResult) else one).possible_returns
+    (before, succeeded), (after, succeeds) = _scores(first), _scores(second)
+    has_success = first.success_defined and second.success_defined
+    bounds = (first.evaluations[0] if isinstance(first, GroupResult) else first).possible_returns
     success = compare_episodes(succeeded, succeeds, (0.0, 1.0)) if has_success else None
     return compare_episodes(before, after, bounds), success
 
@@ -475,7 +475,7 @@ def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
         if folder_kind(path) is SourceKind.GROUP:
             groups_by_key[path] = _open_runs(Group.open(path), model)
             continue
-        for ref in (ModelRef.open(each, model=model) for each in run_folders([path])):
+        for ref in (ModelRef.open(folder, model=model) for folder in run_folders([path])):
             key = ref.run.record.digest, ref.run.record.engine, ref.name
             alike = single.setdefault(key, [])
             if ref.path not in [other.path for other in alike]:

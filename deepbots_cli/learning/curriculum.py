@@ -100,10 +100,15 @@ class Curriculum:
     @property
     def levels(self) -> LevelSpread | None:
         """The present levels of the worlds; None without levels."""
-        levels, own = self._program.levels, self._world_levels
-        if levels is None or not own:
+        levels, world_levels = self._program.levels, self._world_levels
+        if levels is None or not world_levels:
             return None
-        return LevelSpread(mean=sum(own) / len(own), lowest=min(own), highest=max(own), count=levels.count)
+        return LevelSpread(
+            mean=sum(world_levels) / len(world_levels),
+            lowest=min(world_levels),
+            highest=max(world_levels),
+            count=levels.count,
+        )
 
     @property
     def index(self) -> int:

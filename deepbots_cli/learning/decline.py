@@ -108,31 +108,31 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
             training.
         measure: The measure of the task.
     """
-    own = [each for each in evaluations if "steps" in each]
-    before = [number for number, each in enumerate(own) if each["stage"] != own[-1]["stage"]]
-    begin, own = (own[before[-1]]["steps"], own[before[-1] + 1 :]) if before else (0.0, own)
-    if len(own) < 2:
+    rows = [row for row in evaluations if "steps" in row]
+    before = [number for number, row in enumerate(rows) if row["stage"] != rows[-1]["stage"]]
+    begin, rows = (rows[before[-1]]["steps"], rows[before[-1] + 1 :]) if before else (0.0, rows)
+    if len(rows) < 2:
         return None
-    border = own[-1]["steps"] - LAST_SHARE * (own[-1]["steps"] - begin)
-    quarter = sum(each["steps"] <= border for each in own)
+    border = rows[-1]["steps"] - LAST_SHARE * (rows[-1]["steps"] - begin)
+    quarter = sum(row["steps"] <= border for row in rows)
     splits = {quarter: "the last quarter"} | (
-        {len(own) - 2: "the last two evaluations"} if quarter < len(own) - 2 else {}
+        {len(rows) - 2: "the last two evaluations"} if quarter < len(rows) - 2 else {}
     )
     for split, last in splits.items():
-        if (fall := _fall(own, split, last, measure, level=FALSE_ALARMS / len(splits))) is not None:
+        if (fall := _fall(rows, split, last, measure, level=FALSE_ALARMS / len(splits))) is not None:
             return fall
     return None
 
 
 def _fall(
-    own: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float
+    rows: Sequence[Mapping[str, Any]], split: int, last: str, measure: Measure, *, level: float
 ) -> Decline | None:
     """Return the decline of the evaluations from `split` on against earlier ones, if a test at this level
     shows it."""
     is_rate = measure == "success_rate"
-    scores = [list(map(float, each["successes" if is_rate else "returns"])) for each in own]
+    scores = [list(map(float, row["successes" if is_rate else "returns"])) for row in rows]
     late = _joined(scores[split:])
-    is_few = len(own) - split == 1 or last != "the last quarter"
+    is_few = len(rows) - split == 1 or last != "the last quarter"
     least, share = (MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW) if is_few else (MIN_EFFECT, MIN_SHARE)
     windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
     better: list[tuple[float, range]] = []
@@ -147,19 +147,19 @@ def _fall(
             better.append((fmean(episodes), window))
     if not better:
         return None
-    value, window = max(better, key=lambda each: (each[0], len(each[1]), each[1].start))
+    value, window = max(better, key=lambda candidate: (candidate[0], len(candidate[1]), candidate[1].start))
     means = list(map(fmean, scores))
     best = max(window, key=lambda number: (means[number], number))
     return Decline(
         measure=measure,
         best_value=value,
-        best_steps=int(own[best]["steps"]),
+        best_steps=int(rows[best]["steps"]),
         last_value=fmean(late),
-        since_steps=int(own[best + _change(means[best:])]["steps"]),
+        since_steps=int(rows[best + _change(means[best:])]["steps"]),
         best_episodes=sum(len(scores[number]) for number in window),
         last_episodes=len(late),
         last=last,
-        last_steps=int(own[split]["steps"]),
+        last_steps=int(rows[split]["steps"]),
     )
 
 
@@ -195,7 +195,7 @@ def paired(better: Sequence[float], worse: Sequence[float]) -> float:
     healthy trainings raised an alarm, with it 0.7 %. Student's t is transformed to a normal variable, which
     needs no scipy (D. L. Wallace, Ann. Math. Stat. 30, 1959, p. 1124).
     """
-    differences = [one - other for one, other in zip(better, worse, strict=False)]
+    differences = [first - second for first, second in zip(better, worse, strict=False)]
     freedom = len(differences)
     if freedom < 2:
         return 1.0

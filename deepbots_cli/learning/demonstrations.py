@@ -84,9 +84,11 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
     """
     recording = read_recording(path, program)
     stage = recording.metadata.get("stage")
-    scenario = program.variant(None, stage) if stage in {one.name for one in program.curriculum} else program
+    scenario = (
+        program.variant(None, stage) if stage in {entry.name for entry in program.curriculum} else program
+    )
     done: list[Step] = []
-    seen: list[Any] = []
+    observations: list[Any] = []
     episodes = []
     with closing(build(scenario.with_critic)) as world:
         for recorded in recording.episodes:
@@ -96,7 +98,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
                     steps(world, sequence_driver(shown_actions), Start(recorded.seed)), len(shown_actions) + 1
                 )
             )
-            seen += [step.observation for step in episode[:-1]]
+            observations += [step.observation for step in episode[:-1]]
             done += episode[1:]
             episodes.append(result_of(episode, recorded.seed))
     if not done:
@@ -111,7 +113,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
             f"{path} cannot teach {program.name}: {count}; look at them with: deepbots replay {path}"
         )
     return Demonstrations(
-        _stacked(seen),
+        _stacked(observations),
         np.stack([step.action for step in done]),
         np.array([step.reward for step in done]),
         _stacked([step.observation for step in done]),
@@ -123,7 +125,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
 def _stacked(observations: Sequence[Any]) -> Any:
     first = observations[0]
     return (
-        {key: np.stack([seen[key] for seen in observations]) for key in first}
+        {key: np.stack([observation[key] for observation in observations]) for key in first}
         if isinstance(first, dict)
         else np.stack(observations)
     )

@@ -135,11 +135,11 @@ class DrawnEffects:
         if count and self.detectable is None:
             size = ""
         verb = "has" if count == 1 else "have"
-        named = f"{count} of {many} {verb}" if count else f"none of {many} has"
+        subject = f"{count} of {many} {verb}" if count else f"none of {many} has"
         if total == 1:
-            named = f"{many} has" if count else f"{many} does not have"
+            subject = f"{many} has" if count else f"{many} does not have"
         return (
-            f"{named} an effect on"
+            f"{subject} an effect on"
             f" {'success' if self.outcome == 'success' else 'the return'}{f' ({size})' * bool(size)}"
         )
 
@@ -307,13 +307,18 @@ def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> f
     their margins."""
     from scipy.special import gammaln
 
-    count, ones, chosen = len(first), int(first.sum()), int(second.sum())
-    both = np.arange(max(0, ones + chosen - count), min(ones, chosen) + 1)
-    cells = (both, ones - both, chosen - both, count - ones - chosen + both)
+    count, first_ones, second_ones = len(first), int(first.sum()), int(second.sum())
+    overlaps = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
+    cells = (
+        overlaps,
+        first_ones - overlaps,
+        second_ones - overlaps,
+        count - first_ones - second_ones + overlaps,
+    )
     logs = -sum(gammaln(cell + 1) for cell in cells)
     weights = np.exp(logs - logs.max())
-    own = weights[int((first & second).sum()) - both[0]]
-    return float(weights[weights <= own * (1 + 1e-7)].sum() / weights.sum())
+    weight = weights[int((first & second).sum()) - overlaps[0]]
+    return float(weights[weights <= weight * (1 + 1e-7)].sum() / weights.sum())
 
 
 def _holm(chances: Mapping[str, float]) -> dict[str, float]:

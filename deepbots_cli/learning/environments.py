@@ -39,11 +39,11 @@ def reasons_against_batch(program: Program, worlds: int, engine: str, build: Wor
     training = program.agent.training
     if training is not None and training.teacher is not None:
         return ["a script reads what only a single world computes"]
-    own = [] if getattr(build, "func", None) is api.build else ["the argument `build` makes its worlds"]
+    reasons = [] if getattr(build, "func", None) is api.build else ["the argument `build` makes its worlds"]
     variants = [program, *(stage.program for stage in program.curriculum)]
     return list(
         dict.fromkeys(
-            [*own, *(reason for variant in variants for reason in batch_obstacles(variant.with_critic))]
+            [*reasons, *(reason for variant in variants for reason in batch_obstacles(variant.with_critic))]
         )
     )
 

@@ -136,9 +136,12 @@ class EpisodeLog:
             "drawn": json.dumps(drawn) if drawn else "",
         }
         if self._members:
-            own = {name: own_episode(member, episode) for name, member in self._members.items()}
+            agent_episodes = {name: own_episode(member, episode) for name, member in self._members.items()}
             row[AGENTS_COLUMN] = json.dumps(
-                {name: [round(each.total_return, 6), int(each.is_success)] for name, each in own.items()}
+                {
+                    name: [round(agent_episode.total_return, 6), int(agent_episode.is_success)]
+                    for name, agent_episode in agent_episodes.items()
+                }
             )
         self._rows.writerow(row)
         self._stream.flush()
@@ -278,10 +281,10 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
             _check_size(path, stream)
             for text in _whole_lines(path, stream, _MAX_EVALUATION_BYTES):
                 line = json.loads(text)
-                own = line[AGENTS_COLUMN][agent] if agent else line
-                lists = {name: [float(value) for value in own[name]] for name in ("returns", "successes")}
+                entry = line[AGENTS_COLUMN][agent] if agent else line
+                lists = {name: [float(value) for value in entry[name]] for name in ("returns", "successes")}
                 # `fmean` raises an error for an evaluation without episodes.
-                means = [fmean(each) for each in lists.values()]
+                means = [fmean(values) for values in lists.values()]
                 steps = float(line["steps"])
                 if not all(map(math.isfinite, [steps, *means])) or steps < 0:
                     raise ValueError("a number is not finite, or a step is negative")
@@ -558,10 +561,10 @@ def agents_line(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[
     """Return the returns and successes of each of several agents in the same episodes, for a log."""
     line: dict[str, dict[str, Any]] = {}
     for name, member in members.items():
-        own = [own_episode(member, episode) for episode in done]
+        episodes = [own_episode(member, episode) for episode in done]
         line[name] = {
-            "returns": [each.total_return for each in own],
-            "successes": [each.is_success for each in own],
+            "returns": [episode.total_return for episode in episodes],
+            "successes": [episode.is_success for episode in episodes],
         }
     return line
 
@@ -570,11 +573,11 @@ def agent_scores(members: Mapping[str, Member], done: Sequence[Episode]) -> dict
     """Return the scores of each of several agents in the same episodes."""
     scores: dict[str, Scores] = {}
     for name, member in members.items():
-        own = Summary.of_episodes([own_episode(member, episode) for episode in done]).scores
+        member_scores = Summary.of_episodes([own_episode(member, episode) for episode in done]).scores
         undefined: dict[str, Any] = (
             {} if member.defines_success else {"success_rate": None, "success_interval": None}
         )
-        scores[name] = own.model_copy(update=undefined)
+        scores[name] = member_scores.model_copy(update=undefined)
     return scores
 
 

@@ -206,7 +206,7 @@ class _Part(NamedTuple):
 
 def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
     return _Setting(part.run, **part.options).play(
-        part.numbers, part.policy, lambda done, of: attempt.report(done)
+        part.numbers, part.policy, lambda done, total: attempt.report(done)
     )
 
 
@@ -277,8 +277,8 @@ def evaluate_trained(
         if result.solved is None and required > result.episodes:
             return evaluate(run, episodes=required, permissions=permissions, on_episode=on_episode)
         return result
-    kept = quoted[1]
-    return confirmation_result(run, kept.confirmation or 1, kept.seed, kept.outcomes)
+    record = quoted[1]
+    return confirmation_result(run, record.confirmation or 1, record.seed, record.outcomes)
 
 
 def until_enough(
@@ -289,8 +289,10 @@ def until_enough(
     """
     for count in range(1, result.episodes):
         if until(result.outcomes[:count]):
-            others = ("model", "deterministic", "copies", "on_episode")
-            setting = _Setting(run, **{name: value for name, value in options.items() if name not in others})
+            other_options = ("model", "deterministic", "copies", "on_episode")
+            setting = _Setting(
+                run, **{name: value for name, value in options.items() if name not in other_options}
+            )
             return setting.result(result.model, result.outcomes[:count], deterministic=result.deterministic)
     return result
 
@@ -443,10 +445,10 @@ class _Setting:
         )
         engine = self.engine if self.engine and policy.deterministic and policy.copies is None else ""
         run = self.run if self.judged is None else None
-        made = EvaluationWorlds(
+        evaluation_worlds = EvaluationWorlds(
             self.build, run, engine=engine, batch=min(count, MAX_BATCH_WORLDS), singles=min(count, copies)
         )
-        with torch_settings(), closing(made) as worlds:
+        with torch_settings(), closing(evaluation_worlds) as worlds:
             worlds.enter(self.program, case=self.case, stage=self.stage)
             model = load_model(self.run, policy.model, worlds.first)
             return worlds.play(
@@ -575,13 +577,13 @@ class _Setting:
         judged = self.judged
         if judged is None or (judged.digest == self.run.record.digest and not self._is_part):
             return None, ()
-        own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
+        is_own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
         name = (
             judged.source.name
             if judged.source.name != RESOLVED_NAME
             else f"{judged.source.parent.name}/{RESOLVED_NAME}"
         )
         others = tuple(text for text in judged.overrides if text != f"world.engine={self.engine}")
-        return None if own else name, others or (
+        return None if is_own else name, others or (
             judged.overrides if self.engine == self.run.record.engine else ()
         )

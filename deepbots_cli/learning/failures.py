@@ -299,7 +299,7 @@ def repeat_steps(failure: Failure, program: Program, world: gym.Env[Any, Any], p
         DeepbotsError: The episode fails again.
     """
     try:
-        actions = [_action(world.action_space, kept) for kept in failure.actions]
+        actions = [_action(world.action_space, action) for action in failure.actions]
         start = _start(failure.start, failure.options)
         if start.state is not None:
             set_random_state(world, start.state)
@@ -334,8 +334,8 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
     return failure.model_copy(update={"actions": failure.actions[:done]}), None
 
 
-def _start(kept: int | dict[str, Any], options: Mapping[str, Any] | None) -> Start:
-    return Start(options=options, state=kept) if isinstance(kept, dict) else Start(kept, options)
+def _start(start: int | dict[str, Any], options: Mapping[str, Any] | None) -> Start:
+    return Start(options=options, state=start) if isinstance(start, dict) else Start(start, options)
 
 
 def _plain(action: Any) -> Any:

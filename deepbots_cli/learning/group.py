@@ -268,14 +268,14 @@ def new_record(
 ) -> GroupRecord:
     """Return the record of a group whose trainings have these options; with `retries`, of a group of
     attempts."""
-    kept: dict[str, Any] = {**options}
-    kept |= {name: tuple(kept.get(name, ())) for name in ("callbacks", "loggers", "command")}
+    values: dict[str, Any] = {**options}
+    values |= {name: tuple(values.get(name, ())) for name in ("callbacks", "loggers", "command")}
     for name in ("initialize_from", "demonstrations"):
-        if kept.get(name) is not None:
-            kept[name] = str(Path(kept[name]).absolute())
-    kept |= GroupRecord.common(compiled, kept.get("engine"))
+        if values.get(name) is not None:
+            values[name] = str(Path(values[name]).absolute())
+    values |= GroupRecord.common(compiled, values.get("engine"))
     return GroupRecord(
-        seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **kept
+        seeds=tuple(seeds), retries=retries, attempts=(RetryAttempt(),) if retries else (), **values
     )
 
 
@@ -355,8 +355,8 @@ def _train_seeds(
                 seed: None if on_seed is None else partial(on_seed, seed, number, len(seeds))
                 for number, seed in enumerate(seeds, 1)
             }
-            own = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
-            items = [replace(item, own=own, begin=begins[item.seed]) for item in items]
+            arguments = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
+            items = [replace(item, own=arguments, begin=begins[item.seed]) for item in items]
         else:
             if build is not None or on_evaluation is not None or isinstance(progress, Reporter):
                 raise UsageError(
@@ -463,10 +463,10 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
     group ends before."""
     if item.begin is not None and item.begin() is False:
         return None
-    own = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
+    arguments = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
     is_repeated = attempt.number > 1
     return train_member(
-        item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **own
+        item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **arguments
     )
 
 

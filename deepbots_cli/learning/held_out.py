@@ -183,7 +183,7 @@ class Evaluator:
         """
         state = torch.get_rng_state()
 
-        def look(done: int = 0, of: int = len(seeds)) -> None:
+        def look(done: int = 0, total: int = len(seeds)) -> None:
             if interruption.requested:
                 raise KeyboardInterrupt
 

@@ -79,16 +79,18 @@ class JointLearner(Learner):
                 " of them: --agent NAME"
             )
         self._check_ends(setup)
-        program, seen = setup.program, setup.program.with_critic
+        program, critic_program = setup.program, setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
         self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
-        self._critical = {name: Place(member, seen.agent) for name, member in seen.members.items()}
+        self._critical = {
+            name: Place(member, critic_program.agent) for name, member in critic_program.members.items()
+        }
         self._collectors: dict[str, OfferedCollector] = {}
         self.learners = self._create_learners()
-        self._masked = [name for name, own in self.learners.items() if own.takes_masks]
+        self._masked = [name for name, learner in self.learners.items() if learner.takes_masks]
         self.takes_masks = bool(self._masked)
-        self.is_off_policy = any(own.is_off_policy for own in self.learners.values())
+        self.is_off_policy = any(learner.is_off_policy for learner in self.learners.values())
         if setup.collector is not None:
             self.fragment_steps = _common_steps(self._own)
 
@@ -134,32 +136,33 @@ class JointLearner(Learner):
     @classmethod
     def check(cls, training: Training) -> None:
         _, first = training.agents[0]
-        for name, own in training.agents:
+        for name, agent_training in training.agents:
             for key in SHARED:
-                if getattr(own, key) != getattr(first, key):
+                if getattr(agent_training, key) != getattr(first, key):
                     raise UsageError(
-                        f"the agents have different `{key}` ({getattr(first, key)}, and {getattr(own, key)} of"
-                        f" `{name}`), but they learn in the same worlds; write it under `train` at the top"
-                        " level, or train one of them: --agent NAME"
+                        f"the agents have different `{key}` ({getattr(first, key)}, and"
+                        f" {getattr(agent_training, key)} of `{name}`), but they learn in the same worlds;"
+                        " write it under `train` at the top level, or train one of them: --agent NAME"
                     )
-            if own.teacher is not None:
+            if agent_training.teacher is not None:
                 raise UsageError(
                     f"`{name}` has a teacher, which is not supported where several agents learn; remove"
                     f" `train.teacher`, or train it alone: --agent {name}"
                 )
-            learners.class_of(own).check(own)
+            learners.class_of(agent_training).check(agent_training)
 
     def _check_ends(self, setup: Setup) -> None:
         """Check that agents whose episode may end before that of others learn by an algorithm that supports
         it."""
         assert setup.program is not None
-        for name, own in setup.training.agents:
+        for name, agent_training in setup.training.agents:
             alone = setup.program.members[name].alone
-            is_recurrent = ALGORITHMS[own.algorithm].base() == "RecurrentPPO"
-            if alone and (is_recurrent or not learners.class_of(own).learns_from_parts):
+            is_recurrent = ALGORITHMS[agent_training.algorithm].base() == "RecurrentPPO"
+            if alone and (is_recurrent or not learners.class_of(agent_training).learns_from_parts):
                 raise UsageError(
-                    f"`{min(alone)}` ends the episode of `{name}` alone, which {own.algorithm} does not support;"
-                    " use PPO, A2C or MaskablePPO, or let the ending end the episode of all agents"
+                    f"`{min(alone)}` ends the episode of `{name}` alone, which {agent_training.algorithm}"
+                    " does not support; use PPO, A2C or MaskablePPO, or let the ending end the episode of all"
+                    " agents"
                 )
 
     @property
@@ -169,29 +172,29 @@ class JointLearner(Learner):
     @log.setter
     def log(self, log: Any) -> None:
         self._log = log
-        for name, own in self._own.items():
-            own.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]  # the part of the log that learners use
+        for name, learner in self._own.items():
+            learner.log = AgentLog(log, name, lambda: self.steps)  # type: ignore[assignment]  # the part of the log that learners use
 
     # Acting and learning
 
     def begin(self, total: int, monitor: TrainingCallback, followers: Sequence[Any] = ()) -> None:
         self._monitor = monitor
         members = self.setup.program.members if self.setup.program is not None else {}
-        for name, own in self._own.items():
+        for name, learner in self._own.items():
             seat: Any = _SeatMonitor(members[name].program.defines_success)
-            own.begin(self._own_steps(own, total), seat)
+            learner.begin(self._own_steps(learner, total), seat)
 
-    def _own_steps(self, own: Learner, steps: int) -> int:
+    def _own_steps(self, learner: Learner, steps: int) -> int:
         """Return the number of steps of a learner, which may have more rows than there are worlds, after so
         many steps of all agents."""
-        collector, of_all = own.setup.collector, self.setup.collector
+        collector, of_all = learner.setup.collector, self.setup.collector
         assert collector is not None
         assert of_all is not None
         return steps * collector.rows // of_all.rows
 
     def start(self) -> None:
-        for own in self._own.values():
-            own.start()
+        for learner in self._own.values():
+            learner.start()
 
     def collect(self) -> bool:
         collector = self.setup.collector
@@ -207,28 +210,28 @@ class JointLearner(Learner):
         if fragment is None:
             return False
         self._last = fragment
-        for name, own in self._own.items():
+        for name, learner in self._own.items():
             self._collectors[name].offer(fragment)
-            own.collect()
+            learner.collect()
         self._monitor.on_collected()
         return True
 
     def actor(self) -> PolicyActor:
-        actors = {name: own.actor() for name, own in self.learners.items()}
+        actors = {name: learner.actor() for name, learner in self.learners.items()}
         return JointActor(self._critical, actors, self._masked)
 
     def update(self) -> None:
         turns = self.setup.training.turns
-        own = [*self._own.values()]
+        turn_learners = [*self._own.values()]
         if turns is not None:
             begun = self.steps - self.fragment_steps * self.setup.training.environments
-            own = [own[begun // turns % len(own)]]
-        for learner in own:
+            turn_learners = [turn_learners[begun // turns % len(turn_learners)]]
+        for learner in turn_learners:
             learner.update()
 
     def end(self) -> None:
-        for own in self._own.values():
-            own.end()
+        for learner in self._own.values():
+            learner.end()
         self._monitor.on_end()
 
     def predict(
@@ -243,22 +246,22 @@ class JointLearner(Learner):
         the memory of each agent by its name."""
         example = next(iter(observation.values())) if isinstance(observation, dict) else observation
         space = self.setup.observation_space
-        one = next(iter(space.values())) if isinstance(space, gym.spaces.Dict) else space
-        is_single = example.ndim == len(one.shape or ())
+        example_space = next(iter(space.values())) if isinstance(space, gym.spaces.Dict) else space
+        is_single = example.ndim == len(example_space.shape or ())
         actions, states = [], {}
-        for name, own in self.learners.items():
+        for name, learner in self.learners.items():
             place = self._places[name]
             masks = (
                 action_masks[..., place.masks] if name in self._masked and action_masks is not None else None
             )
-            chosen, states[name] = own.predict(
+            agent_actions, states[name] = learner.predict(
                 place.observation(observation),
                 None if state is None else state[name],
                 episode_start,
                 deterministic,
                 masks,
             )
-            actions.append(chosen[None] if is_single else chosen)
+            actions.append(agent_actions[None] if is_single else agent_actions)
         of_all = joined_actions([*actions])
         return (of_all[0] if is_single else of_all), states
 
@@ -268,8 +271,8 @@ class JointLearner(Learner):
     def weights(self) -> dict[str, Array]:
         return {
             own_name(name, key): array
-            for name, own in self.learners.items()
-            for key, array in own.weights().items()
+            for name, learner in self.learners.items()
+            for key, array in learner.weights().items()
         }
 
     # Models
@@ -283,69 +286,71 @@ class JointLearner(Learner):
         ):
             data = {"num_timesteps": self.steps, "agents": [*self.learners]}
             archive.writestr(_DATA, json.dumps(data))
-            for name, own in self.learners.items():
-                own.save(Path(folder) / _member(name))
+            for name, learner in self.learners.items():
+                learner.save(Path(folder) / _member(name))
                 archive.write(Path(folder) / _member(name), _member(name))
 
     def load(self, path: Path) -> None:
-        for name, own in self.learners.items():
+        for name, learner in self.learners.items():
             with own_model(path, name) as file:
-                own.load(file)
+                learner.load(file)
 
     def initialize(self, path: Path) -> Initialization:
         copied: list[str] = []
         not_copied: dict[str, str] = {}
-        for name, own in self.learners.items():
+        for name, learner in self.learners.items():
             with own_model(path, name) as file:
-                taken = own.initialize(file)
-            copied += [own_name(name, key) for key in taken.copied]
-            not_copied |= {own_name(name, key): reason for key, reason in taken.not_copied.items()}
+                initialization = learner.initialize(file)
+            copied += [own_name(name, key) for key in initialization.copied]
+            not_copied |= {own_name(name, key): reason for key, reason in initialization.not_copied.items()}
         return Initialization(tuple(copied), not_copied)
 
     # Checkpoints
 
     def attach(self, folder: Path) -> None:
-        for name, own in self._own.items():
-            own.attach(folder / name)
+        for name, learner in self._own.items():
+            learner.attach(folder / name)
 
     def state(self) -> dict[str, Any]:
-        return {"learners": {name: to_jsonable_python(own.state()) for name, own in self._own.items()}}
+        return {
+            "learners": {name: to_jsonable_python(learner.state()) for name, learner in self._own.items()}
+        }
 
     def shared_files(self) -> Iterable[Path]:
-        return chain.from_iterable(own.shared_files() for own in self._own.values())
+        return chain.from_iterable(learner.shared_files() for learner in self._own.values())
 
     def arrays(self) -> dict[str, Array]:
         return {
             _array_name(name, key): array
-            for name, own in self._own.items()
-            for key, array in own.arrays().items()
+            for name, learner in self._own.items()
+            for key, array in learner.arrays().items()
         }
 
     def specs(self, state: CheckpointState) -> dict[str, ArraySpec]:
         return {
             _array_name(name, key): spec
-            for name, own in self._own.items()
-            for key, spec in own.specs(self._own_state(state, name, own)).items()
+            for name, learner in self._own.items()
+            for key, spec in learner.specs(self._own_state(state, name, learner)).items()
         }
 
     def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
         self.steps = kept.steps
-        for name, own in self._own.items():
-            own.restore(
-                self._own_state(kept, name, own), own_entries(arrays, _array_name(name, "")[:-1]), same
+        for name, learner in self._own.items():
+            learner.restore(
+                self._own_state(kept, name, learner), own_entries(arrays, _array_name(name, "")[:-1]), same
             )
 
-    def _own_state(self, kept: Any, name: str, own: Learner) -> Any:
+    def _own_state(self, state: Any, name: str, learner: Learner) -> Any:
         """Return the state of a checkpoint as the learner of an agent has it.
 
         Raises:
             ValueError: The agent has no state, or a damaged one.
         """
-        if name not in kept.learners:
+        if name not in state.learners:
             raise ValueError(f"there is no state of the agent '{name}'")
-        common = kept.model_dump(mode="json", include=set(CheckpointState.model_fields))
-        common["statistics"]["steps"] = self._own_steps(own, kept.steps)
-        return own.State.model_validate_json(json.dumps({**common, **kept.learners[name]}))
+        common = state.model_dump(mode="json", include=set(CheckpointState.model_fields))
+        common["statistics"]["steps"] = self._own_steps(learner, state.steps)
+        return learner.State.model_validate_json(json.dumps({**common, **state.learners[name]}))
 
 
 def _array_name(agent: str, name: str) -> str:

@@ -182,7 +182,7 @@ def _played(
 
     def play(steps: Sequence[int], numbers: range) -> Iterable[list[Episode]]:
         return play_models(
-            run, [names[each] for each in steps], numbers, watcher=watcher, executor=executor, **options
+            run, [names[step] for step in steps], numbers, watcher=watcher, executor=executor, **options
         )
 
     results, _ = play_off(list(names), play, measure)

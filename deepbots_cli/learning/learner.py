@@ -412,7 +412,7 @@ def class_of(training: Training) -> type[Learner]:
         UsageError: The class of another package cannot be imported, or is no learner.
     """
     if training.agents:
-        has_self_play = any(own.self_play is not None for _, own in training.agents)
+        has_self_play = any(agent_training.self_play is not None for _, agent_training in training.agents)
         joint: type[Learner] = import_attribute(_JOINT[has_self_play])
         return joint
     model = ALGORITHMS.get(training.algorithm)
@@ -470,6 +470,6 @@ def _specs(arrays: Mapping[str, Array]) -> dict[str, ArraySpec]:
     return {name: ArraySpec.like(array) for name, array in arrays.items()}
 
 
-def _overwrite(arrays: Mapping[str, Array], kept: Mapping[str, Array]) -> None:
+def _overwrite(arrays: Mapping[str, Array], values: Mapping[str, Array]) -> None:
     for name, array in arrays.items():
-        array[...] = kept[name]
+        array[...] = values[name]

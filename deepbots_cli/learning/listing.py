@@ -297,10 +297,10 @@ def teacher_of(run: Path) -> str | None:
         return DEMONSTRATIONS_NAME
     if (run / TEACHER_FOLDER).is_dir():
         return f"{TEACHER_FOLDER}/"
-    kept = run / RESOLVED_NAME
+    file = run / RESOLVED_NAME
     try:
         # Reading all of the file takes 5 ms.
-        if not kept.is_file() or b"teacher" not in read_at_most(kept, _MAX_SCENARIO_BYTES):
+        if not file.is_file() or b"teacher" not in read_at_most(file, _MAX_SCENARIO_BYTES):
             return None
     except OSError:
         return None

@@ -128,14 +128,14 @@ def play_matches(
     starts = [
         Start.of_evaluation(seed, number) for number in range(episodes or program.evaluation_episodes())
     ]
-    one, two = program.members
+    first_agent, second_agent = program.members
     is_symmetric = program.is_symmetric
     policies, scripted = _policies(program, refs, is_symmetric=is_symmetric), _scripted(program)
     players = [*policies, *scripted]
     if is_symmetric:
         players = [player for player in players if len(player.drivers) == len(program.members)]
-    rows = [player for player in players if one in player.drivers]
-    columns = [player for player in players if two in player.drivers]
+    rows = [player for player in players if first_agent in player.drivers]
+    columns = [player for player in players if second_agent in player.drivers]
     pairs = [*combinations(rows, 2)] if is_symmetric else [*product(rows, columns)]
     count, total = 0, len(pairs) * len(starts) * (2 if is_symmetric else 1)
 
@@ -152,7 +152,9 @@ def play_matches(
     with torch_settings(), closing(api.build(program, engine=engine)) as world:
 
         def played(as_one: Player, as_two: Player) -> list[Episode]:
-            driver = AgentsDriver(world, {one: as_one.drivers[one], two: as_two.drivers[two]})
+            driver = AgentsDriver(
+                world, {first_agent: as_one.drivers[first_agent], second_agent: as_two.drivers[second_agent]}
+            )
             return [*counted(play(world, driver, start) for start in starts)]
 
         for a, b in pairs:
@@ -164,11 +166,11 @@ def play_matches(
                 matches.append(_match(program, a, b, done, agents=scores))
     return MatchTable(
         scenario=program.name,
-        agents=(one, two),
+        agents=(first_agent, second_agent),
         rows=tuple(player.name for player in rows),
         columns=tuple(player.name for player in columns),
         is_symmetric=is_symmetric,
-        success_defined=program.members[one].defines_success,
+        success_defined=program.members[first_agent].defines_success,
         starts=len(starts),
         seed=seed,
         matches=tuple(matches),
@@ -243,8 +245,8 @@ def _scripted(program: Program) -> list[Player]:
 
 def _drivers(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Predictor]:
     """Return the policies in a model: of all agents, or of the one that its run trained."""
-    run, own = ref.run, _world_of(ref.run.program)
-    if differing := identity.differences(own, program):
+    run, world = ref.run, _world_of(ref.run.program)
+    if differing := identity.differences(world, program):
         lines = "\n  ".join(differing)
         raise UsageError(f"the agents of {run.path} are others than those of {program.name}:\n  {lines}")
     if run.program.others is None:
@@ -261,11 +263,11 @@ def _both_sides(
     program: Program, a: Player, b: Player, as_first: Sequence[Episode], as_second: Sequence[Episode]
 ) -> Match:
     """Return the match of two players: the episodes with `a` as the first agent, and as the second one."""
-    one, two = program.members.values()
+    first, second = program.members.values()
     wins = losses = 0
-    for done, mine, other in ((as_first, one, two), (as_second, two, one)):
+    for done, side, opponent in ((as_first, first, second), (as_second, second, first)):
         for episode in done:
-            won, lost = (own_episode(each, episode).is_success for each in (mine, other))
+            won, lost = (own_episode(member, episode).is_success for member in (side, opponent))
             wins += won and not lost
             losses += lost and not won
     decided = wins + losses

@@ -221,7 +221,9 @@ class Shortlist:
 
     def restore(self, candidates: Sequence[Candidate]) -> None:
         """Restore the candidates of a checkpoint, without those whose file is missing."""
-        self.candidates = self._ordered([each for each in candidates if self.model(each).is_file()])
+        self.candidates = self._ordered(
+            [candidate for candidate in candidates if self.model(candidate).is_file()]
+        )
         self._remove_others()
         if self.best is not None:
             self._copy(self.best)
@@ -254,7 +256,7 @@ class Shortlist:
 
     def _remove_others(self) -> None:
         """Remove the files of models that are no candidates any more."""
-        kept = {self.model(candidate) for candidate in self.candidates}
+        models = {self.model(candidate) for candidate in self.candidates}
         for path in self._run.model("best").parent.glob("candidate-*.zip"):
-            if path not in kept and re.fullmatch(r"candidate-[0-9]{12}\.zip", path.name):
+            if path not in models and re.fullmatch(r"candidate-[0-9]{12}\.zip", path.name):
                 path.unlink()

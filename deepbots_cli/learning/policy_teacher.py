@@ -52,8 +52,8 @@ class PolicyTeacher:
 
     def actions(self, observations: Array) -> Array:
         """Return the actions in observations of the training, both of shape (steps, rows, ...)."""
-        own = observations[..., self._columns]
-        actions, _ = self._learner.predict(own.reshape(-1, own.shape[-1]), deterministic=True)
+        inputs = observations[..., self._columns]
+        actions, _ = self._learner.predict(inputs.reshape(-1, inputs.shape[-1]), deterministic=True)
         labels: Array = np.asarray(actions).reshape(*observations.shape[:2], *np.shape(actions)[1:])
         return labels
 
@@ -101,8 +101,8 @@ def _columns(teacher: ModelRef, program: Program) -> list[int]:
     training = agent.training
     if training is not None and ALGORITHMS[training.algorithm].base() == "RecurrentPPO":
         raise UsageError(f"the policy of {name} has a memory, which a teacher cannot have")
-    for one, whose in ((agent, name), (learner, program.name)):
-        if one.goal is not None or one.images or one.copies is not None:
+    for checked_agent, whose in ((agent, name), (learner, program.name)):
+        if checked_agent.goal is not None or checked_agent.images or checked_agent.copies is not None:
             raise UsageError(
                 f"{whose} has a goal, pictures or copies of a robot, with which a policy cannot be a teacher"
             )

@@ -372,23 +372,27 @@ class EvaluationRecord(Evaluation, frozen=True):
     @property
     def text(self) -> str:
         """Mean return and success rate with their intervals, and the circumstances."""
-        scores = [f"{name} {_scores_text(own)}" for name, own in self.agents.items()] or [_scores_text(self)]
-        of = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
+        scores = [f"{name} {_scores_text(entry)}" for name, entry in self.agents.items()] or [
+            _scores_text(self)
+        ]
+        suffix = "" if self.model_steps is None else f" of the model after {self.model_steps:,} steps"
         against = "" if self.against is None else f" against {self.against}"
         return (
-            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{of}, from evaluation seed"
-            f" {self.seed}{in_parentheses(self.remarks)}"
+            f"{'; '.join(scores)}{against}, over {self.episodes:,} held-out episodes{suffix}, from evaluation"
+            f" seed {self.seed}{in_parentheses(self.remarks)}"
         )
 
     def of_agent(self, agent: str) -> Self:
         """Return the evaluation as it was for one of several agents."""
-        own = self.agents.get(agent)
-        if own is None:
+        agent_scores = self.agents.get(agent)
+        if agent_scores is None:
             return self
-        scores = {name: getattr(own, name) for name in Scores.model_fields}
+        scores = {name: getattr(agent_scores, name) for name in Scores.model_fields}
         others = ", ".join(f"{name} (its policy of the same model)" for name in self.agents if name != agent)
         changes = {"agents": {}, "agent": agent, "against": others}
-        return self.model_copy(update={**scores, **changes, "success_defined": own.success_rate is not None})
+        return self.model_copy(
+            update={**scores, **changes, "success_defined": agent_scores.success_rate is not None}
+        )
 
 
 def _scores_text(scores: Scores) -> str:
@@ -425,8 +429,8 @@ class EvaluationWithEpisodes(EvaluationRecord, frozen=True, allow_inf_nan=False)
         """Return the numbers of the episodes that failed: without a success, or where none is defined, ended
         by a failure."""
         bad = [
-            not each.is_success if self.success_defined else each.ended_by in program.failures
-            for each in self.outcomes
+            not outcome.is_success if self.success_defined else outcome.ended_by in program.failures
+            for outcome in self.outcomes
         ]
         return [number for number, is_bad in enumerate(bad) if is_bad]
 

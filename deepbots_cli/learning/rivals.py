@@ -26,7 +26,7 @@ def load_rival(others: Others, agent: str) -> Learner:
         RunError: The model is damaged.
     """
     program, path = others.world.members[agent].program, others.models[agent]
-    training, seen = program.agent.training, program.with_critic.agent
+    training, critic_agent = program.agent.training, program.with_critic.agent
     if training is None:
         raise UsageError(
             f"`{agent}` has no `train`, so the layers of its policy in {path} are unknown; write it as in the"
@@ -36,9 +36,9 @@ def load_rival(others: Others, agent: str) -> Learner:
         policy = learners.create(
             Setup(
                 replace(training, device="cpu"),
-                observation_space(seen),
-                action_space(seen),
-                policy_columns=seen.policy_columns,
+                observation_space(critic_agent),
+                action_space(critic_agent),
+                policy_columns=critic_agent.policy_columns,
                 program=program,
             )
         )

@@ -114,10 +114,10 @@ class Side:
                 " their intervals"
             )
         else:
-            failed, held = (
+            failing, holding = (
                 listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True)
             )
-            rest = f"fails at {failed} but holds at {held}: here, a larger change is not always harder"
+            rest = f"fails at {failing} but holds at {holding}: here, a larger change is not always harder"
         return "; ".join([*([", ".join(parts)] if parts else []), rest])
 
     @property
@@ -469,9 +469,9 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         if any(robot.emitted for robot in program.robots):
             ways.append(("from_robot", "latency from the robot"))
         steps = tuple(1000 * program.world.timestep * count for count in LATENCY_STEPS)
-        for way, words in ways:
-            own = written(root, "messages", way, "latency")
-            yield Plan(words, partial(_latency, way, own), {"": steps}, DELAY)
+        for direction, words in ways:
+            latency = written(root, "messages", direction, "latency")
+            yield Plan(words, partial(_latency, direction, latency), {"": steps}, DELAY)
         yield Plan("message loss", _loss, {"": LOSS_RATES}, "{:.0%}")
     if all(_noise(root, program, share) for share in NOISE_SHARES):
         yield Plan(
@@ -499,12 +499,12 @@ def delayed(delay: float, own: str | None) -> str:
     return f"{delay:g} ms" + (f" + {own}" if own else "")
 
 
-def _latency(way: str, own: str | None, delay: float) -> Change:
-    return {"messages": {way: {"latency": delayed(delay, own)}}}
+def _latency(direction: str, latency: str | None, delay: float) -> Change:
+    return {"messages": {direction: {"latency": delayed(delay, latency)}}}
 
 
 def _loss(rate: float) -> Change:
-    return {"messages": {way: {"loss": rate} for way in ("to_robot", "from_robot")}}
+    return {"messages": {direction: {"loss": rate} for direction in ("to_robot", "from_robot")}}
 
 
 Surface = tuple[str, str]
@@ -548,8 +548,8 @@ def friction(root: MappingNode, surface: Surface, factor: float) -> Change:
     default."""
     change: Change = {"friction": f"{factor:g} * ({written(root, *surface, 'friction') or '1'})"}
     for variant in entries_at(root, *surface, "one_of"):
-        if own := written(root, *surface, "one_of", variant, "friction"):
-            change.setdefault("one_of", {})[variant] = {"friction": f"{factor:g} * ({own})"}
+        if text := written(root, *surface, "one_of", variant, "friction"):
+            change.setdefault("one_of", {})[variant] = {"friction": f"{factor:g} * ({text})"}
     return change
 
 
@@ -616,8 +616,8 @@ def _mass_plan(root: MappingNode, name: str) -> Plan:
         if name in entries_at(root, "objects")
         else ("robots", name.partition(".")[0], "links", name.partition(".")[2])
     )
-    own = written(root, *path, "mass") or "urdf"
-    return Plan(MASS, lambda factor: _nested(path, {"mass": f"{factor:g} * ({own})"}), subject=name)
+    mass = written(root, *path, "mass") or "urdf"
+    return Plan(MASS, lambda factor: _nested(path, {"mass": f"{factor:g} * ({mass})"}), subject=name)
 
 
 def _mass(root: MappingNode, program: Program, name: str | None) -> str | None:

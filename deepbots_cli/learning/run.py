@@ -139,8 +139,8 @@ class Run:
     def engine_for(self, program: Program) -> str:
         """Return the engine to evaluate in: that of `program` if it names another than the run's scenario,
         else the engine of the training."""
-        own = program.engine is not None and program.engine != self.program.engine
-        return program.engine if own and program.engine else self.record.engine
+        has_other_engine = program.engine is not None and program.engine != self.program.engine
+        return program.engine if has_other_engine and program.engine else self.record.engine
 
     def update(self, **changes: Any) -> None:
         """Change entries of the record, here and on disk."""

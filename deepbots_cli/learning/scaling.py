@@ -84,7 +84,7 @@ def measure(
         on_measured: Called with the number of measurements that are done and that of all.
     """
     timings: list[ShardTiming] = []
-    show = on_measured or (lambda done, of: None)
+    show = on_measured or (lambda done, total: None)
     for number, count in enumerate(shards):
         show(number, len(shards))
         executor = workers if count > 1 else SERIAL
@@ -148,7 +148,7 @@ class _Times:
         steps = self._last.steps - self._first[0].steps
         spent = _difference(self._last.collecting, self._first[0].collecting)
         rate = steps / (self._collect + self._update)
-        each = 1e6 / steps
+        scale = 1e6 / steps
         return ShardTiming(
             shards=shards,
             workers=workers,
@@ -156,11 +156,11 @@ class _Times:
             speedup=rate / (first or rate),
             efficiency=rate / (first or rate) / max(1, workers),
             start_s=self._first[1] - self._began,
-            worlds_us=spent.worlds * each,
-            policy_us=max(0.0, self._collect - spent.worlds - spent.waiting - spent.transfer) * each,
-            transfer_us=spent.transfer * each,
-            waiting_us=spent.waiting * each,
-            update_us=self._update * each,
+            worlds_us=spent.worlds * scale,
+            policy_us=max(0.0, self._collect - spent.worlds - spent.waiting - spent.transfer) * scale,
+            transfer_us=spent.transfer * scale,
+            waiting_us=spent.waiting * scale,
+            update_us=self._update * scale,
         )
 
 

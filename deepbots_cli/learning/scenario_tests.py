@@ -82,10 +82,10 @@ def run_tests(
 
     for (case, stage), group in groupby(sorted(tests, key=setting), setting):
         together = tuple(group)
-        chosen = program.variant(case or None, stage or None)
-        chosen = chosen if chosen.others is None else chosen.others.world
+        variant = program.variant(case or None, stage or None)
+        variant = variant if variant.others is None else variant.others.world
         with closing(
-            api.make(replace(chosen, tests=together), engine=engine, permissions=permissions)
+            api.make(replace(variant, tests=together), engine=engine, permissions=permissions)
         ) as environment:
             for test in together:
                 yield _run(environment, test, on_episode)
@@ -204,7 +204,7 @@ class _ExpectationMonitor:
                     self._episode,
                 )
 
-    def _compared(self, wanted: ExpectedResult) -> str:
+    def _compared(self, expectation: ExpectedResult) -> str:
         """Return the compared values of the condition, after the last step."""
         values = iter(self._agent.tested(self._test.name, "compared"))
         compared = {
@@ -213,7 +213,7 @@ class _ExpectationMonitor:
         }
         return ", ".join(
             f"{value.text} is {with_unit(number, value.typed.type.dimension)}"
-            for value, number in compared[wanted]
+            for value, number in compared[expectation]
         )
 
 

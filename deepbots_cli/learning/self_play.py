@@ -60,11 +60,11 @@ class Sides(NamedTuple):
     def divided(cls, worlds: int, newest: float, scripts: float = 0.0) -> Sides:
         """Divide the worlds: in the first ones the policy plays against itself, and in the last ones against
         scripts. Where it plays one side, it takes each side in turn."""
-        both = min(worlds, round(newest * worlds))
-        others = np.arange(both, worlds)
+        self_play_count = min(worlds, round(newest * worlds))
+        others = np.arange(self_play_count, worlds)
         return cls(
-            np.concatenate([np.arange(both), others[::2]]),
-            np.concatenate([np.arange(both), others[1::2]]),
+            np.concatenate([np.arange(self_play_count), others[::2]]),
+            np.concatenate([np.arange(self_play_count), others[1::2]]),
             others,
             others[len(others) - min(len(others), round(scripts * worlds)) :],
         )
@@ -90,8 +90,8 @@ class SidesCollector(OfferedCollector):
     def rows_of(self, first: Any, second: Any, axis: int = 0) -> Any:
         """Return the rows of the policy, given those of the first and of the second agent in all worlds."""
 
-        def rows(one: Array, two: Array) -> Array:
-            parts = one.take(self._sides.first, axis), two.take(self._sides.second, axis)
+        def rows(first_rows: Array, second_rows: Array) -> Array:
+            parts = first_rows.take(self._sides.first, axis), second_rows.take(self._sides.second, axis)
             return np.concatenate(parts, axis)
 
         return by_part(rows, first, second)
@@ -102,13 +102,13 @@ class SidesCollector(OfferedCollector):
         return self.rows_of(first, second, axis)
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        one, two = self._places
+        first, second = self._places
         rewards = of_all.agent_rewards
         return replace(
             of_all,
             observations=self.seen(of_all.observations, 1),
-            actions=self.rows_of(one.actions(of_all.actions), two.actions(of_all.actions), 1),
-            rewards=self.rows_of(rewards[one.member.name], rewards[two.member.name], 1),
+            actions=self.rows_of(first.actions(of_all.actions), second.actions(of_all.actions), 1),
+            rewards=self.rows_of(rewards[first.member.name], rewards[second.member.name], 1),
             starts=self.rows_of(of_all.starts, of_all.starts, 1),
             columns={name: array for name, array in of_all.columns.items() if name != _OPPONENTS},
             following=self.seen(of_all.following),
@@ -188,7 +188,7 @@ class SelfPlayLearner(JointLearner):
     @classmethod
     def check(cls, training: Training) -> None:
         (_, first), *others = training.agents
-        if any(replace(own, agents=()) != first for _, own in others):
+        if any(replace(agent_training, agents=()) != first for _, agent_training in others):
             raise UsageError(
                 "agents that share a policy have the same `train`; write it, with `self_play`, at the top level"
             )
@@ -226,10 +226,10 @@ class SelfPlayLearner(JointLearner):
             )
         self._rater = _Rater()
         (name, training), _ = setup.training.agents
-        places = [self._critical[each] for each, _ in setup.training.agents]
+        places = [self._critical[agent] for agent, _ in setup.training.agents]
         self._scripts = {
-            each: [joint_name(each, script.name) for script in place.member.program.agent.scripts]
-            for each, place in self._critical.items()
+            agent: [joint_name(agent, script.name) for script in place.member.program.agent.scripts]
+            for agent, place in self._critical.items()
         }
         settings = self._settings
         self._sides = Sides.divided(training.environments, settings.newest, settings.scripts)
@@ -242,7 +242,7 @@ class SelfPlayLearner(JointLearner):
         self._collector = SidesCollector(setup.collector, places, self._sides)
         self._collectors[name] = self._collector
         learner = self._create(name, training, self._collector)
-        return {each: learner for each, _ in setup.training.agents}
+        return {agent: learner for agent, _ in setup.training.agents}
 
     @property
     def _own(self) -> Mapping[str, Learner]:
@@ -298,14 +298,16 @@ class SelfPlayLearner(JointLearner):
             else:
                 self._opponents[world] = np.random.randint(len(self.pool)) if self.pool else _PRESENT
 
-    def _let_opponents_act(self, worlds: Array, seen: Any, masks: Array | None, actions: Array) -> None:
+    def _let_opponents_act(
+        self, worlds: Array, observations: Any, masks: Array | None, actions: Array
+    ) -> None:
         """Write the actions of past policies in some worlds; each samples from its distribution."""
         policies = worlds[self._opponents[worlds] >= _PRESENT]
         for place in np.unique(self._opponents[policies]):
             rows = worlds[self._opponents[worlds] == place]
             policy = self._learner if place == _PRESENT else self.pool[place].policy
             actions[rows], _ = policy.predict(
-                by_part(lambda part, rows=rows: part[rows], seen),
+                by_part(lambda part, rows=rows: part[rows], observations),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
 
@@ -326,16 +328,16 @@ class SelfPlayLearner(JointLearner):
 
     def update(self) -> None:
         super().update()
-        every = self._settings.every
+        interval = self._settings.every
         before = self.steps - self.fragment_steps * self.setup.training.environments
-        if self.steps // every > before // every:
+        if self.steps // interval > before // interval:
             self._add_to_pool()
 
     # Ratings and the pool
 
     def _rate(self) -> None:
         """Rate the policies by the results of the episodes against past policies."""
-        one, two = (self._critical[name].member for name in self.learners)
+        first, second = (self._critical[name].member for name in self.learners)
         fragment = self._last
         wins = losses = 0
         against_scripts = []
@@ -344,10 +346,10 @@ class SelfPlayLearner(JointLearner):
             if place == _PRESENT:
                 continue
             is_first = ending.row in self._sides.first
-            mine, other = (one, two) if is_first else (two, one)
+            member, opponent = (first, second) if is_first else (second, first)
             by = ending.episode.ended_by
             endings = () if by is None else (by,)
-            score = int(mine.has_succeeded(endings)) - int(other.has_succeeded(endings))
+            score = int(member.has_succeeded(endings)) - int(opponent.has_succeeded(endings))
             if place <= _FIRST_SCRIPT:
                 against_scripts.append(score)
                 continue
@@ -474,7 +476,7 @@ class _Rater:
 
     def rated(self, one: Rating, two: Rating, score: int) -> tuple[Rating, Rating]:
         """Return the ratings after a game, in which `score` is 1 if `one` has won, -1 if `two` has, else 0."""
-        teams = [[self._model.rating(mu=each.mean, sigma=each.deviation)] for each in (one, two)]
+        teams = [[self._model.rating(mu=rating.mean, sigma=rating.deviation)] for rating in (one, two)]
         ((a,), (b,)) = self._model.rate(teams, ranks=[1 + (score < 0), 1 + (score > 0)])
         return (
             one._replace(mean=a.mu, deviation=a.sigma),

@@ -318,7 +318,9 @@ class LocalShards:
         self._shards = shards
 
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
-        return [shard.begin(own) for shard, own in zip(self._shards, episodes, strict=True)]
+        return [
+            shard.begin(shard_episodes) for shard, shard_episodes in zip(self._shards, episodes, strict=True)
+        ]
 
     def collect(
         self,

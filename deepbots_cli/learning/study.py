@@ -84,7 +84,7 @@ class StudyRecord(CampaignRecord):
 
     def score_interval(self, trial: StudyTrial) -> Interval | None:
         """Return the interval of the score of a trial over its seeds."""
-        return mean_interval([each.score for each in trial.seeds], self.score_bounds)
+        return mean_interval([seed.score for seed in trial.seeds], self.score_bounds)
 
     @property
     def score_bounds(self) -> Interval:
@@ -144,12 +144,12 @@ class StudyTrial(Member):
     @property
     def success_rate(self) -> float | None:
         """The mean over the seeds; None where no seed has one."""
-        return _mean([each.success_rate for each in self.seeds])
+        return _mean([seed.success_rate for seed in self.seeds])
 
     @property
     def mean_return(self) -> float | None:
         """The mean over the seeds that have a model."""
-        return _mean([each.mean_return for each in self.seeds])
+        return _mean([seed.mean_return for seed in self.seeds])
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -332,7 +332,7 @@ class Study(Campaign[StudyRecord]):
                     )
                     return Journal(study, storage, file)
                 # `create_study` would write a line, even for a study that exists.
-                if [each.name.lower() for each in present[0].directions] != [direction]:
+                if [entry.name.lower() for entry in present[0].directions] != [direction]:
                     raise ValueError("the journal of another objective")
                 return Journal(optuna.load_study(study_name=name, storage=storage), storage, file)
         finally:
@@ -345,7 +345,7 @@ class Study(Campaign[StudyRecord]):
             RunError: The journal is damaged, or has values that are not in the search space.
         """
         frozen = (self.connect() if journal is None else journal).trials
-        return [self._trial(each) for each in frozen if self.record.search.keys() <= each.params.keys()]
+        return [self._trial(trial) for trial in frozen if self.record.search.keys() <= trial.params.keys()]
 
     def trial(self, journal: Journal, number: int) -> StudyTrial:
         return self._trial(journal.trials[number])
@@ -357,9 +357,9 @@ class Study(Campaign[StudyRecord]):
             seeds = _SEED_SCORES.validate_python(frozen.user_attrs.get("seeds", ()))
             values = self.record.texts(frozen.params)
             score = frozen.value if state == "complete" else None
-            if state == "complete" and [each.seed for each in seeds] != [*self.record.seeds]:
+            if state == "complete" and [seed.seed for seed in seeds] != [*self.record.seeds]:
                 raise ValueError("a complete trial has the scores of all seeds")
-            for number in (score, *(number for each in seeds for number in each.numbers)):
+            for number in (score, *(number for seed in seeds for number in seed.numbers)):
                 if number is not None and not abs(number) <= _MAX_SCORE:
                     raise ValueError("a number that no training has")
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
@@ -395,8 +395,10 @@ class Study(Campaign[StudyRecord]):
         first = next((trial for trial in ranked if trial.number == 0 and self.record.present), None)
         if first is None or ranked[0] is first:
             return None
-        own, best = ([each.score for each in trial.seeds] for trial in (first, ranked[0]))
-        difference = compare_seeds(own, best, self.record.score_bounds, ALPHA / (len(ranked) - 1))
+        first_scores, best_scores = ([seed.score for seed in trial.seeds] for trial in (first, ranked[0]))
+        difference = compare_seeds(
+            first_scores, best_scores, self.record.score_bounds, ALPHA / (len(ranked) - 1)
+        )
         is_better = (difference.mean < 0) == self.record.lower_is_better
         return OverFirst(difference, is_better and difference.certain)
 
@@ -434,13 +436,13 @@ def create_study(
     if training is None:
         raise UsageError(f"{program.name} has no `train` section; add `train: {{algorithm: auto}}`")
     usual: Objective = "success_rate" if program.defines_success else "mean_return"
-    chosen = objective or tune.objective or ("solved" if solved else usual)
-    if chosen == "solved" and solved is None:
+    final_objective = objective or tune.objective or ("solved" if solved else usual)
+    if final_objective == "solved" and solved is None:
         raise UsageError(
             f"the objective `solved` needs the key `solved`, which {program.name} does not have; use"
             " --objective mean_return"
         )
-    if chosen == "success_rate" and not program.defines_success:
+    if final_objective == "success_rate" and not program.defines_success:
         raise UsageError(
             f"the objective `success_rate` needs a success, which {program.name} does not define; use"
             " --objective mean_return"
@@ -462,7 +464,7 @@ def create_study(
         seeds=tuple(range(tune.seeds) if seeds is None else seeds),
         trials=trials or tune.trials,
         total_timesteps=timesteps or tune.timesteps or training.total_timesteps,
-        objective=chosen,
+        objective=final_objective,
         prune=tune.prune if prune is None else prune,
         seed=seed,
         versions=versions("optuna"),

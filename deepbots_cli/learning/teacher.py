@@ -159,8 +159,8 @@ class Teaching:
         if defines_success:
             enough = (found.success_rate or 0.0) >= ENOUGH * (self.score.success_rate or 0.0)
         else:
-            wanted = self.score.mean_return
-            enough = found.mean_return >= wanted - (1.0 - ENOUGH) * abs(wanted)
+            target = self.score.mean_return
+            enough = found.mean_return >= target - (1.0 - ENOUGH) * abs(target)
         if enough or is_solved:
             self._imitated_until = steps
 

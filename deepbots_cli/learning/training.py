@@ -444,7 +444,7 @@ def _check_teacher(
     Raises:
         UsageError: No episode succeeds.
     """
-    first = next((one.program for one in program.curriculum if stage in (None, one.name)), program)
+    first = next((entry.program for entry in program.curriculum if stage in (None, entry.name)), program)
     if not first.defines_success:
         return
     for count in (1, EVALUATION_EPISODES):

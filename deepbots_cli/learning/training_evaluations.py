@@ -106,10 +106,12 @@ class TrainingEvaluations:
         """Return the lowest and the highest possible return; if they are unknown, those of all episodes of
         the stage so far."""
         low, high = possible_returns(self._active.run.program)
-        seen = [each for each in (self.returns, self._active.statistics.returns) if each is not None]
+        intervals = [
+            interval for interval in (self.returns, self._active.statistics.returns) if interval is not None
+        ]
         return (
-            low if math.isfinite(low) else min(lowest for lowest, _ in seen),
-            high if math.isfinite(high) else max(highest for _, highest in seen),
+            low if math.isfinite(low) else min(lowest for lowest, _ in intervals),
+            high if math.isfinite(high) else max(highest for _, highest in intervals),
         )
 
     def choose_best(self, load: Callable[[Path], Learner], report: Callable[[], None]) -> None:

@@ -127,8 +127,8 @@ class TakenTrial:
     permissions: Permissions
 
 
-def _log_of(taken: TakenTrial) -> Path:
-    return taken.study / WORKERS_FOLDER / f"trial-{taken.number}.log"
+def _log_of(trial: TakenTrial) -> Path:
+    return trial.study / WORKERS_FOLDER / f"trial-{trial.number}.log"
 
 
 class _Search(Watcher):
@@ -261,11 +261,11 @@ def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
 
     trial = journal.trial(number)
     with journal.file.checked():
-        trial.set_user_attr("seeds", [asdict(each) for each in result.seeds])
+        trial.set_user_attr("seeds", [asdict(seed) for seed in result.seeds])
         if result.reason is not None:
             trial.set_user_attr("reason", result.reason)
         if result.state == "complete":
-            journal.known.tell(trial, fmean(each.score for each in result.seeds), skip_if_finished=True)
+            journal.known.tell(trial, fmean(seed.score for seed in result.seeds), skip_if_finished=True)
         else:
             journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
 
@@ -432,10 +432,10 @@ class _Follower(Reporter):
     def is_pruned(self) -> bool:
         """Return whether a training of the trial was stopped, or the next one is not worth its time."""
         begun = [RunRecord.read(run) for run in self._runs if folder_kind(run) is SourceKind.RUN]
-        if any(each.result is not None and each.result.stopped_by == PRUNED_BY for each in begun):
+        if any(record.result is not None and record.result.stopped_by == PRUNED_BY for record in begun):
             return True
         is_between = 0 < len(begun) < len(self._runs) and all(
-            each.status in ("finished", "failed") for each in begun
+            record.status in ("finished", "failed") for record in begun
         )
         return is_between and self._is_worse(len(begun) - 1, GRID)
 
@@ -460,12 +460,12 @@ class _Follower(Reporter):
         point."""
         step = GRID * place + point
         reported = dict(self._journal.trials[self._trial.number].intermediate_values)
-        for each in range(1, point + 1):
-            value = self._score(place, each) if GRID * place + each not in reported else None
+        for number in range(1, point + 1):
+            value = self._score(place, number) if GRID * place + number not in reported else None
             if value is not None:
                 with self._journal.file.checked():
-                    self._trial.report(value, GRID * place + each)
-                reported[GRID * place + each] = value
+                    self._trial.report(value, GRID * place + number)
+                reported[GRID * place + number] = value
         return reported.get(step)
 
     def _score(self, place: int, point: int) -> float | None:
@@ -473,7 +473,7 @@ class _Follower(Reporter):
         first evaluation."""
         scores = [self._score_of(run, GRID) for run in self._runs[:place]]
         scores.append(self._score_of(self._runs[place], point))
-        return None if None in scores else fmean(each for each in scores if each is not None)
+        return None if None in scores else fmean(mean for mean in scores if mean is not None)
 
     def _score_of(self, run: Path, point: int) -> float | None:
         """Return the score of the best evaluation of a training up to a point."""
@@ -484,7 +484,7 @@ class _Follower(Reporter):
             if at is not None and GRID * at.steps <= point * study.total_timesteps
             else None
         )
-        evaluations = [each for each in self._evaluations(run) if GRID * each[0] <= point]
+        evaluations = [evaluation for evaluation in self._evaluations(run) if GRID * evaluation[0] <= point]
         scores = [
             score(study.objective, self.solved, mean_return, rate, share)
             for _, mean_return, rate in evaluations

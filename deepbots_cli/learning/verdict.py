@@ -192,7 +192,7 @@ def own_evaluations(
         best_deterministic: Only evaluations of the best model without sampled actions. Otherwise those of all
             models that the run still has, including checkpoints.
     """
-    kept = []
+    evaluations = []
     best = None if record.result is None else record.result.best_model
     steps_of_best = None if best is None else best.steps
     for _, file in numbered_files(path / "evaluations"):
@@ -200,7 +200,7 @@ def own_evaluations(
             evaluation = EvaluationRecord.read(file)
         except RunError:
             continue
-        own = not (
+        is_own = not (
             evaluation.set or evaluation.elsewhere or evaluation.case or evaluation.stage
         ) and evaluation.engine in (None, record.engine)
         if best_deterministic:
@@ -211,9 +211,9 @@ def own_evaluations(
             acts = evaluation.model == "best" and evaluation.deterministic and is_present
         else:
             acts = has_model(path, evaluation.model)
-        if own and acts and evaluation.evaluated >= record.updated:
+        if is_own and acts and evaluation.evaluated >= record.updated:
             # The criterion of a changed scenario may be another one.
-            kept.append(
+            evaluations.append(
                 (
                     file,
                     evaluation
@@ -221,7 +221,7 @@ def own_evaluations(
                     else evaluation.model_copy(update={"solved": None}),
                 )
             )
-    return kept
+    return evaluations
 
 
 def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:

@@ -180,11 +180,11 @@ class Simulation(RuleContext):
         for term in program.agent.reward:
             yield generated.term(term.name), (term, "reward")
             yield generated.identifier(term.name, "term"), (term, "reward")
-        seen = self._names_behind([entry.value for entry in program.agent.observation])
+        observed_names = self._names_behind([entry.value for entry in program.agent.observation])
         paid = self._names_behind(program.agent.reward)
         for value in program.signals:
             section: Section
-            if value.name in seen:
+            if value.name in observed_names:
                 section = "observation"
             elif value.name in paid:
                 section = "reward"

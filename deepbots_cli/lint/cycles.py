@@ -174,12 +174,12 @@ class _Search:
             ):
                 continue
             near[key] = single(edge)
-        held = self._held(base, near)
+        count = self._held(base, near)
         changing = next(iter(out))
-        if held:
-            yield Cycle(((near, held), (base, 1)), changing)
+        if count:
+            yield Cycle(((near, count), (base, 1)), changing)
             yield Cycle(((near, 1), (base, 1)), changing)
-            yield Cycle(((near, max(1, held // 2)), (base, max(1, held // 2))), changing)
+            yield Cycle(((near, max(1, count // 2)), (base, max(1, count // 2))), changing)
 
     def _held(self, base: Values, near: Values) -> int:
         """Return the number of timesteps for which the values of success do not yet end the episode; 0 if
@@ -206,9 +206,9 @@ class _Search:
             low, high = ({**base, key: side} for side in sides)
             yield Cycle(((low, 1),), key)
             yield Cycle(((high, 1),), key)
-            for one, other in ((low, high), (high, low)):
+            for first, second in ((low, high), (high, low)):
                 for count in sorted(times):
-                    yield Cycle(((one, count), (other, 1)), key)
+                    yield Cycle(((first, count), (second, 1)), key)
         for key, inside, outside in self._regions_in_reward():
             for count in sorted(times):
                 yield Cycle((({**base, **inside}, count), ({**base, **outside}, 1)), key)
@@ -216,12 +216,12 @@ class _Search:
     def _regions_in_reward(self) -> Iterator[tuple[int, Values, Values]]:
         """Yield the values of several quantities that meet a condition of a term, and the same with one of
         them beyond its bound."""
-        seen: set[int] = set()
+        identities: set[int] = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             identity = self._analysis.identity(part)
-            if not isinstance(part, Op) or part.op != "and" or identity in seen:
+            if not isinstance(part, Op) or part.op != "and" or identity in identities:
                 continue
-            seen.add(identity)
+            identities.add(identity)
             for way in [way for way in ways(self._analysis, part) if len(way) > 1][:_MAX_INSIDE]:
                 inside = self._values(way)
                 for key, required in way.items():
@@ -230,11 +230,11 @@ class _Search:
                         yield key, inside, {**inside, key: single(edge)}
 
     def _sides_in_reward(self) -> Iterator[tuple[int, tuple[Interval, Interval]]]:
-        seen = set()
+        sides = set()
         for quantity, threshold in thresholds_of(self._analysis, self._terms):
             key = self._analysis.identity(quantity)
-            if (key, threshold) not in seen:
-                seen.add((key, threshold))
+            if (key, threshold) not in sides:
+                sides.add((key, threshold))
                 self._nodes[key] = self._analysis.resolve_aliases(quantity)
                 yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
@@ -264,15 +264,15 @@ class _Search:
             yield Cycle(tuple((values, 1) for values in reversed(steps)), key)
 
     def _changing(self) -> Iterator[tuple[int, Scalar]]:
-        seen = set()
+        keys = set()
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             if isinstance(part, State) and part.function in ("delta", "previous"):
                 node = self._analysis.resolve_aliases(part.args[0])
                 key = self._analysis.identity(node)
-                if key not in seen and not any(
+                if key not in keys and not any(
                     isinstance(inner, State) for inner in self._analysis.walk_definitions(node)
                 ):
-                    seen.add(key)
+                    keys.add(key)
                     yield key, node
 
     def _resting_value(self, node: Scalar) -> float:

@@ -52,8 +52,8 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
             yield Finding(
                 "DB801", ending.span, headline, _help_for_untrue(context.analysis, ending), notes=notes
             )
-        elif own := _own_contacts(context.analysis, ending):
-            headline = f"`{own[0]}` is never true: links of one robot do not touch each other"
+        elif contacts := _own_contacts(context.analysis, ending):
+            headline = f"`{contacts[0]}` is never true: links of one robot do not touch each other"
             yield Finding(
                 "DB801",
                 ending.span,
@@ -77,10 +77,9 @@ def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
     touches = _impossible_contacts(analysis, ending)
     if touches:
         thing, *others = sorted(touches[0].subjects, key=lambda name: name not in analysis.intangible)
-        other = others[0] if others else "a"
+        body = others[0] if others else "a"
         return (
-            f"use a distance, as in `distance({other}, {thing}) < 5 cm`, or remove `solid: false` of"
-            f" `{thing}`"
+            f"use a distance, as in `distance({body}, {thing}) < 5 cm`, or remove `solid: false` of `{thing}`"
         )
     return "correct the condition, or remove the ending"
 
@@ -155,21 +154,21 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
         (node,) = analysis.scalars(ending)
         limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
-            headline, what = f"`{ending.name}` cannot become true before {limit}", "the truncation"
+            headline, label = f"`{ending.name}` cannot become true before {limit}", "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
         elif (
             not _leaves(analysis, node) <= _CLOCK_NAMES
             and last > 1
             and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS
         ):
-            headline, what = f"`{ending.name}` ends every episode before {limit}", "never reached"
+            headline, label = f"`{ending.name}` ends every episode before {limit}", "never reached"
             help = (
                 "remove this ending: `truncation` already ends the episode; describe a good result under"
                 " `solved`"
             )
         else:
             continue
-        also = (Label(context.values.key_span(("truncation",)), what),)
+        also = (Label(context.values.key_span(("truncation",)), label),)
         yield Finding("DB804", ending.span, headline, help, labels=also)
 
 
@@ -250,10 +249,10 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
         names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
         if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
             headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
-            kept = " or ".join(
+            limits = " or ".join(
                 f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
             )
-            yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {kept}")
+            yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}")
 
 
 @rule("DB806")
@@ -336,10 +335,10 @@ def after_the_end(context: RuleContext) -> Iterator[Finding]:
     """Report a push, a reading or a message that would come only after the end of every episode."""
     times = [{path: time for _, time, path in _delays(analysis)} for analysis in context.versions]
     end = max(analysis.last_step * analysis.period for analysis in context.versions)  # s
-    for what, time, path in _delays(context.analysis):
+    for subject, time, path in _delays(context.analysis):
         if time >= end and all(first_times.get(path, time) >= end for first_times in times):
             headline = (
-                f"{what} at least {with_unit(time, TIME)}, but no episode lasts longer than"
+                f"{subject} at least {with_unit(time, TIME)}, but no episode lasts longer than"
                 f" {with_unit(end, TIME)}"
             )
             yield Finding(
@@ -417,7 +416,7 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
         ):
             continue
         for entry in comparisons(analysis, ending):
-            upper = (each for each in thresholds(entry, analysis.ranges) if not each.above)
+            upper = (threshold for threshold in thresholds(entry, analysis.ranges) if not threshold.above)
             reason = next(filter(None, (_unreachable(analysis, threshold) for threshold in upper)), None)
             if reason is not None:
                 words, help = reason
@@ -430,13 +429,13 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
                 break
 
 
-def _unreachable(analysis: Analysis, asked: Threshold) -> tuple[str, str] | None:
+def _unreachable(analysis: Analysis, threshold: Threshold) -> tuple[str, str] | None:
     """Return why two bodies cannot come so near, and a help; None if they can, or if that is unknown."""
-    pair = analysis.distance_pair(asked.quantity)
-    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(asked.quantity), EngineRead):
+    pair = analysis.distance_pair(threshold.quantity)
+    if pair is None or len(pair) != 2 or isinstance(analysis.resolve_aliases(threshold.quantity), EngineRead):
         return None
     a, b = sorted(pair)
-    limit = asked.bound.high
+    limit = threshold.bound.high
     if limit <= 0.0 or any(_may_be_above(analysis, body) for body in pair):  # below zero it is DB801
         return None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
@@ -575,9 +574,9 @@ def _only_outcome(analysis: Analysis, test: ScenarioTest, expected: ExpectedResu
     """Return whether an expectation is met in any case (True) or in none (False)."""
     if expected.endings:
         limits = analysis.program.truncation
-        every = {ending.name for ending in analysis.program.endings}
-        every |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
-        return True if every <= set(expected.endings) and test.steps >= analysis.last_step else None
+        endings = {ending.name for ending in analysis.program.endings}
+        endings |= {name for name in ("max_steps", "max_time") if getattr(limits, name) is not None}
+        return True if endings <= set(expected.endings) and test.steps >= analysis.last_step else None
     if expected.condition is None:
         return (
             True if expected.key != "mean_return" and expected.low <= 0.0 and expected.high >= 1.0 else None

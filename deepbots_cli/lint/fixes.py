@@ -156,16 +156,16 @@ class Fixer:
     def _applicable(self, linted: LintResult) -> list[Finding]:
         """Return findings whose fixes do not overlap. Errors come first: a warning may follow from an error
         that keeps rules from running."""
-        chosen: list[Finding] = []
+        applicable: list[Finding] = []
         ends: dict[Source, int] = {}
         for finding in sorted(
             linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key
         ):
             edits = finding.fix.edits if finding.fix and self._is_applicable(finding, linted) else ()
             if edits and all(edit.span.start >= ends.get(edit.span.source, 0) for edit in edits):
-                chosen.append(finding)
+                applicable.append(finding)
                 ends |= {edit.span.source: edit.span.end for edit in edits}
-        return chosen
+        return applicable
 
     def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:
         if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):

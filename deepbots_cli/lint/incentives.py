@@ -206,7 +206,7 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
         return  # later steps cost something else
     cost, ending = failure
     prize, success = max(
-        ((total_range(final, reward.ranges_at(each)).high, each) for each in successes),
+        ((total_range(final, reward.ranges_at(candidate)).high, candidate) for candidate in successes),
         key=lambda entry: entry[0],
     )
     ours = {term.name for term, _ in ordinary}
@@ -376,10 +376,10 @@ def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | 
     running = analysis.reward.ranges_while_running()
     compared = list(comparisons(analysis, success))
     ways: list[Threshold | None] = [
-        each
+        threshold
         for entry in compared
-        for each in thresholds(entry, running)
-        if not is_clock(analysis, each.quantity)
+        for threshold in thresholds(entry, running)
+        if not is_clock(analysis, threshold.quantity)
     ]
     return ways if compared else [None]
 
@@ -409,14 +409,14 @@ def steps_from(analysis: Analysis, ending: Expression) -> float:
 def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     """Return the ranges while nothing moves, within a fifth of a threshold, on the side where the episode
     goes on."""
-    kept = None
+    restriction = None
     if threshold is not None:
         low, high = threshold.bound
         side = (
             Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
         )
-        kept = (ranges.analysis.identity(threshold.quantity), side)
-    return _StillRanges(ranges.analysis, ranges.given, ranges.steps, kept)
+        restriction = (ranges.analysis.identity(threshold.quantity), side)
+    return _StillRanges(ranges.analysis, ranges.given, ranges.steps, restriction)
 
 
 @rule("DB708")

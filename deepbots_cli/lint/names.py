@@ -39,9 +39,9 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
     """Report a definition, a sensor, an actuator or a message value that nothing uses."""
     used = {
         name
-        for each in context.checked.variants
-        if each.namespace
-        for name, names in each.namespace.definitions.items()
+        for variant in context.checked.variants
+        if variant.namespace
+        for name, names in variant.namespace.definitions.items()
         if names.uses
     }
     for name, definition in context.namespace.definitions.items():
@@ -100,13 +100,17 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
-        for place, what, help in unused:
+        for place, problem, help in unused:
             path = ("robots", robot.name, *place)
             span = context.values.key_span(path)
             # An included robot file may offer more than the task needs.
             if span.source is context.checked.document.source:
                 yield Finding(
-                    "DB205", span, f"`{path[-1]}` is {what}", help, fix=removal_fix(context.values.root, path)
+                    "DB205",
+                    span,
+                    f"`{path[-1]}` is {problem}",
+                    help,
+                    fix=removal_fix(context.values.root, path),
                 )
 
 
@@ -190,24 +194,24 @@ def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, othe
     )
 
 
-def _is_measurement(analysis: Analysis, node: Scalar, known: dict[int, bool]) -> bool:
-    """Return whether a value is a measurement; `known` has the results for quantities that were checked
+def _is_measurement(analysis: Analysis, node: Scalar, results: dict[int, bool]) -> bool:
+    """Return whether a value is a measurement; `results` has the results for quantities that were checked
     before."""
     number = analysis.identity(node)
-    if number not in known:
+    if number not in results:
         match analysis.resolve_aliases(node):
             case EngineRead(function, subjects):
                 fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
-                known[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(
+                results[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(
                     subject.partition("#")[0] for subject in subjects
                 )
             case Op(op, args):
-                known[number] = op in _SMOOTH_OPERATIONS and any(
-                    _is_measurement(analysis, arg, known) for arg in args
+                results[number] = op in _SMOOTH_OPERATIONS and any(
+                    _is_measurement(analysis, arg, results) for arg in args
                 )
             case _:
-                known[number] = False
-    return known[number]
+                results[number] = False
+    return results[number]
 
 
 # Angles that jump
@@ -293,9 +297,11 @@ class _AngleWrapping:
             robot = next(
                 (robot for robot in self._analysis.program.robots if name.startswith(f"{robot.name}.")), None
             )
-            meant = self._analysis.expression_named(name)
+            definition = self._analysis.expression_named(name)
             inner = _AngleWrapping(self._analysis, robot, self._known)
-            self._known[name] = meant is not None and meant.foreign is None and inner._wraps(meant.typed)
+            self._known[name] = (
+                definition is not None and definition.foreign is None and inner._wraps(definition.typed)
+            )
         return self._known[name]
 
 

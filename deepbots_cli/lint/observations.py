@@ -144,13 +144,13 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
         )
     ):
         return
-    seen = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
+    entries = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
     linear_by_node: dict[int, Linear] = {}
     exact = [
-        (number, _linear(analysis, number.node, linear_by_node)) for number, noises in seen if not noises
+        (number, _linear(analysis, number.node, linear_by_node)) for number, noises in entries if not noises
     ]
     reported: set[int] = set()
-    for number, noises in seen:
+    for number, noises in entries:
         hidden = _linear(analysis, number.node, linear_by_node)
         shown = next((other for other, form in exact if noises and _shows(other, form, number, hidden)), None)
         if shown is not None and id(noises[0]) not in reported:
@@ -207,53 +207,59 @@ def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
     ]
 
 
-def _linear(analysis: Analysis, node: Scalar, known: dict[int, Linear]) -> Linear:
+def _linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear]) -> Linear:
     """Return the value without noise; anything but a sum of products with fixed factors is one measurement.
-    `known` is a cache."""
+    `linear_by_node` is a cache."""
     node = analysis.resolve_aliases(node)
     number = analysis.identity(node)
-    if number not in known:
+    if number not in linear_by_node:
         exact = (
             analysis.definition_without_noise(node)
             if isinstance(node, Name) and analysis.is_noisy(node.name)
             else None
         )
         parts = [
-            _linear(analysis, part, known) for part in ((exact,) if exact is not None else parts_of(node))
+            _linear(analysis, part, linear_by_node)
+            for part in ((exact,) if exact is not None else parts_of(node))
         ]
         match node:
             case Name() if exact is not None:
-                known[number] = parts[0]
+                linear_by_node[number] = parts[0]
             case Const(value):
-                known[number] = Linear({}, float(value))
+                linear_by_node[number] = Linear({}, float(value))
             case Op("neg"):
-                known[number] = _scaled(parts[0], -1.0)
+                linear_by_node[number] = _scaled(parts[0], -1.0)
             case Op("add"):
-                known[number] = reduce(_sum, parts)
+                linear_by_node[number] = reduce(_sum, parts)
             case Op("sub"):
-                known[number] = _sum(parts[0], _scaled(parts[1], -1.0))
+                linear_by_node[number] = _sum(parts[0], _scaled(parts[1], -1.0))
             case Op("mul", (Const(factor), _)) | Op("mul", (_, Const(factor))):
-                known[number] = _scaled(
+                linear_by_node[number] = _scaled(
                     parts[1] if isinstance(node.args[0], Const) else parts[0], float(factor)
                 )
             case Op("div", (_, Const(divisor))) if divisor:
-                known[number] = _scaled(parts[0], 1.0 / float(divisor))
+                linear_by_node[number] = _scaled(parts[0], 1.0 / float(divisor))
             case _:
-                known[number] = Linear({number: 1.0})
-    return known[number]
+                linear_by_node[number] = Linear({number: 1.0})
+    return linear_by_node[number]
 
 
 def _scaled(value: Linear, factor: float) -> Linear:
     return Linear(
-        {term: factor * of for term, of in value.terms.items() if factor * of}, factor * value.offset
+        {term: factor * coefficient for term, coefficient in value.terms.items() if factor * coefficient},
+        factor * value.offset,
     )
 
 
-def _sum(one: Linear, other: Linear) -> Linear:
+def _sum(first: Linear, second: Linear) -> Linear:
     terms = {
-        term: one.terms.get(term, 0.0) + other.terms.get(term, 0.0) for term in (*one.terms, *other.terms)
+        term: first.terms.get(term, 0.0) + second.terms.get(term, 0.0)
+        for term in (*first.terms, *second.terms)
     }
-    return Linear({term: of for term, of in terms.items() if of}, one.offset + other.offset)
+    return Linear(
+        {term: coefficient for term, coefficient in terms.items() if coefficient},
+        first.offset + second.offset,
+    )
 
 
 def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Linear) -> bool:
@@ -261,7 +267,7 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
     of its range."""
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
-    factors = [exact.terms[term] / of for term, of in hidden.terms.items()]
+    factors = [exact.terms[term] / coefficient for term, coefficient in hidden.terms.items()]
     if any(abs(factor - factors[0]) > _RELATIVE_ROUNDING * abs(factors[0]) for factor in factors):
         return False
     offset = exact.offset - factors[0] * hidden.offset
@@ -411,8 +417,8 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
         ):
             rows = {by: (row.numbers[number.place], row.rows) for by, row in simulation.measured.items()}
             shares = {
-                by: (seen.at_high if end == number.high else seen.at_low) / count
-                for by, (seen, count) in rows.items()
+                by: (saturation.at_high if end == number.high else saturation.at_low) / count
+                for by, (saturation, count) in rows.items()
             }
             if is_beyond and min(shares.values()) >= _MIN_SATURATED_SHARE:
                 met.add(id(entry))
@@ -436,11 +442,11 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
     """Report the range `auto` of several joints that is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
         span, dimension = context.range_span(entry), entry.value.typed.type.dimension
-        own = _limits_of_parts(context.program, entry) if span.text == "auto" else []
-        shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in own]
+        limits = _limits_of_parts(context.program, entry) if span.text == "auto" else []
+        shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in limits]
         if shares and min(shares) < _MIN_RANGE_SHARE:
             place = shares.index(min(shares))
-            joint, own_range = entry.value.components[place], range_text(own[place], dimension)
+            joint, own_range = entry.value.components[place], range_text(limits[place], dimension)
             whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
             headline = (
                 f"`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {own_range}"
@@ -499,8 +505,8 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
             else:
                 help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
-            meant = None if near in supplied else near
-            fix = Fix.replacing(span, key, meant, safe=False) if meant else None
+            replacement = None if near in supplied else near
+            fix = Fix.replacing(span, key, replacement, safe=False) if replacement else None
             yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
 
 

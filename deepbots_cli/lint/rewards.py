@@ -110,10 +110,14 @@ class _PoleSearch:
             case Operation(operator="where"):
                 return None
             case Reference(symbol=symbol) if (
-                meant := self._analysis.expression_named(symbol.name)
+                definition := self._analysis.expression_named(symbol.name)
             ) is not None and symbol.name not in self.met:
                 self.met.add(symbol.name)
-                return None if "." in symbol.name or meant.foreign else self.pole(meant, meant.typed)
+                return (
+                    None
+                    if "." in symbol.name or definition.foreign
+                    else self.pole(definition, definition.typed)
+                )
         return next((pole for part in children(node) if (pole := self.pole(value, part)) is not None), None)
 
     def _known(self, value: Expression, node: Typed) -> list[Interval]:
@@ -202,15 +206,15 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
         ratios, notes = [], []
         for by, row in rows.items():
             episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
-            others = (
+            other_sum = (
                 sum(other[by].absolute_total for name, other in simulation.terms() if name is not term)
                 / episodes
             )
-            size, rival = row.absolute_total / episodes, max(others, prize)
+            size, rival = row.absolute_total / episodes, max(other_sum, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             note = (
                 f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to"
-                f" {_short(others)}"
+                f" {_short(other_sum)}"
             )
             notes.append(f"{note}, and an ending pays up to {_short(prize)}" if prize else note)
         if min(ratios) > _DOMINANCE_RATIO:
@@ -282,9 +286,9 @@ def _is_turned_off(node: Typed, analysis: Analysis) -> bool:
         case Constant(values=values):
             return not any(values)
         case Reference(symbol=symbol):
-            meant = analysis.expression_named(symbol.name)
+            definition = analysis.expression_named(symbol.name)
             return (symbol.value is not None and not any(symbol.value)) or (
-                meant is not None and is_off(meant.typed)
+                definition is not None and is_off(definition.typed)
             )
         case Operation(operator="where", args=(_, paid, _)):
             return is_off(paid)
@@ -323,9 +327,9 @@ def _is_conditional(node: Typed, analysis: Analysis, met: set[str]) -> bool:
         return True
     if isinstance(node, Reference) and node.symbol.name not in met:
         met.add(node.symbol.name)
-        meant = analysis.expression_named(node.symbol.name)
-        return meant is not None and (
-            meant.foreign is not None or _is_conditional(meant.typed, analysis, met)
+        definition = analysis.expression_named(node.symbol.name)
+        return definition is not None and (
+            definition.foreign is not None or _is_conditional(definition.typed, analysis, met)
         )
     return any(_is_conditional(part, analysis, met) for part in children(node))
 
@@ -369,17 +373,17 @@ def nothing_to_learn(context: RuleContext) -> Iterator[Finding]:
 @rule("DB810")
 def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
     """Report that no episode can reach the required mean return, or that every episode does."""
-    for analysis, wanted, path in _wanted_returns(context):
+    for analysis, required, path in _wanted_returns(context):
         possible = return_range(analysis)
-        if wanted > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
+        if required > possible.high + _RELATIVE_ROUNDING * abs(possible.high):
             headline = (
-                f"no episode reaches the required return of {wanted:g}: the highest possible return"
+                f"no episode reaches the required return of {required:g}: the highest possible return"
                 f" is {possible.high:.4g}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
-        elif wanted > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
+        elif required > (limited := highest_return(analysis.ideal)) + _RELATIVE_ROUNDING * abs(limited):
             headline = (
-                f"no episode reaches the required return of {wanted:g}: limits of speed allow at most"
+                f"no episode reaches the required return of {required:g}: limits of speed allow at most"
                 f" {limited:.4g}"
             )
             notes = speed_notes(analysis)
@@ -390,9 +394,9 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
                 "require a smaller return, or allow a higher speed",
                 notes=notes,
             )
-        elif wanted <= possible.low:
+        elif required <= possible.low:
             headline = (
-                f"every episode reaches the required return of {wanted:g}: the lowest possible return"
+                f"every episode reaches the required return of {required:g}: the lowest possible return"
                 f" is {possible.low:.4g}"
             )
             yield Finding("DB810", context.values.span(path), headline, "require a larger return")

@@ -31,43 +31,43 @@ def nearly_zero_sum(program: Program) -> Iterator[Finding]:
     """Two agents get opposite multiples of the same value that do not cancel."""
     if not program.has_rivals:
         return
-    for one, two in combinations(program.members.values(), 2):
-        for mine, other in _opposite_terms(one, two):
-            (a, first), (b, second) = mine, other
+    for member, rival in combinations(program.members.values(), 2):
+        for multiple, opposite in _opposite_terms(member, rival):
+            (a, first), (b, second) = multiple, opposite
             yield Finding(
                 "DB718",
                 second.span,
-                f"`{second.name}` of `{two.name}` pays {_number(b)} where `{first.name}` of `{one.name}` pays"
-                f" {_number(a)}, so the rewards of the two do not add up to zero",
+                f"`{second.name}` of `{rival.name}` pays {_number(b)} where `{first.name}` of `{member.name}`"
+                f" pays {_number(a)}, so the rewards of the two do not add up to zero",
                 f"write {_number(-a)} here if one agent should gain what the other loses",
                 labels=(Label(first.span, "the same value for the other agent"),),
             )
 
 
 def _opposite_terms(
-    one: Member, two: Member
+    member: Member, rival: Member
 ) -> Iterator[tuple[tuple[float, Expression], tuple[float, Expression]]]:
     """Yield pairs of terms of two agents that are opposite multiples of the same value, with the multiples,
     unless they cancel."""
-    others = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(two)}
-    for multiple, term in _multiples(one):
-        if multiple.of in others:
-            factor, other = others[multiple.of]
+    rival_multiples = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(rival)}
+    for multiple, term in _multiples(member):
+        if multiple.of in rival_multiples:
+            factor, rival_term = rival_multiples[multiple.of]
             opposite = multiple.factor * factor < 0.0
             if opposite and not isclose(multiple.factor, -factor, rel_tol=1e-9):
-                yield (multiple.factor, term), (factor, other)
+                yield (multiple.factor, term), (factor, rival_term)
 
 
 def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
     """Yield the terms of an agent as multiples, without constant ones; its own names are replaced by their
     expressions."""
-    own: dict[tuple[str, str | None], Scalar] = {}
+    expressions: dict[tuple[str, str | None], Scalar] = {}
     for signal in map(member.names.signal, member.program.signals):
         parts = signal.components or (None,)
-        own |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
+        expressions |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
     for term in member.program.agent.reward:
         if term.foreign is None:
-            multiple = multiple_of(member.names.expression(term, own=False).scalar, own)
+            multiple = multiple_of(member.names.expression(term, own=False).scalar, expressions)
             if multiple.of is not None:
                 yield multiple, term
 
@@ -84,9 +84,9 @@ def multiple_of(tree: Scalar, own: Mapping[tuple[str, str | None], Scalar]) -> M
             return inner._replace(factor=-inner.factor)
         case Op("mul", args):
             parts = [multiple_of(part, own) for part in args]
-            rest = tuple(part.of for part in parts if part.of is not None)
-            of = rest[0] if len(rest) == 1 else ("mul", rest)
-            return Multiple(prod(part.factor for part in parts), of if rest else None)
+            quantities = tuple(part.of for part in parts if part.of is not None)
+            quantity = quantities[0] if len(quantities) == 1 else ("mul", quantities)
+            return Multiple(prod(part.factor for part in parts), quantity if quantities else None)
         case Op("div", (value, Const(value=divisor))) if divisor:
             inner = multiple_of(value, own)
             return inner._replace(factor=inner.factor / float(divisor))

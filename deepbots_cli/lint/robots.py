@@ -85,12 +85,16 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
             )
             if limits is None or not all(_follows_action(analysis, tree, robot) for tree in trees):
                 continue
-            asked = hull([analysis.ranges.of(tree) for tree in trees])
-            done = min(asked.high, limits.high) - max(asked.low, limits.low)
-            if asked.is_finite and not asked.is_single and done < _MIN_SHARE * (asked.high - asked.low):
+            command_range = hull([analysis.ranges.of(tree) for tree in trees])
+            done = min(command_range.high, limits.high) - max(command_range.low, limits.low)
+            if (
+                command_range.is_finite
+                and not command_range.is_single
+                and done < _MIN_SHARE * (command_range.high - command_range.low)
+            ):
                 dimension = command.target.typed.type.dimension
                 able = (
-                    f"receives commands of {range_text(asked, dimension)}, but its limits are"
+                    f"receives commands of {range_text(command_range, dimension)}, but its limits are"
                     f" {range_text(limits, dimension)}"
                 )
                 names = [
@@ -181,7 +185,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
         return
     for robot in program.robots:
-        held = {
+        held_joints = {
             joint
             for command in robot.commands
             if not _is_limp(command.actuator)
@@ -199,7 +203,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
             joints = {
                 joint: limit
                 for joint, limit in zip(motor.joints, motor.max_torque, strict=True)
-                if joint not in held
+                if joint not in held_joints
             }
             if positions is None or wait <= program.world.timestep:
                 continue
@@ -295,19 +299,19 @@ def _load_and_inertia(
 ) -> tuple[float, float]:
     """Return the torque (N m, or force in N) of gravity `pull` (m/s^2) at a joint, and the inertia (kg m^2 or
     kg) that the joint moves: that of the links behind it, and its armature."""
-    pivot, turned = where[joint.child]
-    axis = frames.rotate(turned, joint.axis)
+    pivot, joint_rotation = where[joint.child]
+    axis = frames.rotate(joint_rotation, joint.axis)
     load, inertia = 0.0, joint.armature
     for link in model.links:
         if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue
         mass = link.inertial.mass
-        center, own = frames.compose(where[link.name], frames.frame(link.inertial.origin))
+        center, link_rotation = frames.compose(where[link.name], frames.frame(link.inertial.origin))
         if joint.type == "prismatic":
             load, inertia = load + mass * frames.dot(axis, pull), inertia + mass
             continue
         arm = frames.cross(axis, frames.subtract(center, pivot))
-        local = frames.rotate_back(own, axis)
+        local = frames.rotate_back(link_rotation, axis)
         spin = sum(
             local[i] * row[j] * local[j] for i, row in enumerate(link.inertial.matrix) for j in range(3)
         )
@@ -459,7 +463,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
         ):
             body = simulation.analysis.body(robot)
             wheels = driven_wheels(
-                next(each for each in simulation.program.robots if each.name == robot), body.model
+                next(entry for entry in simulation.program.robots if entry.name == robot), body.model
             )
             moved = ceil(rolling.distance * 1000)
             headline = (
@@ -483,7 +487,7 @@ def topples(simulation: Simulation) -> Iterator[Finding]:
     """Report a robot with a free base that topples while nothing is done, if the scenario does not measure
     whether it falls."""
     for name, tilt in simulation.report.summary.tilts.items():
-        robot = next(each for each in simulation.program.robots if each.name == name)
+        robot = next(entry for entry in simulation.program.robots if entry.name == name)
         if tilt <= _TOPPLED or simulation.program.disturbances or _is_watched(simulation, robot):
             continue
         headline = (
@@ -501,7 +505,7 @@ def topples(simulation: Simulation) -> Iterator[Finding]:
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
     """Return whether the scenario measures the attitude or the height of the base of a robot, or the robot
     flies."""
-    if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators):
+    if any(isinstance(actuator, (Thrust, CustomActuator)) for actuator in robot.actuators):
         return True
     if any(sensor.kind in _ATTITUDE_SENSORS for sensor in robot.sensors):
         return True
@@ -558,14 +562,14 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             free = [model.joint(joint) for joint, limit in limits.items() if limit is None]
             if not free:
                 continue
-            what, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
+            quantity, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
             shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (
                 ", ..." if len(free) > _MAX_NAMES else ""
             )
             headline = (
-                f"`{actuator.name}` has no limit of {what}: the robot file states no effort for {shown}"
+                f"`{actuator.name}` has no limit of {quantity}: the robot file states no effort for {shown}"
             )
-            help = f"write `max_torque` with the {what} of the motor, such as `max_torque: 10 {unit}`"
+            help = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
             span = context.values.span_of_first(
                 ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
@@ -674,10 +678,10 @@ class Heights:
     def depth(self, robot: str, sensor: str) -> float | None:
         """Return how far below flat ground all rays of a sensor begin, in m; None if one begins above, or
         that is unknown."""
-        placed = self._placed_rays(robot, sensor) if self._world.ground is not None else None
-        if placed is None:
+        placed_rays = self._placed_rays(robot, sensor) if self._world.ground is not None else None
+        if placed_rays is None:
             return None
-        highest = max(height for rays in placed[1] for height, _ in rays)
+        highest = max(height for rays in placed_rays[1] for height, _ in rays)
         return -highest if highest < -MAX_SINK else None
 
     def needs_simulation(self, robot: str, sensor: str) -> bool:
@@ -701,12 +705,12 @@ class Heights:
     def _lowest(self, robot: str, name: str) -> float | None:
         """Return the lowest point of any ray within its range, m above the ground; None where it is unknown
         or a ray meets the ground."""
-        placed = self._placed_rays(robot, name)
-        if placed is None:
+        placed_rays = self._placed_rays(robot, name)
+        if placed_rays is None:
             return None
-        reach, tried = placed
-        for other in tried[1:]:
-            for (height, slope), (reference, known_slope) in zip(other, tried[0], strict=True):
+        reach, tried = placed_rays
+        for rays in tried[1:]:
+            for (height, slope), (reference, known_slope) in zip(rays, tried[0], strict=True):
                 if abs(height - reference) > _SAME_HEIGHT_M or abs(slope - known_slope) > _SAME_HEIGHT_M:
                     return None
         lowest = min(height + min(0.0, slope * reach) for height, slope in tried[0])
@@ -719,7 +723,7 @@ class Heights:
         return self._rays[robot, name]
 
     def _place_rays(self, robot: str, name: str) -> PlacedRays | None:
-        sensors = next((each.sensors for each in self._program.robots if each.name == robot), ())
+        sensors = next((entry.sensors for entry in self._program.robots if entry.name == robot), ())
         sensor = next((sensor for sensor in sensors if sensor.name == name), None)
         body = self._analysis.body(robot)
         root = self._root(body)
@@ -730,8 +734,8 @@ class Heights:
         tried: list[list[tuple[float, float]]] = []
         for positions in _attitudes(body.model):
             link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
-            placed = [frames.compose(link, ray) for ray in rays]
-            tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in placed])
+            ray_frames = [frames.compose(link, ray) for ray in rays]
+            tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in ray_frames])
         return sensor.beams.reach, tried
 
     def _root(self, body: RobotBody) -> Frame | None:
@@ -766,9 +770,9 @@ class Heights:
         for thing in self._world.objects:
             if thing.solid:
                 yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
-        for other in self._world.robots:
-            if other.name != robot or self._program.agent.copies is not None:
-                yield other.name, self._top_of_robot(other)
+        for body in self._world.robots:
+            if body.name != robot or self._program.agent.copies is not None:
+                yield body.name, self._top_of_robot(body)
 
     def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
         """Return the top of an object; of a movable one with its longest side upright."""
@@ -877,7 +881,7 @@ def _passing_over(
     )
     help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
-        named, span = "the walls of the arena", values.span_of_first(("world", "arena"), "wall_height")
+        subject, span = "the walls of the arena", values.span_of_first(("world", "arena"), "wall_height")
         help = (
             f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}`"
             f" for the arena, or {help}"
@@ -885,12 +889,12 @@ def _passing_over(
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
         places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
-        named = f"`{wall or base}`"
+        subject = f"`{wall or base}`"
         span = values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, "
-        f"but the tallest body, {named}, is only {top} high"
+        f"but the tallest body, {subject}, is only {top} high"
     )
     return Finding(
         "DB615",

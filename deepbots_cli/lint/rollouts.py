@@ -221,8 +221,8 @@ class Simulator:
     def _episode(
         self, environment: Supervisor, rollout: Rollout, statistics: StepStatistics, *, report: bool
     ) -> None:
-        taken = self._steps(environment, rollout)
-        next(taken)
+        episode_steps = self._steps(environment, rollout)
+        next(episode_steps)
         speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
         check_wheels = (
             self._wheels.watch(environment.engine) if report else lambda: None
@@ -230,7 +230,7 @@ class Simulator:
         if report:
             self._tilts.begin(environment.engine, is_idle=rollout.policy == IDLE)
         rewards: list[float] = []
-        for step in taken:
+        for step in episode_steps:
             rewards.append(step.reward)
             statistics.add(step.observation, step.info["reward_terms"])
             check_rays()
@@ -286,13 +286,16 @@ class Simulator:
 
     def _run_variants(self) -> None:
         """Run cases and stages, which may vary values that are constant in the scenario itself."""
-        own = self._program
-        for program in (*(case.program for case in own.cases), *(stage.program for stage in own.curriculum)):
+        base = self._program
+        for program in (
+            *(case.program for case in base.cases),
+            *(stage.program for stage in base.curriculum),
+        ):
             if not self._constant_numbers() and not self._silent():
                 return
             sizes = [
-                (len(each.numbers) + len(each.images), len(each.reward))
-                for each in (own.agent, program.agent)
+                (len(agent.numbers) + len(agent.images), len(agent.reward))
+                for agent in (base.agent, program.agent)
             ]
             if sizes[0] == sizes[1]:
                 with closing(self._build(program)) as environment:
@@ -406,9 +409,9 @@ def _actions(environment: Supervisor, rollout: Rollout) -> Iterator[Any]:
     if rollout.script is not None:
         return (environment.script(rollout.script) for _ in count())
     if rollout.policy == IDLE:
-        wanted = idle_action(environment.scenario.agent.action)
-        assert wanted is not None  # or it would not be in the plan
-        return repeat(environment.make_action(*wanted))
+        idle = idle_action(environment.scenario.agent.action)
+        assert idle is not None  # or it would not be in the plan
+        return repeat(environment.make_action(*idle))
     return _random(environment, HOLD_STEPS if rollout.policy == HELD_RANDOM else 1)
 
 
@@ -448,5 +451,7 @@ def _infinite(environment: Supervisor) -> list[str]:
 def _lines(error: BaseException) -> list[str]:
     """Return the lines of the generated module in which an expression had no value, the innermost first."""
     raised = [error.__cause__, error] if error.__cause__ else [error]
-    frames = [frame for each in raised for frame in reversed(traceback.extract_tb(each.__traceback__))]
+    frames = [
+        frame for exception in raised for frame in reversed(traceback.extract_tb(exception.__traceback__))
+    ]
     return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]

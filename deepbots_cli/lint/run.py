@@ -54,7 +54,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
         root = checked.document.root
         shares_endings = root is not None and "termination" in root.entries
         for finding in _of_agents(
-            [list(static_findings(own, preview=preview)) for own in checked.agents.values()]
+            [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
         ):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
         for joint in JOINT_RULES:
@@ -130,13 +130,15 @@ def all_findings(
     reported = {(finding.code, finding.span) for finding in findings}
     findings += [finding for finding in measured or () if (finding.code, finding.span) not in reported]
     findings += exploits or ()
-    kept, unused = suppress(
+    remaining, unused = suppress(
         findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
     )
     # By name, because each of several agents reads the robot files.
     packaged = {robot.file.source.name for robot in models if robot.spec.urdf.startswith("package://")}
     ours = [
-        finding for finding in kept if finding.severity == "error" or finding.span.source.name not in packaged
+        finding
+        for finding in remaining
+        if finding.severity == "error" or finding.span.source.name not in packaged
     ]
     return _limited([*ours, *unused])
 
@@ -150,9 +152,9 @@ def _limited(findings: list[Finding]) -> list[Finding]:
             findings,
             key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key),
         )
-        *kept, last = by_weight[:limit]
+        *shown, last = by_weight[:limit]
         findings = [
-            *kept,
+            *shown,
             replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown")),
         ]
     return sorted(findings, key=lambda finding: finding.sort_key)
@@ -227,7 +229,7 @@ def find_exploits(checked: CheckedScenario, *, limits: Limits = EXPLOIT_LIMITS) 
     return FoundExploits(
         exploits,
         len(report.driven),
-        sum(each.end == "success" for each in report.driven),
+        sum(episode.end == "success" for episode in report.driven),
         _why_incomplete(report),
     )
 

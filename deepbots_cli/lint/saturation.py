@@ -41,10 +41,10 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
         if ending.name in context.program.agent.success or ending in context.analysis.shadowed:
             continue
         for comparison in comparisons(analysis, ending):
-            asked = [
+            reachable = [
                 threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)
             ]
-            for view in _blind(shown, asked, ranges):
+            for view in _blind(shown, reachable, ranges):
                 if (id(view.number.entry), ending.name) not in met:
                     met.add((id(view.number.entry), ending.name))
                     yield _unseen(context, analysis, view, ending, comparison)
@@ -70,18 +70,18 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
 
 
 def _blind(
-    shown: list[tuple[RangedNumber, set[int]]], asked: list[Threshold], ranges: Ranges
+    shown: list[tuple[RangedNumber, set[int]]], reachable: list[Threshold], ranges: Ranges
 ) -> Iterator[BlindNumber]:
     """Yield for each threshold of a comparison that no number shows the first number that should."""
     views = []
-    for threshold in asked:
+    for threshold in reachable:
         quantity = ranges.analysis.identity(threshold.quantity)
-        seen = [
+        numbers = [
             BlindNumber(number, threshold, _edge(number, threshold, ranges))
             for number, parts in shown
             if quantity in parts
         ]
-        views.append((quantity, seen))
+        views.append((quantity, numbers))
     for quantity, blind in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
         others = [view for other, there in views if other != quantity for view in there]
@@ -137,8 +137,8 @@ def _unseen(
         )
         headline += f" at {with_unit(limit, number.dimension)}"
         beyond = limit + (_RANGE_FACTOR - 1.0) * abs(limit) * (1.0 if view.threshold.above else -1.0)
-        other = -beyond if number.low == -number.high else beyond
-        wide = Interval(min(number.low, beyond, other), max(number.high, beyond, other))
+        opposite = -beyond if number.low == -number.high else beyond
+        wide = Interval(min(number.low, beyond, opposite), max(number.high, beyond, opposite))
         help = f"widen the range beyond the limit, for example to `{range_text(wide, number.dimension)}`"
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
@@ -165,9 +165,9 @@ def _unseen(
 
 def _part_of(comparison: ConditionComparison, analysis: Analysis, quantity: Scalar) -> Typed | None:
     """Return the part of a comparison that is written for the quantity; None where nothing is."""
-    wanted = analysis.identity(quantity)
+    identity = analysis.identity(quantity)
     for part in walk(comparison.node):
-        if part is not comparison.node and wanted in map(
+        if part is not comparison.node and identity in map(
             analysis.identity, analysis.lowered(part, comparison.value.owner)
         ):
             return part
@@ -213,9 +213,9 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     if goal is None:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
-        meant = analysis.resolve_aliases(node)
-        drawn = analysis.start.of(meant) if isinstance(meant, Draw) else None
-        drawn = analysis.start.initial(meant) if isinstance(meant, EngineRead) else drawn
+        quantity = analysis.resolve_aliases(node)
+        drawn = analysis.start.of(quantity) if isinstance(quantity, Draw) else None
+        drawn = analysis.start.initial(quantity) if isinstance(quantity, EngineRead) else drawn
         slack = _RELATIVE_ROUNDING * (high - low)
         if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
             headline = (

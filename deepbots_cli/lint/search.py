@@ -118,13 +118,13 @@ class ExploitSearch:
         """Interrupt the best script in the step before its success, again and again: a success may have to
         last for a time."""
         reached = [
-            each
-            for each in self._episodes
-            if each.number == number and each.end == "success" and each.kind == "script"
+            episode
+            for episode in self._episodes
+            if episode.number == number and episode.end == "success" and episode.kind == "script"
         ]
         if not reached:
             return
-        best = max(reached, key=lambda each: each.total_return)
+        best = max(reached, key=lambda episode: episode.total_return)
         before = best.steps - 1
         actions = [
             driver_text(self._slots, [values]) for values in _constants(self._slots)[:_MAX_INTERRUPTIONS]
@@ -213,11 +213,13 @@ class ExploitSearch:
         Returns:
             Whether a driver earns more than each success from this start.
         """
-        reached = [each for each in self._episodes if each.number == number and each.end == "success"]
-        scripts = [each for each in reached if each.kind == "script" and each.steps > 1]
+        reached = [
+            episode for episode in self._episodes if episode.number == number and episode.end == "success"
+        ]
+        scripts = [episode for episode in reached if episode.kind == "script" and episode.steps > 1]
         arms: list[Family] = []
         if scripts:
-            best = max(scripts, key=lambda each: each.total_return)
+            best = max(scripts, key=lambda episode: episode.total_return)
             arms += [Detour(self._slots, best.driver, best.steps, stay) for stay in (self._longest, None)]
         arms += [Cycle(self._slots, holds) for holds in sequence_shapes(self._longest)]
         budget = self._left * (0.6 if number == 0 else 1.0) / len(arms)
@@ -225,7 +227,7 @@ class ExploitSearch:
             if not reached and self._program.defines_success:
                 self._cross_entropy(number, family, budget / 2, seed, with_success=True)
             self._cross_entropy(number, family, budget / (1 if reached else 2), seed, with_success=False)
-            episodes = [each for each in self._episodes if each.number == number]
+            episodes = [episode for episode in self._episodes if episode.number == number]
             if is_better_than_success(episodes):
                 return True
         return False
@@ -293,7 +295,7 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
     for number, values in enumerate(constants):
         yield driver_text(slots, [values]), "idle" if has_idle and not number else "constant"
     opposites = [
-        (one, other) for one, other in combinations(constants, 2) if _are_opposite(slots, one, other)
+        (first, second) for first, second in combinations(constants, 2) if _are_opposite(slots, first, second)
     ]
     for pair, hold in product(opposites[:_MAX_PAIRS], _HOLDS):
         yield driver_text(slots, pair, [hold, hold]), "alternating"
@@ -313,10 +315,10 @@ def _constants(slots: Sequence[Slot]) -> list[tuple[float, ...]]:
     return list(dict.fromkeys([idle, *ends, *alone]))[:_MAX_CONSTANTS]
 
 
-def _are_opposite(slots: Sequence[Slot], one: Sequence[float], other: Sequence[float]) -> bool:
+def _are_opposite(slots: Sequence[Slot], first: Sequence[float], second: Sequence[float]) -> bool:
     """Return whether every range has the opposite value, and at least one number differs."""
-    pairs = list(zip(slots, one, other, strict=True))
-    return one != other and all(slot.options or a == -b or (a == b == slot.idle) for slot, a, b in pairs)
+    pairs = list(zip(slots, first, second, strict=True))
+    return first != second and all(slot.options or a == -b or (a == b == slot.idle) for slot, a, b in pairs)
 
 
 def driver_text(
@@ -399,10 +401,10 @@ class Distribution:
         self._mean, self._deviation = numbers.mean(axis=0), numbers.std(axis=0) + _MIN_DEVIATION
         for at, slot in enumerate(self._slots):
             if slot.options:
-                seen = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(
+                counts = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(
                     slot.options
                 )
-                self._odds[at] = seen / seen.sum()
+                self._odds[at] = counts / counts.sum()
 
 
 # Motion

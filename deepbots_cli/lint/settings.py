@@ -113,20 +113,20 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
     preview = table.get("preview")
     if preview is not None and not isinstance(preview, bool):
         raise UsageError(f"{source.name}: 'preview' must be true or false")
-    chosen = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
+    choices = {key.replace("-", "_"): _word(table[key], key, source.name) for key in _WORDS if key in table}
     lists = {
         key: _list(table[key], key, source.name) for key in ("select", "ignore", "exclude") if key in table
     }
     words = {key: RuleSelectors(lists[key], source) for key in ("select", "ignore") if key in lists}
     exclude = lists.get("exclude", ())
-    return Settings(root, preview=preview, exclude=exclude, **words, **chosen)  # type: ignore[arg-type]
+    return Settings(root, preview=preview, exclude=exclude, **words, **choices)  # type: ignore[arg-type]
 
 
-def _check_keys(table: dict[str, object], known: Sequence[str], name: str) -> None:
+def _check_keys(table: dict[str, object], keys: Sequence[str], name: str) -> None:
     for key in table:
-        if key not in known:
-            near = nearest_word(key, known)
-            there = f"did you mean '{near}'?" if near else f"the keys are {', '.join(known)}"
+        if key not in keys:
+            near = nearest_word(key, keys)
+            there = f"did you mean '{near}'?" if near else f"the keys are {', '.join(keys)}"
             raise UsageError(f"{name}: unknown key '{key}'; {there}")
 
 

@@ -63,9 +63,9 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
 
 
 def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Finding:
-    turned = negated_text(term.typed)(term.text)
-    fix = Fix.replacing(term.span, term.text, turned, safe=False)
-    help = f"reverse the sign: `{turned}`" if len(turned) <= _MAX_SHOWN else "reverse the sign"
+    opposite = negated_text(term.typed)(term.text)
+    fix = Fix.replacing(term.span, term.text, opposite, safe=False)
+    help = f"reverse the sign: `{opposite}`" if len(opposite) <= _MAX_SHOWN else "reverse the sign"
     return Finding("DB703", term.span, headline, help, labels=also, fix=fix)
 
 
@@ -192,7 +192,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     shown += (
         [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
     )
-    seen = {
+    observed_names = {
         dependency
         for value in shown
         for node in analysis.scalars(value)
@@ -205,9 +205,9 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
     bodies = set() if perceives else things | {robot.name for robot in program.world.robots}
     for term, node in analysis.reward.terms:
-        hidden = sorted((analysis.drawn_dependencies(node) - seen) & (drawn | bodies))
+        hidden = sorted((analysis.drawn_dependencies(node) - observed_names) & (drawn | bodies))
         if hidden:
-            what = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
+            subject = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
             help = (
                 f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under"
                 " `observation`"
@@ -218,7 +218,7 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
                 for value in program.signals
                 if value.name in used and hidden[0] in referenced_names(value.typed)
             ]
-            headline = f"`{term.name}` depends on {what}, which the policy does not observe"
+            headline = f"`{term.name}` depends on {subject}, which the policy does not observe"
             labels = [Label(value.span, f"depends on `{hidden[0]}`") for value in between]
             yield Finding("DB706", term.span, headline, help, labels=tuple(labels))
 

@@ -99,8 +99,8 @@ def simulation_plan(program: Program) -> Plan:
         1.0, _MAX_WORK / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others)))
     )
     rollouts = tuple(
-        Rollout(each.policy, each.seed, max(_MIN_STEPS, int(each.steps * share)), each.script)
-        for each in (*drawn, *others)
+        Rollout(rollout.policy, rollout.seed, max(_MIN_STEPS, int(rollout.steps * share)), rollout.script)
+        for rollout in (*drawn, *others)
     )
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING_STEPS / max(settling, 1.0))))

@@ -135,8 +135,8 @@ class WheelWatch:
         checks = [self._watched(engine, robot) for robot in self.robots]
 
         def check() -> None:
-            for each in checks:
-                each()
+            for compare in checks:
+                compare()
 
         return check
 
@@ -278,12 +278,14 @@ class ArmWatch:
             if others
             else {}
         )
-        place, turned = frames.compose(
+        place, rotation = frames.compose(
             world.engine.pose(robot)(), footprint.link_frames(model, now | positions)[actuator.link]
         )
         distance = dist(place, target)
         angle = (
-            0.0 if drive.attitude is None else _angle(frames.multiply(drive.attitude, frames.inverse(turned)))
+            0.0
+            if drive.attitude is None
+            else _angle(frames.multiply(drive.attitude, frames.inverse(rotation)))
         )
         if distance <= _DISTANCE_TOLERANCE_M and angle <= _ANGLE_TOLERANCE:
             self._check_turn(world, key, actuator, drive, target)
@@ -346,13 +348,13 @@ class RayWatch:
     def __init__(self, scenario: Program) -> None:
         self._world = scenario.world
         is_asked = scenario.world.terrain is None and scenario.agent.copies is None
-        asked = [
+        entries = [
             (robot.name, sensor)
             for robot in scenario.robots
             for sensor in robot.sensors
             if is_asked and casts_rays(sensor)
         ]
-        self._sensors = {(robot, sensor.name): sensor for robot, sensor in asked}
+        self._sensors = {(robot, sensor.name): sensor for robot, sensor in entries}
         self.clearances: dict[tuple[str, str], Clearance] = dict.fromkeys(
             self._sensors, Clearance(inf, -inf, "")
         )

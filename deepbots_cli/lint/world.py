@@ -66,7 +66,7 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
     lifted = {
         robot.name
         for robot in program.robots
-        if any(isinstance(each, (Thrust, CustomActuator)) for each in robot.actuators)
+        if any(isinstance(actuator, (Thrust, CustomActuator)) for actuator in robot.actuators)
     }
     for body in program.world.robots:
         if body.fixed_base or body.name in lifted or any(link.collisions for link in body.model.links):
@@ -219,7 +219,11 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
     radius, half = _inner_cylinder(shape)
     high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
-    pairs = [(one, other) for one in start.poses(thing.name) for other in start.poses(robot.name)]
+    pairs = [
+        (thing_pose, robot_pose)
+        for thing_pose in start.poses(thing.name)
+        for robot_pose in start.poses(robot.name)
+    ]
     for (place, here), (stand, there) in pairs:
         if not (is_level(here) and is_level(there)):
             return False
@@ -506,26 +510,30 @@ def spawn_overlap(simulation: Simulation) -> Iterator[Finding]:
 
 def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     """Return a finding at the body that the scenario places, a robot first."""
-    one, other = sorted((overlap.one, overlap.other), key=lambda part: _order(simulation, part[0]))
-    first, second = simulation.called(one[0]), simulation.called(other[0])
+    body_part, other_part = sorted((overlap.one, overlap.other), key=lambda part: _order(simulation, part[0]))
+    first, second = simulation.called(body_part[0]), simulation.called(other_part[0])
     depth = f"{overlap.depth * 1000:.3g} mm"
-    span = simulation.placement(one[0]) or simulation.body_span(one[0])
-    met = f"link `{one[1]}` meets `{simulation.called(other[1])}`"
+    span = simulation.placement(body_part[0]) or simulation.body_span(body_part[0])
+    met = f"link `{body_part[1]}` meets `{simulation.called(other_part[1])}`"
     notes = (f"{met}, in the reset with seed {overlap.seed}; {simulation.plan.resets} seeds were simulated",)
-    if other[0] == GROUND:
+    if other_part[0] == GROUND:
         headline = f"`{first}` begins {depth} below the surface of the ground"
         help = f"place it {depth} higher, or remove `z` to place it on the ground"
         also = (
-            (Label(simulation.body_span(other[0]), "the ground"),) if simulation.program.world.terrain else ()
+            (Label(simulation.body_span(other_part[0]), "the ground"),)
+            if simulation.program.world.terrain
+            else ()
         )
-    elif one[0] == other[0]:
-        headline = f"links `{one[1]}` and `{other[1]}` of `{first}` overlap by {depth} at the start"
+    elif body_part[0] == other_part[0]:
+        headline = (
+            f"links `{body_part[1]}` and `{other_part[1]}` of `{first}` overlap by {depth} at the start"
+        )
         help = "make their <collision> shapes in the robot file smaller, or remove `self_collision`"
         also = ()
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
         help = "place them farther apart, or use a `region`, where deepbots finds free positions"
-        there = simulation.placement(other[0]) or simulation.body_span(other[0])
+        there = simulation.placement(other_part[0]) or simulation.body_span(other_part[0])
         also = (Label(there, f"`{second}` begins here"),)
     return Finding("DB310", span, headline, help, notes=notes, labels=also)
 

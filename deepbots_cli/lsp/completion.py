@@ -182,14 +182,14 @@ def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator
     if _expects_unit(text):
         # After `*` or `/`, only single units follow, not `N*m`.
         goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
-        wanted = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
+        units = [unit for measure in _measures(field) if (unit := _unit(measure)) is not None]
         if not goes_on:
             yield from (
                 Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
-                for unit in wanted
+                for unit in units
                 if unit.text not in UNITS
             )
-        dimensions = [unit.dimension for unit in wanted]
+        dimensions = [unit.dimension for unit in units]
         for unit in sorted(UNITS.values(), key=lambda unit: unit.dimension not in dimensions):
             yield Choice(unit.text, CompletionItemKind.Unit, unit.dimension.description)
         if isinstance(field, Expression) and not goes_on:
@@ -569,13 +569,13 @@ def _defines(path: NodePath, name: str) -> bool:
 
 def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
     if kind in ("choice", "option"):
-        named = action_at(path)
-        return (("action", named, "choices"),) if named else ()
+        action = action_at(path)
+        return (("action", action, "choices"),) if action else ()
     if kind == "value" and path[:1] == ("observation",):
         return (("augment",),)
     robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
-    own = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
-    return (*own, *_SECTIONS.get(kind, ()))
+    robot_sections = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
+    return (*robot_sections, *_SECTIONS.get(kind, ()))
 
 
 # Files

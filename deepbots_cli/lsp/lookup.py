@@ -102,9 +102,9 @@ def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
     """Return the form that the data determines, or all forms if the data determines none."""
     if isinstance(data, (dict, list)) and data:
-        chosen = shape.choose(data)
-        if chosen is not None:
-            return (chosen,)
+        form = shape.choose(data)
+        if form is not None:
+            return (form,)
     if isinstance(data, str) and data and not goes_on:
         return tuple(option for option in shape.options if isinstance(option, FieldType)) or shape.options
     return shape.options
@@ -187,7 +187,7 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
     ]
     if not readings:
         return None
-    reading = min(readings, key=lambda one: one[0])[1]
+    reading = min(readings, key=lambda pair: pair[0])[1]
     index = _index(reading.text, view.known_offset)
     text = reading.text.text
     tree = parser.parse(text, ignore_finding)
@@ -328,8 +328,8 @@ def _by_name(view: CursorView) -> list[Span]:
     node = expression_at(view)
     if node is None or node.name is None or view.checked is None:
         return []
-    named = definition(view.checked, node.name, node.robot)
-    return [named.span] if named and named.span else []
+    entry = definition(view.checked, node.name, node.robot)
+    return [entry.span] if entry and entry.span else []
 
 
 def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
@@ -481,25 +481,25 @@ def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
     checked = view.checked
     if checked is None:
         return None
-    named = definition(checked, name, node.robot)
+    entry = definition(checked, name, node.robot)
     if node.kinds is not None:
         subject = node.reading.scope.subject(name, node.kinds)
-        return f"`{name}`: {subject.kind.description}{_definition_line(named)}" if subject else None
+        return f"`{name}`: {subject.kind.description}{_definition_line(entry)}" if subject else None
     symbol = node.reading.scope.lookup(name)
     if symbol is None:  # the name is a component of a vector, or a unit
         node_type = node.type
         if node_type:
-            return f"`{name}`: {describe_type(node_type)}{_definition_line(named)}"
+            return f"`{name}`: {describe_type(node_type)}{_definition_line(entry)}"
         return f"`{name}`: {UNITS[name].dimension.description}" if name in UNITS else None
-    what = f"{named.description}, " if named else ""
-    return f"`{name}`: {what}{describe_symbol(symbol)}{_definition_line(named)}"
+    description = f"{entry.description}, " if entry else ""
+    return f"`{name}`: {description}{describe_symbol(symbol)}{_definition_line(entry)}"
 
 
-def _definition_line(named: NameEntry | None) -> str:
+def _definition_line(entry: NameEntry | None) -> str:
     """Return the source line of a definition as a code block; empty if there is none."""
-    if named is None or named.span is None:
+    if entry is None or entry.span is None:
         return ""
-    line = named.span.source.line(named.span.start_position.line).strip()[:_MAX_CHARACTERS]
+    line = entry.span.source.line(entry.span.start_position.line).strip()[:_MAX_CHARACTERS]
     language = "xml" if line.startswith("<") else "yaml"
     return f"\n\n```{language}\n{line}\n```"
 
@@ -521,8 +521,8 @@ def _key_text(view: CursorView, target: KeyOrValue) -> str | None:
         return hover_text(part, str(target.path[-1]))
     for shape in shapes_at(target.path[:-1], view.data):
         if isinstance(shape, MappingOf):
-            own = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
-            return own or f"`{target.text}`: a name of your choice, for {describe_shape(shape.value)}"
+            text = _reference_text(view, target, shape.key) or _defined_name_text(view, target)
+            return text or f"`{target.text}`: a name of your choice, for {describe_shape(shape.value)}"
     return None
 
 
@@ -539,9 +539,9 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
         return None
     defined = next(
         (
-            one
-            for one in checked.namespace.definitions.values()
-            if one.path == target.path and one.symbol is not None
+            entry
+            for entry in checked.namespace.definitions.values()
+            if entry.path == target.path and entry.symbol is not None
         ),
         None,
     )
@@ -555,7 +555,7 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
         boards = (
             reading.scope for reading in view.analysis.readings if isinstance(reading.scope, RobotScope)
         )
-        own = next(
+        symbol = next(
             (
                 board.own[target.text]
                 for board in boards
@@ -563,7 +563,7 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
             ),
             None,
         )
-        return f"`{target.text}`: a sensor, {describe_symbol(own)}" if own is not None else None
+        return f"`{target.text}`: a sensor, {describe_symbol(symbol)}" if symbol is not None else None
     node, _, steps = descend(checked.document.root, target.path)
     if steps < len(target.path) or not isinstance(node, ScalarNode):
         return None
@@ -576,9 +576,9 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
 
 def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
     for field in field_types_at(target.path, view.data):
-        named = _reference_text(view, target, field)
-        if named:
-            return named
+        text = _reference_text(view, target, field)
+        if text:
+            return text
     kinds = _kinds(view, target)
     if kinds is not None and target.text in kinds.names:
         return f"`{target.text}`: {section_description(kinds.models[target.text])}"

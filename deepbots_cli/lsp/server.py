@@ -268,7 +268,7 @@ class CodeActions:
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """Yield the findings in the document that touch the range, each once."""
-        lines, seen = self._document.lines, set()
+        lines, keys = self._document.lines, set()
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._workspace.analyses_of(self._document):
             for finding in analysis.findings:
@@ -277,9 +277,9 @@ class CodeActions:
                     span.source is source
                     and span.start <= end
                     and span.end >= start
-                    and finding.sort_key not in seen
+                    and finding.sort_key not in keys
                 ):
-                    seen.add(finding.sort_key)
+                    keys.add(finding.sort_key)
                     yield finding, analysis
 
     def _actions_for(self, finding: Finding, analysis: DocumentAnalysis) -> Iterator[types.CodeAction]:
@@ -347,7 +347,7 @@ def _is_wanted(kind: str, only: Iterable[str] | None) -> bool:
     request."""
     if only is None:
         return not kind.startswith("source")
-    return any(kind == asked or kind.startswith(f"{asked}.") for asked in only)
+    return any(kind == requested or kind.startswith(f"{requested}.") for requested in only)
 
 
 def _title(edit: Edit) -> str:
@@ -466,8 +466,8 @@ class Server(LanguageServer):
             options = types.DidChangeWatchedFilesRegistrationOptions(
                 [types.FileSystemWatcher(pattern) for pattern in _WATCHED]
             )
-            wanted = types.Registration("watched", types.WORKSPACE_DID_CHANGE_WATCHED_FILES, options)
-            self.client_register_capability(types.RegistrationParams([wanted]))
+            registration = types.Registration("watched", types.WORKSPACE_DID_CHANGE_WATCHED_FILES, options)
+            self.client_register_capability(types.RegistrationParams([registration]))
 
     # Documents
 
@@ -607,9 +607,9 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
         return server.exit_code
     # Only the protocol writes to standard output; other prints go to standard error.
     stream = os.fdopen(os.dup(sys.__stdout__.fileno() if sys.__stdout__ else 1), "wb")
-    kept, sys.stdout = sys.stdout, sys.stderr
+    stdout, sys.stdout = sys.stdout, sys.stderr
     try:
         server.start_io(stdout=stream)
     finally:
-        sys.stdout = kept
+        sys.stdout = stdout
     return server.exit_code

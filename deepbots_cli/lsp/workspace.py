@@ -132,9 +132,9 @@ class Document:
 def path_of(uri: str) -> Path:
     """Return the file of a URI. A URI without a file gets a unique name in the working directory."""
     nameless = _NAMELESS.format(crc32(uri.encode("utf-8", "surrogatepass")))
-    named = uris.to_fs_path(uri) if uri.startswith("file:") else None
+    file_name = uris.to_fs_path(uri) if uri.startswith("file:") else None
     try:
-        return Path(named or nameless).resolve()
+        return Path(file_name or nameless).resolve()
     except (OSError, ValueError, RuntimeError):  # the name is not possible for a file
         return Path(nameless).absolute()
 
@@ -193,9 +193,12 @@ class DocumentAnalysis:
         """Every expression of the scenario; expressions of cases and stages come last."""
         if self.checked is None:
             return ()
-        each = (self.checked, *self.checked.variants)
+        scenarios = (self.checked, *self.checked.variants)
         return tuple(
-            reading for one in each if one.namespace is not None for reading in one.namespace.values.readings
+            reading
+            for scenario in scenarios
+            if scenario.namespace is not None
+            for reading in scenario.namespace.values.readings
         )
 
 
@@ -227,8 +230,8 @@ def analyze(
         return DocumentAnalysis(document, drafts)
     checked = check(read)
     findings = all_findings(checked, preview=preview)
-    wanted = (*selection.inactive_rules(), *filter(selection.selects, findings))
-    return DocumentAnalysis(document, drafts, wanted, checked, settings_error, selection)
+    selected_findings = (*selection.inactive_rules(), *filter(selection.selects, findings))
+    return DocumentAnalysis(document, drafts, selected_findings, checked, settings_error, selection)
 
 
 class Locator:
@@ -372,7 +375,9 @@ class Workspace:
         if document.is_scenario or document.is_blank:
             return True
         analyses = (*self.latest.values(), *self._resolved.values())
-        return any(one.checked and document.path in one.checked.document.files for one in analyses)
+        return any(
+            analysis.checked and document.path in analysis.checked.document.files for analysis in analyses
+        )
 
     def dependents(self, document: Document) -> list[str]:
         """Return the URIs of the other open documents that read this one."""
@@ -420,10 +425,10 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
     """
     if now == then:
         return offset
-    same = common_prefix(now, then)
-    if offset <= same:
+    prefix_length = common_prefix(now, then)
+    if offset <= prefix_length:
         return offset
-    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - same)
+    tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - prefix_length)
     if offset >= len(now) - tail:
         return offset - len(now) + len(then)
     begin, end = now.rfind("\n", 0, offset), now.find("\n", offset)
@@ -463,9 +468,9 @@ def _nested(data: Any, path: NodePath) -> Any:
     return data
 
 
-def _merged(known: Any, newer: Any) -> Any:
-    """Merge `newer` into `known`: mappings key by key, other values replaced unless the newer one is
+def _merged(older: Any, newer: Any) -> Any:
+    """Merge `newer` into `older`: mappings key by key, other values replaced unless the newer one is
     empty."""
-    if isinstance(known, dict) and isinstance(newer, dict):
-        return {**known, **{key: _merged(known.get(key, ""), value) for key, value in newer.items()}}
-    return known if newer == "" else newer
+    if isinstance(older, dict) and isinstance(newer, dict):
+        return {**older, **{key: _merged(older.get(key, ""), value) for key, value in newer.items()}}
+    return older if newer == "" else newer

@@ -138,18 +138,22 @@ class Program:
         failures as the other."""
         if len(self.members) != 2:
             return False
-        one, two = self.members.values()
+        first, second = self.members.values()
         outcomes = [
-            (len(each.program.agent.success), len(each.program.failures)) for each in self.members.values()
+            (len(member.program.agent.success), len(member.program.failures))
+            for member in self.members.values()
         ]
-        return two.names.mirrors == one.name and outcomes[0] == outcomes[1]
+        return second.names.mirrors == first.name and outcomes[0] == outcomes[1]
 
     @property
     def scripted_rivals(self) -> tuple[str, ...]:
         """The scripts against which the agents train by self-play."""
         training = self.agent.training
         of_agents = () if training is None else training.agents
-        if not any(own.self_play is not None and own.self_play.scripts for _, own in of_agents):
+        if not any(
+            agent_training.self_play is not None and agent_training.self_play.scripts
+            for _, agent_training in of_agents
+        ):
             return ()
         return tuple(script.name for script in self.agent.scripts)
 
@@ -167,16 +171,16 @@ class Program:
         if self.others is not None:
             return replace(self, agents=agents, others=self.others.with_critic)
         return self._with_members(
-            agents, {name: each.program.with_critic for name, each in self.members.items()}
+            agents, {name: member.program.with_critic for name, member in self.members.items()}
         )
 
     def with_critic_of(self, name: str) -> Program:
         """Return the program of all agents in which only one of them has the values of its critic, too."""
         member = self.members[name]
-        own = {joint_name(name, entry.name) for entry in member.program.agent.critic}
-        entries = tuple(entry for entry in self.agent.critic if entry.name in own)
+        names = {joint_name(name, entry.name) for entry in member.program.agent.critic}
+        entries = tuple(entry for entry in self.agent.critic if entry.name in names)
         agents = {key: replace(agent, critic=entries).with_critic for key, agent in self.agents.items()}
-        programs = {key: each.program for key, each in self.members.items()}
+        programs = {key: entry.program for key, entry in self.members.items()}
         return self._with_members(agents, programs | {name: member.program.with_critic})
 
     def _with_members(self, agents: Mapping[str, Agent], programs: Mapping[str, Program]) -> Program:
@@ -185,7 +189,7 @@ class Program:
         names = {name: member.names for name, member in self.members.items()}
         (agent,) = agents.values()
         members = members_of(programs, names, agent)
-        shared = {name: replace(each, policy=self.members[name].policy) for name, each in members.items()}
+        shared = {name: replace(member, policy=self.members[name].policy) for name, member in members.items()}
         return replace(self, agents=agents, members=shared)
 
     def is_direct(self, robot: Robot, direction: Direction) -> bool:
@@ -197,8 +201,8 @@ class Program:
     @property
     def python_functions(self) -> tuple[Foreign, ...]:
         """The functions of installed packages that rewards and endings call."""
-        named = (*self.agent.reward, *self.endings)
-        return tuple(value.foreign for value in named if value.foreign is not None)
+        expressions = (*self.agent.reward, *self.endings)
+        return tuple(value.foreign for value in expressions if value.foreign is not None)
 
     @property
     def computed_expressions(self) -> Iterator[Expression]:
@@ -298,14 +302,14 @@ class Program:
         """Return the script with that name."""
         return self._named("script", name, self.agent.scripts)
 
-    def _named(self, what: str, name: str, entries: Sequence[Entry]) -> Entry:
+    def _named(self, noun: str, name: str, entries: Sequence[Entry]) -> Entry:
         match = next((entry for entry in entries if entry.name == name), None)
         if match is None:
             names = [entry.name for entry in entries]
             if not names:
-                raise UsageError(f"{self.name} has no {what}s, so there is no '{name}'")
+                raise UsageError(f"{self.name} has no {noun}s, so there is no '{name}'")
             hint = did_you_mean(name, names)
-            raise UsageError(f"{self.name} has no {what} '{name}'{hint}; there are: {', '.join(names)}")
+            raise UsageError(f"{self.name} has no {noun} '{name}'{hint}; there are: {', '.join(names)}")
         return match
 
 

@@ -188,10 +188,10 @@ class EpisodeDraws:
     def _of_reset(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
         """Yield the numbers of poses and joints."""
         units = self._reset_units
-        for named in self.program.reset.drawn:
-            body = None if named.name.startswith("reset.layouts.") else named.name.split(".")[2]
-            unit = units.get(named.name, _SI)
-            for full, tree in named.numbers:
+        for entry in self.program.reset.drawn:
+            body = None if entry.name.startswith("reset.layouts.") else entry.name.split(".")[2]
+            unit = units.get(entry.name, _SI)
+            for full, tree in entry.numbers:
                 if is_drawn(tree):
                     yield body, EpisodeDraw(full, full, tree, **unit)
 

@@ -227,13 +227,13 @@ def members_of(
     choices = ranges = 0
     for name, program in programs.items():
         agent = program.agent
-        seen = [(agent.numbers[index], age) for index, age in agent.seen]
+        entries = [(agent.numbers[index], age) for index, age in agent.seen]
         last_choice, last_range = choices + len(agent.choices), ranges + len(agent.range_names)
         members[name] = Member(
             name,
             names[name],
             program,
-            tuple(places[joint_name(name, number.name), number.component, age] for number, age in seen),
+            tuple(places[joint_name(name, number.name), number.component, age] for number, age in entries),
             (choices, last_choice),
             (ranges, last_range),
             {term.name: joint_name(name, term.name) for term in agent.reward},

@@ -457,8 +457,12 @@ class Route:
 
     def route_for(self, robot: str, direction: str) -> Route:
         """Return the route of one robot in a direction, whose draws have streams of their own."""
-        own = {name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings}
-        return replace(self, latency=own.get("latency"), loss=own.get("loss"), range=own.get("range"))
+        settings = {
+            name: replace(value, owner=f"{robot}.{direction}.{name}") for name, value in self.settings
+        }
+        return replace(
+            self, latency=settings.get("latency"), loss=settings.get("loss"), range=settings.get("range")
+        )
 
 
 def _is_zero(value: Expression | None) -> bool:

@@ -112,8 +112,8 @@ def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] |
                 return None
             choices.append(still)
         else:
-            wanted = min(max(0.0, part.low), part.high)
-            values += [2.0 * (wanted - part.low) / (part.high - part.low) - 1.0] * len(part.names)
+            nearest = min(max(0.0, part.low), part.high)
+            values += [2.0 * (nearest - part.low) / (part.high - part.low) - 1.0] * len(part.names)
     return choices, values
 
 
@@ -622,9 +622,11 @@ class Solved:
     @property
     def description(self) -> str:
         """`mean return >= 195 over 100 episodes`."""
-        wanted = [f"mean return >= {self.mean_return:g}"] if self.mean_return is not None else []
-        wanted += [f"success rate >= {100 * self.success_rate:g} %"] if self.success_rate is not None else []
-        return f"{' and '.join(wanted)} over {self.episodes} episodes"
+        criteria = [f"mean return >= {self.mean_return:g}"] if self.mean_return is not None else []
+        criteria += (
+            [f"success rate >= {100 * self.success_rate:g} %"] if self.success_rate is not None else []
+        )
+        return f"{' and '.join(criteria)} over {self.episodes} episodes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -685,14 +687,14 @@ class Agent:
         The frames of the stack come oldest first; in each, the named values in file order, each with its
         history, oldest first, and within that its components.
         """
-        named = [
+        groups = [
             list(group)
             for _, group in groupby(range(len(self.numbers)), key=lambda index: self.numbers[index].name)
         ]
         return tuple(
             (index, back + ago)
             for back in reversed(range(self.frame_stack))
-            for group in named
+            for group in groups
             for ago in reversed(range(self.numbers[group[0]].history))
             for index in group
         )
@@ -705,10 +707,10 @@ class Agent:
     @cached_property
     def inputs(self) -> tuple[ObservedValue, ...]:
         """The numbers that the policy sees, in their order in its observation."""
-        seen = [(self.numbers[index], age) for index, age in self.seen]
+        entries = [(self.numbers[index], age) for index, age in self.seen]
         return tuple(
             ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip)
-            for n, age in seen
+            for n, age in entries
         )
 
     @property

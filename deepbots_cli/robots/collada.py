@@ -53,14 +53,14 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
 
 def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...]) -> None:
     for tag, name in attributes:
-        if any(name not in each.attrib for each in holder.iter(tag)):
+        if any(name not in element.attrib for element in holder.iter(tag)):
             raise FaultyColladaError(f"a <{tag}> of the COLLADA file has no {name}")
 
 
 def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
     _require(mesh, _WITH_ID)
-    sources = {each.attrib["id"]: each for each in mesh.iter("source")}
-    places = {each.attrib["id"]: _input(each, "POSITION") for each in mesh.iter("vertices")}
+    sources = {element.attrib["id"]: element for element in mesh.iter("source")}
+    places = {element.attrib["id"]: _input(element, "POSITION") for element in mesh.iter("vertices")}
     for triangles in mesh.iter("triangles"):
         corner = _input(triangles, "VERTEX")
         source = sources.get(places.get(corner.source, _Input("", 0)).source)
@@ -70,7 +70,11 @@ def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
         numbers, corners = (floats.text or "").split(), _corners(triangles, corner.offset)
         vertices = len(numbers) // 3
         outside = next(
-            (each for each in (max(corners, default=0), min(corners, default=0)) if not 0 <= each < vertices),
+            (
+                number
+                for number in (max(corners, default=0), min(corners, default=0))
+                if not 0 <= number < vertices
+            ),
             None,
         )
         if outside is not None:
@@ -87,9 +91,9 @@ class _Input:
 
 def _input(holder: ElementTree.Element, semantic: str) -> _Input:
     """Return the source of the numbers of a kind. Raises: FaultyColladaError: There is none."""
-    for each in holder.iter("input"):
-        if each.attrib.get("semantic") == semantic:
-            return _Input(each.attrib.get("source", "").removeprefix("#"), _count(each, "offset", 0))
+    for element in holder.iter("input"):
+        if element.attrib.get("semantic") == semantic:
+            return _Input(element.attrib.get("source", "").removeprefix("#"), _count(element, "offset", 0))
     raise FaultyColladaError(f"a <{holder.tag}> of the COLLADA file has no <input> with semantic {semantic}")
 
 
@@ -104,10 +108,10 @@ def _count(element: ElementTree.Element, name: str, default: int) -> int:
 def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
     """Return the places of the vertices of triangles."""
     inputs = [*triangles.iter("input")]
-    if any(not {"semantic", "source", "offset"} <= {*each.attrib} for each in inputs):
+    if any(not {"semantic", "source", "offset"} <= {*element.attrib} for element in inputs):
         raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")
-    stride = 1 + max(_count(each, "offset", 0) for each in inputs)
-    text = next((each.text or "" for each in triangles.iter("p")), "")
+    stride = 1 + max(_count(element, "offset", 0) for element in inputs)
+    text = next((element.text or "" for element in triangles.iter("p")), "")
     tokens = text.split(None, _MAX_INDICES)
     if len(tokens) > _MAX_INDICES:
         raise FaultyColladaError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")

@@ -40,8 +40,8 @@ class Coverage(NamedTuple):
     def layers(self, scale: Vector) -> float:
         """Return how many times the triangles of the scaled mesh cover its box."""
         x, y, z = map(abs, scale)
-        seen, box = (max(a * y * z, b * x * z, c * x * y) for a, b, c in self)
-        return seen / box if box > 0.0 else 0.0
+        area, box = (max(a * y * z, b * x * z, c * x * y) for a, b, c in self)
+        return area / box if box > 0.0 else 0.0
 
 
 def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
@@ -91,15 +91,15 @@ def _stl(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         corners = _PLACE_STL.findall(data) if data.count(b"facet") > MAX_LAYERS else []
         count = len(corners) // 3
-        chosen = (
+        triangles = (
             [_vector(corner) for corner in corners[3 * number : 3 * number + 3]]
             for number in _chosen(count, random)
         )
     else:
         count = int.from_bytes(data[80:84], "little")
         numbers = (struct.unpack_from("<9f", data, 96 + 50 * number) for number in _chosen(count, random))
-        chosen = ([_vector(each[at : at + 3]) for at in (0, 3, 6)] for each in numbers)
-    return count, [(a, b, c) for a, b, c in chosen]
+        triangles = ([_vector(row[at : at + 3]) for at in (0, 3, 6)] for row in numbers)
+    return count, [(a, b, c) for a, b, c in triangles]
 
 
 def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
@@ -107,17 +107,17 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     triangles around its first corner."""
     faces = [(face.start(), _CORNER.findall(face[1])) for face in _FACE.finditer(data)]
     ends = list[int]()
-    for _, named in faces:
-        ends.append((ends[-1] if ends else 0) + max(len(named) - 2, 0))
+    for _, corners in faces:
+        ends.append((ends[-1] if ends else 0) + max(len(corners) - 2, 0))
     count = ends[-1] if ends else 0
     vertices = [*_VERTEX.finditer(data)] if count > MAX_LAYERS else []
     starts = [vertex.start() for vertex in vertices]
     sample = list[Triangle]()
     for number in _chosen(count, random):
         place = bisect_right(ends, number)
-        at, named = faces[place]
-        second = number - ends[place] + len(named) - 1
-        indices = [int(named[corner]) for corner in (0, second, second + 1)]
+        at, corners = faces[place]
+        second = number - ends[place] + len(corners) - 1
+        indices = [int(corners[corner]) for corner in (0, second, second + 1)]
         before = bisect_right(starts, at)  # -1 is the last vertex before the face
         a, b, c = (
             _vector(vertices[index - 1 if index > 0 else before + index].groups()) for index in indices

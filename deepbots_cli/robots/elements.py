@@ -182,8 +182,8 @@ class Element:
             self.error(f"{quoted(wrong)} is not a finite number", attribute=name, help=help)
             return stand_in
         if len(words) != size:
-            wanted = "one number" if size == 1 else f"{size} numbers"
-            self.error(f"'{name}' needs {wanted}, not {len(words)}", attribute=name)
+            expected = "one number" if size == 1 else f"{size} numbers"
+            self.error(f"'{name}' needs {expected}, not {len(words)}", attribute=name)
             return stand_in
         values = tuple(float(word) for word in words)
         if not all(math.isfinite(value) and abs(value) <= MAX_MAGNITUDE for value in values):
@@ -335,15 +335,15 @@ def _parsed(builder: _Builder) -> Element | None:
     except expat.ExpatError as error:
         at = min(builder.offset(max(builder.parser.ErrorByteIndex, 0)), len(source.text))
         also = tuple(Label(element.span, "opened here and not closed") for element in builder.open[-1:])
-        what = (
+        headline = (
             "the file is empty"
             if not source.text.strip()
             else f"this is not XML: {expat.ErrorString(error.code)}"
         )
         if builder.open and error.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]:
-            what = "the file ends inside an element"
+            headline = "the file ends inside an element"
         misplaced = error.code == expat.errors.codes[expat.errors.XML_ERROR_MISPLACED_XML_PI]
         help = "move <?xml ...?> to the start of the file" if misplaced else None
-        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), what, help, labels=also)
+        findings.add("DB301", Span(source, at, min(at + 1, len(source.text))), headline, help, labels=also)
         return None
     return builder.root

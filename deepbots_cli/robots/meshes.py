@@ -420,9 +420,11 @@ def _obj(data: bytes) -> str | None:
     indices: set[bytes] = set()
     corners = 0
     for face in _FACE.finditer(data):
-        named = _INDEX.findall(data, face.start(1), min(face.end(1), face.start(1) + 16 * _MAX_CORNERS))
-        indices.update(named)
-        corners += len(named)
+        corner_indices = _INDEX.findall(
+            data, face.start(1), min(face.end(1), face.start(1) + 16 * _MAX_CORNERS)
+        )
+        indices.update(corner_indices)
+        corners += len(corner_indices)
         if corners > _MAX_CORNERS:
             return f"the faces of the OBJ file together have more than {_MAX_CORNERS:,} corners"
     if not indices:

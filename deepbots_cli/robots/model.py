@@ -618,13 +618,13 @@ def with_scale(model: RobotModel, link: str, scale: Vector) -> RobotModel | str:
     if not all(math.isfinite(factor) and factor > 0 for factor in scale):
         return f"the scale of link {link!r} must be above 0"
     old = model.link(link)
-    what = "visual"
+    kind = "visual"
     try:
         visuals = tuple(_stretched(geometry, scale) for geometry in old.visuals)
-        what = "collision"
+        kind = "collision"
         collisions = tuple(_stretched(geometry, scale) for geometry in old.collisions)
     except _ShapeError as error:
-        return f"a {what} shape of link {link!r} cannot be scaled like this: {error}"
+        return f"a {kind} shape of link {link!r} cannot be scaled like this: {error}"
     inertial = _stretched_inertial(old.inertial, scale) if old.inertial else None
     children = {
         joint.name: replace(joint, origin=replace(joint.origin, xyz=_along(joint.origin.xyz, scale)))
@@ -661,10 +661,10 @@ def _with_matrix(old: Inertial, tensor: Matrix) -> Inertial:
 
 def _stretched(old: Geometry, scale: Vector) -> Geometry:
     """Return the stretched shape; its own axes stay at right angles exactly if S is diagonal in them."""
-    own = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
-    if max(abs(own[0][1]), abs(own[0][2]), abs(own[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
+    stretch = rotate_tensor(diagonal(scale), transposed(rotation_matrix(old.origin.rpy)))
+    if max(abs(stretch[0][1]), abs(stretch[0][2]), abs(stretch[1][2])) > _ALIGNMENT_TOLERANCE * max(scale):
         raise _ShapeError("it is rotated relative to the axes of the link, so scaling would skew it")
-    shape = _stretched_shape(old.shape, (own[0][0], own[1][1], own[2][2]))
+    shape = _stretched_shape(old.shape, (stretch[0][0], stretch[1][1], stretch[2][2]))
     return Geometry(shape, replace(old.origin, xyz=_along(old.origin.xyz, scale)), old.color)
 
 

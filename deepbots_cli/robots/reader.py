@@ -240,9 +240,9 @@ def _check_words(root: Element) -> None:
     for element, word, expected, attribute in unknown[:MAX_WORDS]:
         match = nearest_word(word, expected.split(), 0.75)
         if match:
-            what = "attribute" if attribute else "element"
+            noun = "attribute" if attribute else "element"
             element.warn(
-                f"deepbots ignores the {what} {quoted(word)}",
+                f"deepbots ignores the {noun} {quoted(word)}",
                 attribute=attribute,
                 help=f"did you mean {match!r}?",
             )
@@ -297,13 +297,13 @@ def _model(
 
 def _colors(root: Element) -> dict[str, Color]:
     """Return the colors of named materials, first of the robot, then of its visuals."""
-    named: dict[str, Color] = {}
+    colors: dict[str, Color] = {}
     holders = [root, *(visual for link in root.find_all("link") for visual in link.find_all("visual"))]
     for material in (material for holder in holders for material in holder.find_all("material")):
         name, color = material.attributes.get("name"), _color(material)
         if name and color:
-            named.setdefault(name, color)
-    return named
+            colors.setdefault(name, color)
+    return colors
 
 
 def _color(material: Element) -> Color | None:
@@ -371,12 +371,12 @@ def _inertial(link: Element) -> Inertial | None:
     )
 
 
-def _visual_color(visual: Element, named: dict[str, Color]) -> Color | None:
+def _visual_color(visual: Element, colors: dict[str, Color]) -> Color | None:
     """Return the color inside the visual, else the color of the material that it names."""
     material = visual.find_one("material")
     if material is None:
         return None
-    return _color(material) if material.find_all("color") else named.get(material.attributes.get("name", ""))
+    return _color(material) if material.find_all("color") else colors.get(material.attributes.get("name", ""))
 
 
 def _geometry(holder: Element, meshes: MeshReader, color: Color | None = None) -> Geometry | None:
@@ -554,10 +554,10 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
 
 def _mimic(joint: Element) -> Mimic | None:
     element = joint.find_one("mimic")
-    other = element.text("joint") if element else None
+    leader = element.text("joint") if element else None
     return (
-        Mimic(other, element.number("multiplier", 1.0), element.number("offset", 0.0))
-        if element and other
+        Mimic(leader, element.number("multiplier", 1.0), element.number("offset", 0.0))
+        if element and leader
         else None
     )
 
@@ -572,7 +572,7 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
     balls = {joint.name for joint in model.joints if elements[joint.name].attributes["type"] == _BALL}
     links: list[Link] = list(model.links)
     joints: list[Joint] = []
-    taken = {link.name for link in model.links} | elements.keys()
+    used_names = {link.name for link in model.links} | elements.keys()
     for joint in model.joints:
         element = elements[joint.name]
         if joint.mimic and (joint.name in balls or joint.mimic.joint in balls):
@@ -583,7 +583,7 @@ def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotMode
             joints.append(joint)
             continue
         names = [f"{joint.name}_{letter}" for letter in "xyz"]
-        clash = next((name for name in names if name in taken), None)
+        clash = next((name for name in names if name in used_names), None)
         if clash:
             headline = (
                 f"ball joint {quoted(joint.name)} needs the name {quoted(clash)} for one of its three"
@@ -666,18 +666,18 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
     if not max(abs(mimic.multiplier), abs(mimic.offset)) <= MAX_MAGNITUDE:
         both = f"from joint {quoted(joint.name)} to {quoted(leader.name)}"
         element.error(f"the multipliers or offsets {both} together exceed {MAX_MAGNITUDE:g}")
-    own, (lower, upper) = joint.limit, (leader.limit.lower, leader.limit.upper)
-    if own.lower is None or own.upper is None or lower is None or upper is None:
+    limit, (lower, upper) = joint.limit, (leader.limit.lower, leader.limit.upper)
+    if limit.lower is None or limit.upper is None or lower is None or upper is None:
         return
     low, high = sorted((mimic.position(lower), mimic.position(upper)))
     slack = _LIMIT_TOLERANCE * (high - low)
-    if low < own.lower - slack or high > own.upper + slack:
+    if low < limit.lower - slack or high > limit.upper + slack:
         unit = "m" if joint.type == "prismatic" else "rad"
         headline = (
             f"joint {quoted(joint.name)} reaches its limit before {quoted(leader.name)} does, and"
             f" then blocks {quoted(leader.name)}"
         )
-        low, high = min(low, own.lower), max(high, own.upper)
+        low, high = min(low, limit.lower), max(high, limit.upper)
         element.warn(
             headline,
             help=f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}',

@@ -203,14 +203,14 @@ class LocalCollector:
         lesson: Lesson | None = None,
     ) -> Fragment | None:
         observations, starts = self.begin(), self.starts
-        seen, decisions, rewards, begun, endings = [], [], [], [], []
+        observation_rows, decisions, rewards, begun, endings = [], [], [], [], []
         agent_rewards: list[Mapping[str, Array]] = []
         agent_phases: list[Mapping[str, Array]] = []
         for number in range(steps):
             decision = actor(observations, starts, self.action_masks() if with_masks else None)
             if lesson is not None:
                 decision = self.taught(decision, lesson)
-            seen.append(observations)
+            observation_rows.append(observations)
             decisions.append(decision)
             begun.append(starts)
             step = self.step_all(decision.actions)
@@ -227,7 +227,7 @@ class LocalCollector:
         }
         actions = np.stack([decision.actions for decision in decisions])
         return Fragment(
-            _joined(np.stack, seen),
+            _joined(np.stack, observation_rows),
             actions,
             np.stack(rewards),
             np.stack(begun),
@@ -244,14 +244,16 @@ class LocalCollector:
         fragment contains more states."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
-        actions, own = np.array(decision.actions), taught[: lesson.worlds]
+        actions, lesson_actions = np.array(decision.actions), taught[: lesson.worlds]
         if lesson.worlds:
             if isinstance(self.action_space, gym.spaces.Box):
-                own = np.clip(own + np.random.normal(0.0, _NOISE, own.shape), -1.0, 1.0)
-            actions[: lesson.worlds] = own
+                lesson_actions = np.clip(
+                    lesson_actions + np.random.normal(0.0, _NOISE, lesson_actions.shape), -1.0, 1.0
+                )
+            actions[: lesson.worlds] = lesson_actions
             if "stored" in columns:
                 columns["stored"] = np.array(columns["stored"])
-                columns["stored"][: lesson.worlds] = own
+                columns["stored"][: lesson.worlds] = lesson_actions
         return Decision(actions, columns)
 
     def step_all(self, actions: Any) -> WorldsStep:

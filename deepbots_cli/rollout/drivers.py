@@ -55,14 +55,14 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     if not name.isidentifier() or name in options:
         return repeated_actions(world, name)
     if program.members:
-        of_all = [each.program.agent.scripts for each in program.members.values()]
-        scripts = list(dict.fromkeys(script.name for own in of_all for script in own))
+        of_all = [member.program.agent.scripts for member in program.members.values()]
+        scripts = list(dict.fromkeys(script.name for agent_scripts in of_all for script in agent_scripts))
     names = (*scripts, RANDOM, ZERO)
     hint = did_you_mean(name, (*names, *options))
     slots = [
         part.options if isinstance(part, Choices) else ()
-        for each in program.agent.action
-        for part in _slots(each)
+        for action_part in program.agent.action
+        for part in _slots(action_part)
     ]
     example = ",".join(
         ":".join(slot[at].name if slot else number for slot in slots)
@@ -78,11 +78,12 @@ def _drivers_of_agents(program: Program, script: str) -> dict[str, str]:
     """Return the driver of each of several agents: the script of this name, or else the first script of the
     agent, or `random`; empty if no agent has such a script."""
     scripts = {
-        name: [each.name for each in member.program.agent.scripts] for name, member in program.members.items()
+        name: [entry.name for entry in member.program.agent.scripts]
+        for name, member in program.members.items()
     }
-    if not any(script in own for own in scripts.values()):
+    if not any(script in names for names in scripts.values()):
         return {}
-    return {name: script if script in own else next(iter(own), RANDOM) for name, own in scripts.items()}
+    return {name: script if script in names else next(iter(names), RANDOM) for name, names in scripts.items()}
 
 
 class AgentsDriver(Driver):

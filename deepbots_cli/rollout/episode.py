@@ -238,10 +238,11 @@ def own_episode(member: Member, episode: Episode) -> Episode:
     """Return an episode as it was for an agent: its return, its reward terms, its length, and whether it
     succeeded."""
     terms = {name: episode.terms[joint] for name, joint in member.terms.items() if joint in episode.terms}
-    own = replace(episode, total_return=sum(terms.values()), terms=terms)
+    agent_episode = replace(episode, total_return=sum(terms.values()), terms=terms)
     end = episode.agent_endings.get(member.name)
     if end is not None:
-        return replace(own, length=end.step, is_success=end.is_success, ended_by=end.endings[0])
+        return replace(agent_episode, length=end.step, is_success=end.is_success, ended_by=end.endings[0])
     return replace(
-        own, is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,))
+        agent_episode,
+        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
     )

@@ -60,7 +60,7 @@ def play_episodes(
         [number for number in numbers if number % FORWARD_BATCH_SIZE == row]
         for row in range(FORWARD_BATCH_SIZE)
     ]
-    rows = [row for row, own in enumerate(by_row) if own]
+    rows = [row for row, episodes in enumerate(by_row) if episodes]
     for first in range(0, len(rows), together):
         lanes = [
             EvaluationLane(world, row, by_row[row], seeds)
@@ -114,14 +114,14 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
     numbers, running = list(range(count)), BatchEpisodes(worlds)
     answers: list[Any] = [None] * len(passes)
     lost = len(worlds.losses)
-    seen = worlds.reset(seeds[:count])
+    observations = worlds.reset(seeds[:count])
     drawn = [single.drawn() for single in worlds.singles]
     while not running.resting.all():
         masks = None if choices is None else worlds.action_masks()
         for place, forward in enumerate(passes):
-            those = slice(place * size, min(count, (place + 1) * size))
-            if answers[place] is None or not running.resting[those].all():
-                forward.put_all(seen, slice(those.start * width, those.stop * width), masks)
+            part = slice(place * size, min(count, (place + 1) * size))
+            if answers[place] is None or not running.resting[part].all():
+                forward.put_all(observations, slice(part.start * width, part.stop * width), masks)
                 answers[place] = forward.predict(policy, deterministic=True)
         outcome = running.step_all(np.concatenate(answers)[: worlds.count])
         if len(worlds.losses) > lost:
@@ -140,7 +140,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
             worlds.begin(begun, [seeds[numbers[world]] for world in begun])
             for world in begun:
                 drawn[world] = worlds.singles[world].drawn()
-        seen = worlds.observations() if begun else worlds.rows.by_row(outcome.observations)
+        observations = worlds.observations() if begun else worlds.rows.by_row(outcome.observations)
 
 
 class PolicyDriver(Driver):

@@ -152,15 +152,15 @@ def _content(
                     )
                 inner = breakup_chunk(record, validate_crc=True)
                 size += _RECORD_OVERHEAD_BYTES * len(inner)
-                topics |= {each.id: each.topic for each in inner if isinstance(each, records.Channel)}
-                messages += [each for each in inner if isinstance(each, records.Message)]
+                topics |= {entry.id: entry.topic for entry in inner if isinstance(entry, records.Channel)}
+                messages += [entry for entry in inner if isinstance(entry, records.Message)]
             if size > _MAX_CONTENT or len(files) > _MAX_INPUTS:
                 raise RecordingError(
                     f"{path} contains more than {_MAX_CONTENT >> 20} MiB, or more than {_MAX_INPUTS} files"
                 )
         steps = [
-            {topics[each.channel_id]: each.data for each in step}
-            for _, step in groupby(messages, lambda each: each.log_time)
+            {topics[message.channel_id]: message.data for message in step}
+            for _, step in groupby(messages, lambda message: message.log_time)
         ]
     except (McapError, ZstdError, struct.error, ValueError, KeyError, IndexError, MemoryError) as error:
         raise RecordingError(f"{path} is cut short or damaged; record the episode again") from error

@@ -157,7 +157,7 @@ def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator
             events = []
     numbers = Counter(number for number, steps in episodes if steps)
     twice = any(times > 1 for times in numbers.values())
-    for place, (number, steps) in enumerate([each for each in episodes if each[1]]):
+    for place, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
         yield LoggedEpisode(place if twice else number, steps)
 
 

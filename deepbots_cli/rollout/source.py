@@ -99,8 +99,8 @@ class Source:
         )
         if kinds and opened.kind not in kinds:
             *others, final = (kind.value for kind in kinds)
-            wanted = f"{', '.join(others)} or {final}" if others else final
-            what = (
+            expected = f"{', '.join(others)} or {final}" if others else final
+            description = (
                 "a file"
                 if opened.kind is SourceKind.SCENARIO and opened.path.suffix not in (".yaml", ".yml")
                 else opened.kind.value
@@ -121,7 +121,7 @@ class Source:
                 )
             elif SourceKind.RUN in kinds and opened.kind is SourceKind.CHECKPOINT:
                 hint = f"; name the run: {opened.path}"
-            raise error(f"{opened.name} is {what}, and not {wanted}{hint}")
+            raise error(f"{opened.name} is {description}, and not {expected}{hint}")
         return opened
 
     @classmethod

@@ -192,7 +192,7 @@ class Worlds:
                 actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
             )
             outcomes, done = self._act(index, action)
-            seen = []
+            world_observations = []
             for row, (observation, reward, terminated, truncated, info) in enumerate(
                 outcomes, index * self._width
             ):
@@ -205,11 +205,11 @@ class Worlds:
                     episode = accumulator.close(_own(info, terminated or truncated))
                     self._on_episode(index, episode)
                     endings.append(Ending(row, episode, observation, not terminated))
-                seen.append(observation)
+                world_observations.append(observation)
                 rewards.append(reward)
                 dones.append(done)
                 infos.append(info)
-            observations += self._go_on(index) if done else seen
+            observations += self._go_on(index) if done else world_observations
         self.observations = self._stack(observations)
         return WorldsStep(
             self.observations,
@@ -290,13 +290,13 @@ class Worlds:
             seed = history.start if isinstance(history.start, int) else None
             if isinstance(history.start, dict):
                 set_random_state(self.worlds[index], history.start)
-            seen = self._begin(index, seed)
+            world_observations = self._begin(index, seed)
             for action in history.actions:
                 outcomes, _ = self._act(index, action)
                 for row, (_, reward, _, _, info) in enumerate(outcomes, index * self._width):
                     self._accumulators[row].add(float(reward), info)
-                seen = [outcome[0] for outcome in outcomes]
-            observations += seen
+                world_observations = [outcome[0] for outcome in outcomes]
+            observations += world_observations
         self.observations = self._stack(observations)
         return self.observations
 
@@ -464,7 +464,7 @@ class BatchWorlds(Worlds):
 
     def _in(self, stage: int) -> Array:
         """Return the worlds that are in a stage, as truth values."""
-        return np.array([own == stage for own in self.stages])
+        return np.array([world_stage == stage for world_stage in self.stages])
 
     def _rows_in(self, stage: int) -> Array:
         return self._in(stage).repeat(self._width)
@@ -490,14 +490,16 @@ class BatchWorlds(Worlds):
     def _observe(self) -> Any:
         """Return the observations of each world in its stage."""
         (_, first), *others = self._batches.items()
-        seen = first.batch.observations()
+        observations = first.batch.observations()
         for stage, episodes in others:
             rows, more = self._rows_in(stage), episodes.batch.observations()
-            for mine, other in (
-                zip(seen.values(), more.values(), strict=True) if isinstance(seen, dict) else [(seen, more)]
+            for target, source in (
+                zip(observations.values(), more.values(), strict=True)
+                if isinstance(observations, dict)
+                else [(observations, more)]
             ):
-                mine[rows] = other[rows]
-        return seen
+                target[rows] = source[rows]
+        return observations
 
     def action_masks(self) -> Array:
         (_, first), *others = self._batches.items()
@@ -547,8 +549,8 @@ class BatchWorlds(Worlds):
                     row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )
                 self._on_episode(world, episode)
-                seen = by_part(itemgetter(place), outcome.final_observations)
-                endings.append(Ending(row, episode, seen, not outcome.terminated[row]))
+                final_observation = by_part(itemgetter(place), outcome.final_observations)
+                endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)
                     begun.setdefault(self.stages[world], []).append((world, seed))
@@ -571,7 +573,12 @@ class BatchWorlds(Worlds):
             if self._recorder is not None:
                 histories = self._batch_of(stage).histories.snapshot()
                 self._recorder.record_failed(
-                    stage, [histories[world] for world, own in enumerate(self.stages) if own == stage]
+                    stage,
+                    [
+                        histories[world]
+                        for world, world_stage in enumerate(self.stages)
+                        if world_stage == stage
+                    ],
                 )
             raise
 

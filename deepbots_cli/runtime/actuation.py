@@ -214,7 +214,9 @@ class Motor:
         return (
             None
             if gain is None
-            else [share * max(0.0, each) for share, each in zip(self._shares, self._each(gain), strict=True)]
+            else [
+                share * max(0.0, value) for share, value in zip(self._shares, self._each(gain), strict=True)
+            ]
         )
 
     def _each(self, values: PerJoint) -> Sequence[float]:
@@ -387,8 +389,10 @@ class Thrust:
         strengths = [strength] * len(self._rotors) if isinstance(strength, (int, float)) else strength
         self._effects: list[tuple[str, Triple, Triple]] = []
         """The link of each rotor, and force and torque on it per thrust that is commanded."""
-        for (carrier, place, axis, moment_constant), each in zip(self._rotors, strengths, strict=True):
-            force = frames.scaled(axis, max(0.0, each))
+        for (carrier, place, axis, moment_constant), rotor_strength in zip(
+            self._rotors, strengths, strict=True
+        ):
+            force = frames.scaled(axis, max(0.0, rotor_strength))
             self._effects.append(
                 (
                     carrier,

@@ -141,9 +141,9 @@ class AgentBatch:
         """Return the actions of all agents, given those of the agent, which are recorded."""
         action = by_part(np.array, action)
         self.histories.actions.append(action)
-        seen = self.world.observations()
+        observations = self.world.observations()
         parts = [
-            self._acts[name](seen, acting) if name in self._acts else parts_of_rows(action)
+            self._acts[name](observations, acting) if name in self._acts else parts_of_rows(action)
             for name in self._places
         ]
         choices, ranges = (np.concatenate(columns, axis=1) for columns in zip(*parts, strict=True))
@@ -180,11 +180,11 @@ class AgentBatch:
         return self.options.by_row()
 
     def _info(self, world: int, of_all: Mapping[str, Any]) -> dict[str, Any]:
-        own = own_info(self._own.member, of_all)
-        own.pop("action_mask", None)
+        info = own_info(self._own.member, of_all)
+        info.pop("action_mask", None)
         if self.forbids_options:
-            own["action_mask"] = self.options.of_space(self.action_space, world)
-        return own
+            info["action_mask"] = self.options.of_space(self.action_space, world)
+        return info
 
     def close(self) -> None:
         """Release all worlds."""
@@ -210,11 +210,11 @@ class _PolicyRows:
             self._passes[world // FORWARD_BATCH_SIZE].starts[world % FORWARD_BATCH_SIZE] = True
 
     def __call__(self, of_all: Any, acting: Column) -> _Parts:
-        seen = self._place.observation(of_all)
+        observations = self._place.observation(of_all)
         masks = self._world.action_masks()[:, self._place.masks] if self._policy.takes_masks else None
         answers = []
         for rows, forward in zip(self._slices, self._passes, strict=True):
-            forward.put_all(seen, rows, masks)
+            forward.put_all(observations, rows, masks)
             answer = forward.predict(self._policy, deterministic=True)
             answers.append(by_part(itemgetter(slice(rows.stop - rows.start)), answer))
         return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
@@ -226,10 +226,10 @@ def _driven(world: BatchSupervisor, place: Place, driver: str) -> _Act:
     options, width = [len(part.options) for part in agent.choices], len(agent.range_names)
     still = np.zeros((count, len(options)), np.int64), np.zeros((count, width), np.float32)
     if driver == ZERO:
-        return lambda seen, acting: still
+        return lambda observations, acting: still
     if driver == RANDOM:
 
-        def draw(seen: Any, acting: Column) -> _Parts:
+        def draw(observations: Any, acting: Column) -> _Parts:
             """Draw from the streams of the worlds, as `agents.driven` does."""
             choices, ranges = (part.copy() for part in still)
             for row in np.flatnonzero(acting).tolist():
@@ -241,7 +241,7 @@ def _driven(world: BatchSupervisor, place: Place, driver: str) -> _Act:
         return draw
     script = joint_name(member.name, driver)
 
-    def follow(seen: Any, acting: Column) -> _Parts:
+    def follow(observations: Any, acting: Column) -> _Parts:
         with np.errstate(all="ignore"):
             choices, ranges = parts_of_rows(world.script(script))
         return choices[:, slice(*member.choices)], ranges[:, slice(*member.ranges)]

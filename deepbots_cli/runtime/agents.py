@@ -139,13 +139,13 @@ class Seat(Place):
 
     def info(self, of_all: Mapping[str, Any]) -> Info:
         """Return the info of a step as it is for the agent."""
-        own = own_info(self.member, of_all)
-        if "action_mask" in own:
-            own["action_mask"] = mask_of_space(
+        info = own_info(self.member, of_all)
+        if "action_mask" in info:
+            info["action_mask"] = mask_of_space(
                 self.action_space,
                 [np.array(mask, np.int8) for mask in self._world.allowed()[slice(*self.member.choices)]],
             )
-        return own
+        return info
 
     def reward(self, of_all: Mapping[str, Any]) -> float:
         """Return the reward of the last step."""
@@ -155,15 +155,15 @@ class Seat(Place):
 def own_info(member: Member, of_all: Mapping[str, Any]) -> Info:
     """Return the info of a step as it is for an agent, with the masks of all agents."""
     terms = of_all["reward_terms"]
-    own: Info = {
+    info: Info = {
         **of_all,
         "is_success": member.has_succeeded(of_all["endings"]),
         "reward_terms": {name: terms[joint] for name, joint in member.terms.items()},
     }
-    end = own.pop("agent_endings", {}).get(member.name)
+    end = info.pop("agent_endings", {}).get(member.name)
     if end is not None:
-        own |= {"is_success": end.is_success, "ended_by": end.endings[0], "endings": end.endings}
-    return own
+        info |= {"is_success": end.is_success, "ended_by": end.endings[0], "endings": end.endings}
+    return info
 
 
 def seats_of(world: Supervisor) -> dict[str, Seat]:
@@ -188,8 +188,8 @@ def joint_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[
         if [array.shape for array in arrays] == [seat.action_space.shape for seat in seats.values()]:
             return np.concatenate(arrays)
     for name, seat in seats.items():
-        chosen, numbers = seat.parts(actions[name])
-        choices += chosen
+        options, numbers = seat.parts(actions[name])
+        choices += options
         ranges += numbers
     return compose_action(world.action_space, choices, ranges)
 
@@ -325,8 +325,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "supervisor":
             raise AttributeError(name)
-        kind, separator, own = name.partition("_")
-        joint = f"{kind}{separator}{joint_name(self._own, own)}"  # such as `last_hunter__angle`
+        kind, separator, value_name = name.partition("_")
+        joint = f"{kind}{separator}{joint_name(self._own, value_name)}"  # such as `last_hunter__angle`
         return getattr(self.supervisor, joint if hasattr(self.supervisor, joint) else name)
 
     def __reduce__(self) -> tuple[Any, ...]:

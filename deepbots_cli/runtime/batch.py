@@ -111,7 +111,7 @@ class EpisodeHistories:
         proportional to the number of actions."""
         return [
             EpisodeHistory(
-                start, [by_part(itemgetter(world), each) for each in self.actions[first:]], options
+                start, [by_part(itemgetter(world), action) for action in self.actions[first:]], options
             )
             for world, (start, first, options) in enumerate(
                 zip(self.starts, self._first, self.options, strict=True)
@@ -252,11 +252,11 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     ) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with
         the `options` of its reset."""
-        for world, seed, own in zip(worlds, seeds, options or [None] * len(worlds), strict=True):
+        for world, seed, world_options in zip(worlds, seeds, options or [None] * len(worlds), strict=True):
             single = self.singles[world]
             self.histories.starts[world] = single.random_state() if seed is None else seed
-            self.histories.options[world] = own
-            single.reset(seed=seed, options=None if own is None else dict(own))
+            self.histories.options[world] = world_options
+            single.reset(seed=seed, options=None if world_options is None else dict(world_options))
         self.histories.begin(worlds)
         self._take_over_from(worlds)
 
@@ -287,14 +287,14 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         self.histories.actions = []
         for step in range(last + 1):
             begun = [world for world, episode in enumerate(episodes) if step == last - len(episode.actions)]
-            for start, own, single in (
+            for start, world_options, single in (
                 (episodes[world].start, episodes[world].options, self.singles[world]) for world in begun
             ):
                 if isinstance(start, dict):
                     single.set_random_state(start)
                 single.reset(
                     seed=None if isinstance(start, dict) else start,
-                    options=None if own is None else dict(own),
+                    options=None if world_options is None else dict(world_options),
                 )
             if begun:
                 self._take_over_from(begun)
@@ -350,23 +350,23 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def info(self, row: int) -> dict[str, Any]:
         """Return the info of a row for the last step of an episode, as its agent gives it."""
-        held = (
+        endings = (
             tuple(name for name, column in self.holds.items() if column[row]) if self.terminated[row] else ()
         )
         alone = self.agent_endings_of(row)
-        if self.terminated[row] and not held:  # the episode of the last agent has ended
+        if self.terminated[row] and not endings:  # the episode of the last agent has ended
             last = [end for end in alone.values() if end.step == self.step_count[row]]
-            held = tuple(dict.fromkeys(name for end in last for name in end.endings))
+            endings = tuple(dict.fromkeys(name for end in last for name in end.endings))
         if self.truncated[row]:
-            held = (NOT_FINITE if self.lost[row] else self.limit,)
+            endings = (NOT_FINITE if self.lost[row] else self.limit,)
         terms = {
             name: float(np.broadcast_to(getattr(self, generated.term(name)), self.count)[row])
             for name in self.TERMS
         }
         info = {
             "is_success": bool(self.is_success[row]),
-            "ended_by": held[0] if held else None,
-            "endings": held,
+            "ended_by": endings[0] if endings else None,
+            "endings": endings,
         }
         masks = {"action_mask": self.options.of_space(self.action_space, row)} if self.forbids_options else {}
         ends = {"agent_endings": alone} if self.agent_ends else {}

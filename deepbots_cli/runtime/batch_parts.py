@@ -33,9 +33,9 @@ class PerWorldCall:
         if not arguments:
             return stack_worlds([function() for function in self._functions])
         rows = zip(*(_rows(argument, len(self._functions)) for argument in arguments), strict=True)
-        chosen = self._engine.write_mask
+        mask = self._engine.write_mask
         by_world = [
-            function(*row) if chosen is None or chosen[world] else None
+            function(*row) if mask is None or mask[world] else None
             for world, (function, row) in enumerate(zip(self._functions, rows, strict=True))
         ]
         return None if by_world[0] is None else stack_worlds(by_world)
@@ -84,9 +84,9 @@ class BatchLossyChannel:
             zip(*(_rows(field, count) for field in message), strict=True) if message else iter([()] * count)
         )
         running = self._batch.running
-        for world, (channel, one) in enumerate(zip(self._channels, messages, strict=True)):
+        for world, (channel, world_message) in enumerate(zip(self._channels, messages, strict=True)):
             if running is None or running[world]:
-                channel.send(one)
+                channel.send(world_message)
 
     def newest(self) -> Any:
         return [
@@ -220,9 +220,9 @@ class OptionMasks:
 
     def of_agent(self, agent: Agent, names: Mapping[str, str]) -> OptionMasks:
         """Return the masks of one of several agents, whose choices have other `names` here; a view."""
-        own = OptionMasks(agent, 0)
-        own._masks = {part.name: self._masks[names[part.name]] for part in agent.choices}
-        return own
+        masks = OptionMasks(agent, 0)
+        masks._masks = {part.name: self._masks[names[part.name]] for part in agent.choices}
+        return masks
 
     def by_row(self) -> Column:
         """Return the options of all choices in a row per agent; a copy."""

@@ -110,13 +110,13 @@ to_body_frame, total, wrap_angle = formulas.to_body_frame, formulas.total, formu
 
 
 _KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
-    formulas.RunningMax: lambda kept, _, x: np.maximum(kept, x),
-    formulas.RunningMin: lambda kept, _, x: np.minimum(kept, x),
-    formulas.Hold: lambda kept, _, x, condition: np.where(condition, x, kept),
-    formulas.Accumulate: lambda kept, _, more, low, high, start: np.minimum(
-        np.maximum(kept + more, low), high
+    formulas.RunningMax: lambda before, _, x: np.maximum(before, x),
+    formulas.RunningMin: lambda before, _, x: np.minimum(before, x),
+    formulas.Hold: lambda before, _, x, condition: np.where(condition, x, before),
+    formulas.Accumulate: lambda before, _, more, low, high, start: np.minimum(
+        np.maximum(before + more, low), high
     ),
-    formulas.Duration: lambda kept, step, condition: np.where(condition, kept + step, 0.0),
+    formulas.Duration: lambda before, step, condition: np.where(condition, before + step, 0.0),
 }
 """The memories whose code branches on a number, rewritten for columns. All other memories work with columns
 unchanged."""
@@ -145,16 +145,16 @@ class BatchMemory:
         none."""
 
     def load(self, world: int) -> None:
-        kept = self._singles[world].kept if self._vector else [self._singles[world].kept]
-        waits = kept is None or kept[0] is None
+        values = self._singles[world].kept if self._vector else [self._singles[world].kept]
+        waits = values is None or values[0] is None
         if waits or self._waiting is not None:
             self._waiting = np.zeros(len(self._singles), bool) if self._waiting is None else self._waiting
             self._waiting[world] = waits
         if waits:
             return
-        if isinstance(kept[0], bool | np.bool_) and self._kept.dtype != bool:
+        if isinstance(values[0], bool | np.bool_) and self._kept.dtype != bool:
             self._kept = self._kept.astype(bool)
-        self._kept[:, world] = kept
+        self._kept[:, world] = values
 
     def update(self, *arguments: Any) -> Any:
         """Return the value in this timestep; vectors where the function has one memory per component."""
@@ -162,17 +162,17 @@ class BatchMemory:
         parts = [
             stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments
         ]
-        law, chosen = self._law, self._chosen()
+        law, mask = self._law, self._chosen()
         before = self._kept
         if self._waiting is not None:
             law.begin(*parts)
             before = np.where(self._waiting, law.kept, before)
-            waiting = None if chosen is None else self._waiting & ~chosen
+            waiting = None if mask is None else self._waiting & ~mask
             self._waiting = waiting if waiting is not None and waiting.any() else None
         law.kept = before if self._choose is None else self._choose(before, law.timestep, *parts)
         value = law.advance(*parts) if self._choose is None else law.kept
-        kept = law.kept if chosen is None else np.where(chosen, law.kept, self._kept)
-        self._kept = np.broadcast_to(kept, (count, worlds)).copy()
+        after = law.kept if mask is None else np.where(mask, law.kept, self._kept)
+        self._kept = np.broadcast_to(after, (count, worlds)).copy()
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 
 

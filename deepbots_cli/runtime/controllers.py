@@ -182,7 +182,7 @@ class SupervisedRobots(WithMemories):
     def link(self, sender: str, receiver: str) -> LossyChannel:
         """Return the path of messages from one robot to another, which take at least a timestep."""
         spec = next(
-            each for each in self.scenario.links if (each.sender, each.receiver) == (sender, receiver)
+            link for link in self.scenario.links if (link.sender, link.receiver) == (sender, receiver)
         )
         here, there = self.engine.pose(sender), self.engine.pose(receiver)
 

@@ -45,10 +45,11 @@ def copy_name(copies: RobotCopies, number: int) -> str:
 
 def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
     """Return the world with the copies in place of the robot."""
-    one = next(robot for robot in world.robots if robot.name == copies.robot)
-    others = tuple(robot for robot in world.robots if robot is not one)
+    original = next(robot for robot in world.robots if robot.name == copies.robot)
+    others = tuple(robot for robot in world.robots if robot is not original)
     return replace(
-        world, robots=(*others, *(replace(one, name=copy_name(copies, k + 1)) for k in range(copies.count)))
+        world,
+        robots=(*others, *(replace(original, name=copy_name(copies, k + 1)) for k in range(copies.count))),
     )
 
 
@@ -152,8 +153,8 @@ class BatchOfCopies:
     def step(self, substeps: int, running: Any = None) -> None:
         self._engine.step(substeps, None if running is None else running[:: self._count])
 
-    def _reader(self, kind: str, *of: Any, **options: Any) -> Callable[[], Any]:
-        readers = [getattr(view, kind)(*of, **options) for view in self._views]
+    def _reader(self, kind: str, *subjects: Any, **options: Any) -> Callable[[], Any]:
+        readers = [getattr(view, kind)(*subjects, **options) for view in self._views]
         return lambda: _by_row([read() for read in readers])
 
     contact = partialmethod(_reader, "contact")
@@ -169,8 +170,8 @@ class BatchOfCopies:
     angular_momentum = partialmethod(_reader, "angular_momentum")
     motion = partialmethod(_reader, "motion")
 
-    def _motor(self, kind: str, *of: Any, **curve: Any) -> MotorWriter:
-        writers = [getattr(view, kind)(*of, **curve) for view in self._views]
+    def _motor(self, kind: str, *subjects: Any, **curve: Any) -> MotorWriter:
+        writers = [getattr(view, kind)(*subjects, **curve) for view in self._views]
 
         def write(targets: Sequence[Any]) -> None:
             for place, write_copy in enumerate(writers):
@@ -209,7 +210,7 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
     ended = [copy for copy in copies if copy.terminated]
     over = ended or [copy for copy in copies if copy.truncated]
     failed = [copy for copy in over if not copy.info["is_success"]]
-    each = {
+    per_copy = {
         "reward": tuple(copy.reward for copy in copies),
         "terminated": tuple(copy.terminated for copy in copies),
         "is_success": tuple(copy.info["is_success"] for copy in copies),
@@ -223,7 +224,7 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         "ended_by": (failed or over)[0].info["ended_by"] if over else None,
         "endings": tuple(dict.fromkeys(name for copy in over for name in copy.info["endings"])),
         "reward_terms": terms,
-        "each": each,
+        "each": per_copy,
     }
     return CopyResult(
         sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
@@ -349,8 +350,8 @@ class CopiesSupervisor(Supervisor):
         first = next(iter(self.agents.values()))
         self._drawn = {place: value for place, value in first.drawn().items() if place in shared}
         for name, agent in self.agents.items():
-            own = {place: value for place, value in agent.drawn().items() if place not in shared}
-            self._drawn |= {f"{name}.{place}": value for place, value in own.items()}
+            copy_draws = {place: value for place, value in agent.drawn().items() if place not in shared}
+            self._drawn |= {f"{name}.{place}": value for place, value in copy_draws.items()}
 
     def present_values(self) -> Drawn:
         first = next(iter(self.agents.values()))

@@ -185,10 +185,10 @@ class BatchDevice:
             return
         values = self._sampled(sampled)
         if not delayed:
-            taken = np.ones(self._tick.shape, bool) if sampled is None else sampled
+            mask = np.ones(self._tick.shape, bool) if sampled is None else sampled
             self.reading, self.measured_tick = (
-                np.where(taken, values, self.reading),
-                np.where(taken, self._tick, self.measured_tick),
+                np.where(mask, values, self.reading),
+                np.where(mask, self._tick, self.measured_tick),
             )
             return
         self._deliver(values, running)

@@ -44,8 +44,8 @@ class EpisodeEnd:
     def _end_agent(self, agent: str, endings: Mapping[str, bool], *, success: bool = False) -> bool:
         """End the episode of one of several agents by the endings that hold, while others go on. Returns
         True."""
-        held = tuple(name for name, holds in endings.items() if holds)
-        self.agent_endings[agent] = AgentEnding(held, success, self.step_count)
+        names = tuple(name for name, holds in endings.items() if holds)
+        self.agent_endings[agent] = AgentEnding(names, success, self.step_count)
         return True
 
     def _end_with_agents(self) -> None:
@@ -87,8 +87,8 @@ class AgentColumns:
 
     def ending(self, row: int) -> AgentEnding:
         """Return the end in a row."""
-        held = tuple(name for name, column in self.holds.items() if column[row])
-        return AgentEnding(held, bool(self.success[row]), int(self.steps[row]))
+        names = tuple(name for name, column in self.holds.items() if column[row])
+        return AgentEnding(names, bool(self.success[row]), int(self.steps[row]))
 
 
 class EpisodeEnds:

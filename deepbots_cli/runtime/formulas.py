@@ -439,9 +439,9 @@ def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Ca
             ) from error
         is_truth = isinstance(value, (bool, np.bool_))
         if is_truth != truth or not (is_truth or isinstance(value, Real)):
-            wanted = "True or False" if truth else "a number"
+            expected = "True or False" if truth else "a number"
             raise EvaluationError(
-                f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {wanted}"
+                f"step {supervisor.step_count}: {called} gave {str(value)[:40]!r} instead of {expected}"
             )
         return bool(value) if truth else float(value)
 

@@ -271,19 +271,19 @@ def layout_error(layout: MessageLayout, format: str, message: object, step: int)
         f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
     )
     expected = scalar_fields(layout)
-    wanted = (
+    expectation = (
         f"expected {len(expected)} values ({', '.join(name for name, _ in expected) or 'none'}) in {format}"
     )
     try:
         values = codec(layout, format).parts(message)
     except DECODING_ERRORS:
         return MessageError(
-            f"{place}: the message cannot be read as {format}; {wanted}, got {excerpt(message)}"
+            f"{place}: the message cannot be read as {format}; {expectation}, got {excerpt(message)}"
         )
     if not values or values[0] != layout.layout_hash:
         return MessageError(
             f"{place}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not"
-            f" {layout.layout_hash}); {wanted}"
+            f" {layout.layout_hash}); {expectation}"
         )
     if len(values) - 1 != len(expected):
         missing = [name for name, _ in expected[len(values) - 1 :]]
@@ -292,11 +292,13 @@ def layout_error(layout: MessageLayout, format: str, message: object, step: int)
             if missing
             else "the message has too many values"
         )
-        return MessageError(f"{place}: {detail}; {wanted}, got {len(values) - 1}")
+        return MessageError(f"{place}: {detail}; {expectation}, got {len(values) - 1}")
     for (name, dtype), value in zip(expected, values[1:], strict=True):
         if not _fits(value, dtype):
             return MessageError(f"{place}: field '{name}' should be a {dtype}, got {excerpt(value)}")
-    return MessageError(f"{place}: the message does not fit its layout; {wanted}, got {excerpt(message)}")
+    return MessageError(
+        f"{place}: the message does not fit its layout; {expectation}, got {excerpt(message)}"
+    )
 
 
 def _number_or_text(cell: str) -> object:
@@ -437,8 +439,8 @@ class LossyChannel:
 
     def receive(self) -> list[Any]:
         """Return the messages that the receiver takes in this timestep, in order."""
-        taken = self._arrived()
-        return [self.wire.decode(message) for message in taken] if self.wire else taken
+        messages = self._arrived()
+        return [self.wire.decode(message) for message in messages] if self.wire else messages
 
     def newest(self) -> Any:
         """Return the message that the receiver uses in this timestep. It arrived in this timestep or in an
@@ -450,7 +452,7 @@ class LossyChannel:
         return self.wire.decode(self.latest) if self.wire else self.latest
 
     def _arrived(self) -> list[Any]:
-        now, queue, taken = self._tick + _TICK_ROUNDING, self._queue, []
+        now, queue, messages = self._tick + _TICK_ROUNDING, self._queue, []
         self._tick += 1
         self.message_received = False
         while queue and queue[0][0] <= now:
@@ -466,8 +468,8 @@ class LossyChannel:
             elif self._route.on_loss == "zero":
                 self.latest = self._zeros
             if parcel or (self._route.on_loss != "skip" and self.latest is not None):
-                taken.append(self.latest)
-        return taken
+                messages.append(self.latest)
+        return messages
 
     def __len__(self) -> int:
         """Return the number of messages in flight."""

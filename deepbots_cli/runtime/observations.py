@@ -20,10 +20,10 @@ from deepbots_cli.runtime.spaces import Column, recompute_rewards, scaled_goal
 def frame_indices(agent: Agent) -> NDArray[np.intp]:
     """Return the indices of the numbers of an observation in a ring of frames; row p is for a newest frame in
     place p."""
-    seen = np.array(agent.seen, np.intp).reshape(-1, 2)
+    entries = np.array(agent.seen, np.intp).reshape(-1, 2)
     frames = agent.frame_stack + max([entry.history for entry in agent.observation], default=1) - 1
     newest = np.arange(frames)[:, None]
-    return (newest - seen[:, 1]) % frames * len(agent.numbers) + seen[:, 0]
+    return (newest - entries[:, 1]) % frames * len(agent.numbers) + entries[:, 0]
 
 
 class FrameStack:
@@ -99,11 +99,13 @@ class ObservedFrames:
         assert goal is not None
         size = len(goal.low)
         self.goal[:] = scaled_goal(goal, achieved) + scaled_goal(goal, desired)
-        meant = [
-            middle + half * seen
-            for middle, half, seen in zip(goal.middles * 2, goal.halves * 2, self.goal.tolist(), strict=True)
+        values = [
+            middle + half * number
+            for middle, half, number in zip(
+                goal.middles * 2, goal.halves * 2, self.goal.tolist(), strict=True
+            )
         ]
-        return meant[:size], meant[size:]
+        return values[:size], values[size:]
 
     def reward_for(self, achieved_goal: Any, desired_goal: Any) -> Any:
         """Return the reward for goals as the policy sees them: for arrays (n, k) an array of n, for arrays
@@ -170,25 +172,25 @@ class ObservedColumns(ABC):
         goal = self.agent.goal
         assert goal is not None
         middle, half = (np.array(values * 2)[:, None] for values in (goal.middles, goal.halves))
-        seen = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
+        numbers = np.clip((stacked((*achieved, *desired), self.count) - middle) / half, -1.0, 1.0).astype(
             np.float32
         )
-        self.goal = where_running(self.running, seen, self.goal)
+        self.goal = where_running(self.running, numbers, self.goal)
         lost = np.flatnonzero(~np.isfinite(self.goal).all(axis=0) & ~self.lost)
         if len(lost):
             raise self.failed(int(lost[0]), "the goal is not finite")
-        meant = middle + half * self.goal.astype(float)
-        return meant[: self._size], meant[self._size :]
+        goal_values = middle + half * self.goal.astype(float)
+        return goal_values[: self._size], goal_values[self._size :]
 
     def observations(self) -> Any:
         """Return the observations, float32, a row per agent; a copy."""
         frames = self.frames.reshape(-1, self.count)
-        seen = np.ascontiguousarray(frames[self._views[self.newest]].T)
+        numbers = np.ascontiguousarray(frames[self._views[self.newest]].T)
         if not self._size:
-            return seen
+            return numbers
         goals = np.ascontiguousarray(self.goal.T)
         return {
-            "observation": seen,
+            "observation": numbers,
             "achieved_goal": goals[:, : self._size].copy(),
             "desired_goal": goals[:, self._size :].copy(),
         }

@@ -73,10 +73,10 @@ class Observer:
         goal = self._desired(desired)
         self._require_complete(values)
         numbers = [
-            float(bool(values[each.name]))
-            if each.truth
-            else (scale if each.clipped else scale_freely)(float(values[each.name]), each.low, each.high)
-            for each in self._inputs
+            float(bool(values[entry.name]))
+            if entry.truth
+            else (scale if entry.clipped else scale_freely)(float(values[entry.name]), entry.low, entry.high)
+            for entry in self._inputs
         ]
         vector = np.array(numbers, np.float32)
         if self._goal is None:

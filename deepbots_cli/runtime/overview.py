@@ -45,9 +45,11 @@ def extent(scenario: Program) -> list[Bounds]:
     for layout in scenario.reset.layouts:
         places = {place.body: place for place in layout.placements} | places
     parameters = {
-        (each.name, component): scalar
-        for each in scenario.parameters
-        for component, scalar in zip(each.typed.type.components or (None,), each.scalars, strict=True)
+        (parameter.name, component): scalar
+        for parameter in scenario.parameters
+        for component, scalar in zip(
+            parameter.typed.type.components or (None,), parameter.scalars, strict=True
+        )
     }
     world = scenario.world
     robots = list(_robots(scenario, places, parameters))

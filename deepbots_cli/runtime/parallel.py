@@ -105,7 +105,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         infos = {name: seat.info(info) for name, seat in seats}
         return (
             {name: seat.observation(self._observed) for name, seat in seats},
-            {name: sum(own["reward_terms"].values()) for name, own in infos.items()},
+            {name: sum(agent_info["reward_terms"].values()) for name, agent_info in infos.items()},
             ends,
             cuts,
             infos,

@@ -63,8 +63,8 @@ class Ways:
 
     def reset(self) -> None:
         """Begin an episode: each field is compared with the world before it is used again."""
-        for way in self._ways.values():
-            way.is_current = False
+        for query in self._ways.values():
+            query.is_current = False
 
     def distance(self, one: Part, other: Part) -> Callable[[], float]:
         """Return a reader of the length of the shortest path, m."""
@@ -79,17 +79,17 @@ class Ways:
         """Return a reader of whether there is a path."""
         return self._way(one, other).is_open
 
-    def _way(self, one: Part, other: Part) -> _PathQuery:
-        if (one, other) not in self._ways:
-            self._ways[one, other] = _PathQuery(
-                self, one, other, self._engine.pose(*one), self._engine.pose(*other)
+    def _way(self, first: Part, second: Part) -> _PathQuery:
+        if (first, second) not in self._ways:
+            self._ways[first, second] = _PathQuery(
+                self, first, second, self._engine.pose(*first), self._engine.pose(*second)
             )
-        return self._ways[one, other]
+        return self._ways[first, second]
 
     def last_read_paths(self) -> list[list[Spot]]:
         """Return the points of the shortest paths whose lengths were read last, from where the bodies are
         now; reading them changes nothing."""
-        return [way.points() for way in self._ways.values()]
+        return [query.points() for query in self._ways.values()]
 
     def radius(self, part: Part) -> float:
         """Return the radius of the disc around a body; a link is a point."""
@@ -504,14 +504,14 @@ class Follower:
         first."""
         count, here = len(self._pieces), self._pieces[self._at]
         yield self._at
-        for sign, way in ((1, here.start + here.length - self._arc), (-1, self._arc - here.start)):
+        for sign, distance in ((1, here.start + here.length - self._arc), (-1, self._arc - here.start)):
             index = self._at
             for _ in range(count - 1):
                 index += sign
-                if way > reach or not (self._closed or 0 <= index < count):
+                if distance > reach or not (self._closed or 0 <= index < count):
                     break
                 index %= count
-                way += self._pieces[index].length
+                distance += self._pieces[index].length
                 yield index
 
 
@@ -562,12 +562,12 @@ class PaintedGround:
 def _touched(piece: Segment, reach: float, cell: float) -> Iterator[tuple[int, int]]:
     """Yield the cells of a square mesh that come within `reach` of a piece, and some of their neighbors."""
     count = int(piece.length / cell) + 1
-    seen = set()
+    cells = set()
     for step in range(count + 1):
         along = piece.length * step / count
         x, y = piece.x + along * piece.along_x, piece.y + along * piece.along_y
         for column in range(floor((x - reach - cell) / cell), floor((x + reach + cell) / cell) + 1):
             for row in range(floor((y - reach - cell) / cell), floor((y + reach + cell) / cell) + 1):
-                if (column, row) not in seen:
-                    seen.add((column, row))
+                if (column, row) not in cells:
+                    cells.add((column, row))
                     yield column, row

@@ -49,12 +49,14 @@ class Arrangement:
     """The places of one episode. `present` counts the copies of each group that take part."""
 
     def __init__(self, scenario: Program, engine: Engine) -> None:
-        world, placed = scenario.world, _placed(scenario)
+        world, placed_bodies = scenario.world, _placed(scenario)
         self._engine = engine
         self._height = ground_height(world.terrain)
         self.forms = Forms(world)
         self._floor = Floor(world.arena.size if world.arena else None)
-        built_in = [thing.name for thing in world.objects if not thing.pooled and thing.name not in placed]
+        built_in = [
+            thing.name for thing in world.objects if not thing.pooled and thing.name not in placed_bodies
+        ]
         self._built_in = [self.forms.at_home(name) for name in built_in]
         self._capacity = {group.name: group.capacity for group in scenario.reset.groups}
         self._poses: dict[str, tuple[Triple, ...]] = {}
@@ -108,13 +110,13 @@ class Arrangement:
     def layout(self, stream: str, *shares: tuple[str, float]) -> str:
         """Return one of the layouts, drawn by their shares."""
         point = self._streams[stream].random() * sum(share for _, share in shares)
-        chosen = shares[-1][0]
+        layout = shares[-1][0]
         for name, share in shares:
             point -= share
             if point < 0.0:
-                chosen = name
+                layout = name
                 break
-        return self._streams.take(stream, chosen)
+        return self._streams.take(stream, layout)
 
     def copies(self, group: str, count: float, at_most: float = inf) -> Iterator[str]:
         """Return the names of the copies that take part, and a kind drawn for each. Large copies come first,
@@ -150,28 +152,30 @@ class Arrangement:
 
     def _drawn_cells(self, names: Sequence[str], spots: list[Spot], stream: str) -> list[Spot]:
         """Return a spot for each body: first the chosen ones, then the others in their order."""
-        taken: dict[str, Spot] = {}
+        spot_by_body: dict[str, Spot] = {}
         for is_chosen in (True, False):
             for body in names:
                 self._streams.member = body if "#" in body else ""
-                chosen = self._chosen_spot(stream)
-                if body not in taken and (chosen is not None) is is_chosen:
-                    drawn_spot = next((spot for spot in spots if chosen is None or _fits(spot, chosen)), None)
+                coordinates = self._chosen_spot(stream)
+                if body not in spot_by_body and (coordinates is not None) is is_chosen:
+                    drawn_spot = next(
+                        (spot for spot in spots if coordinates is None or _fits(spot, coordinates)), None
+                    )
                     if drawn_spot is None:
                         raise NoPlaceError(body)
                     spots.remove(drawn_spot)
-                    taken[body] = drawn_spot
+                    spot_by_body[body] = drawn_spot
                     self._streams.drawn |= {
                         self._streams.key(f"{stream}.{axis}"): value
                         for axis, value in zip("xy", drawn_spot, strict=True)
                     }
-        return [taken[body] for body in names]
+        return [spot_by_body[body] for body in names]
 
     def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
         """Return the coordinates that `options` of `reset` set for a body that looks for a spot; None if it
         sets neither."""
-        chosen, key = self._streams.chosen, self._streams.key(stream)
-        x, y = chosen.get(f"{key}.x"), chosen.get(f"{key}.y")
+        values, key = self._streams.chosen, self._streams.key(stream)
+        x, y = values.get(f"{key}.x"), values.get(f"{key}.y")
         return None if x is None and y is None else (x, y)
 
     def stand(
@@ -219,7 +223,7 @@ class Arrangement:
         Raises:
             NoPlaceError: None was found.
         """
-        generator, chosen = self._streams[stream], self._chosen_spot(stream)
+        generator, coordinates = self._streams[stream], self._chosen_spot(stream)
         area, surface, base = area or UNBOUNDED_AREA, None, -inf
         if on:
             surface = self._surface(on, body)
@@ -237,10 +241,10 @@ class Arrangement:
                 if mesh
                 else random_spots(within, TRIES_PER_ROUND, generator)
             )
-            if chosen is not None and (self._streams.is_follower or not mesh):
-                spots = _moved(spots, chosen, UNBOUNDED_AREA if self._streams.is_follower else within)
-            elif chosen is not None:
-                spots = [spot for spot in spots if _fits(spot, chosen)]
+            if coordinates is not None and (self._streams.is_follower or not mesh):
+                spots = _moved(spots, coordinates, UNBOUNDED_AREA if self._streams.is_follower else within)
+            elif coordinates is not None:
+                spots = [spot for spot in spots if _fits(spot, coordinates)]
             elif number:
                 spots = self._floor.candidate_spots(spots, covered, rpy[2], clearance, base)
             for x, y in spots:
@@ -360,10 +364,12 @@ class Floor:
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
         """Return whether each body above the height `base` (m) keeps its clearance and that of the patch."""
         x, y, radius = patch.x, patch.y, patch.radius
-        for other, own, top in self._taken:
+        for other, other_clearance, top in self._taken:
             if top <= base + TOUCHING_TOLERANCE_M:
                 continue
-            patch_distance = (clearance if clearance > own else own) - TOUCHING_TOLERANCE_M
+            patch_distance = (
+                clearance if clearance > other_clearance else other_clearance
+            ) - TOUCHING_TOLERANCE_M
             dx, dy, near = x - other.x, y - other.y, radius + other.radius + patch_distance
             if dx * dx + dy * dy < near * near and footprint.patch_distance(patch, other) < patch_distance:
                 return False
@@ -374,19 +380,23 @@ class Floor:
     ) -> list[Spot]:
         """Return the spots where a disc that fits into the body would be free: a cheap test that drops most
         spots of a crowd."""
-        taken = [(other, own) for other, own, top in self._taken if top > base + TOUCHING_TOLERANCE_M]
-        if not spots or not taken:
+        obstacles = [
+            (other, other_clearance)
+            for other, other_clearance, top in self._taken
+            if top > base + TOUCHING_TOLERANCE_M
+        ]
+        if not spots or not obstacles:
             return spots
         at_origin = covered.at(0.0, 0.0, yaw)
         others = [
-            (o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, own)
-            for o, own in taken
+            (o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, other_clearance)
+            for o, other_clearance in obstacles
         ]
-        x, y, half_x, half_y, c, s, around, own = np.array(others).T
+        x, y, half_x, half_y, c, s, around, clearances = np.array(others).T
         dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
         along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
         across = np.maximum(np.abs(c * dy - s * dx) - half_y, 0.0)
-        patch_distance = np.maximum(own, clearance) + around + covered.inradius - TOUCHING_TOLERANCE_M
+        patch_distance = np.maximum(clearances, clearance) + around + covered.inradius - TOUCHING_TOLERANCE_M
         free = np.all(along * along + across * across >= patch_distance * patch_distance, axis=1)
         return [spot for spot, hopeful in zip(spots, free.tolist(), strict=True) if hopeful]
 
@@ -421,21 +431,21 @@ def intersection(one: Area, other: Area) -> Area:
     return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
 
 
-def _fits(spot: Spot, chosen: tuple[float | None, float | None]) -> bool:
+def _fits(spot: Spot, coordinates: tuple[float | None, float | None]) -> bool:
     """Return whether a spot has the given coordinates."""
     return all(
-        wanted is None or abs(value - wanted) <= _SAME_SPOT_M
-        for value, wanted in zip(spot, chosen, strict=True)
+        coordinate is None or abs(value - coordinate) <= _SAME_SPOT_M
+        for value, coordinate in zip(spot, coordinates, strict=True)
     )
 
 
-def _moved(spots: Iterable[Spot], chosen: tuple[float | None, float | None], area: Area) -> list[Spot]:
+def _moved(spots: Iterable[Spot], coordinates: tuple[float | None, float | None], area: Area) -> list[Spot]:
     """Return the spots with the given coordinates, if they lie in the area."""
-    x, y = chosen
+    x, y = coordinates
     moved = (
         [(across if x is None else x, along if y is None else y) for across, along in spots]
-        if None in chosen
-        else [chosen]
+        if None in coordinates
+        else [coordinates]
     )
     return [(x, y) for x, y in moved if x is not None and y is not None and _contains(area, x, y)]
 

@@ -64,8 +64,8 @@ def mounted_pose(site: Site) -> PoseReader:
         return read
 
     def of_mount() -> tuple[Triple, Quaternion]:
-        position, turned = read()
-        return frames.compose((position, turned), mount)
+        position, rotation = read()
+        return frames.compose((position, rotation), mount)
 
     return of_mount
 
@@ -79,8 +79,8 @@ def mounted_velocity(site: Site) -> VelocityReader:
     read = site.engine.motion(site.robot, site.link)
 
     def of_mount() -> tuple[Triple, Triple]:
-        (_, turned), (linear, angular) = read()
-        return frames.add(linear, frames.cross(angular, frames.rotate(turned, arm))), angular
+        (_, rotation), (linear, angular) = read()
+        return frames.add(linear, frames.cross(angular, frames.rotate(rotation, arm))), angular
 
     return of_mount
 
@@ -90,10 +90,10 @@ def mounted_motion(site: Site) -> MotionReader:
     read, mount = site.engine.motion(site.robot, site.link), site.mount
 
     def of_mount() -> Motion:
-        (position, turned), (linear, angular) = read()
-        arm = frames.rotate(turned, mount[0])
+        (position, rotation), (linear, angular) = read()
+        arm = frames.rotate(rotation, mount[0])
         velocity = frames.add(linear, frames.cross(angular, arm))
-        return frames.compose((position, turned), mount), (velocity, angular)
+        return frames.compose((position, rotation), mount), (velocity, angular)
 
     return of_mount
 
@@ -144,8 +144,8 @@ def gyro(site: Site) -> Instrument:
     read, back = site.engine.motion(site.robot, site.link), frames.inverse(site.mount[1])
 
     def turning() -> Triple:
-        (_, turned), (_, angular) = read()
-        return frames.rotate_back(turned, angular)
+        (_, rotation), (_, angular) = read()
+        return frames.rotate_back(rotation, angular)
 
     return Instrument(
         turning if site.mount[1] == IDENTITY_ROTATION else lambda: frames.rotate(back, turning())
@@ -206,11 +206,11 @@ class Accelerometer:
     def follow(self) -> None:
         """Add up the change of a tick, along the axes of the link; plain arithmetic, as many scenarios have
         several ticks per step."""
-        (_, turned), (velocity, angular) = self._motion()
+        (_, rotation), (velocity, angular) = self._motion()
         if self._arm is not None:
-            velocity = frames.add(velocity, frames.cross(angular, frames.rotate(turned, self._arm)))
+            velocity = frames.add(velocity, frames.cross(angular, frames.rotate(rotation, self._arm)))
         (vx, vy, vz), (bx, by, bz), (fx, fy, fz) = velocity, self._before, self._fall
-        (ax, ay, az, aw), (x, y, z, w) = self._turned, turned
+        (ax, ay, az, aw), (x, y, z, w) = self._turned, rotation
         if ax * x + ay * y + az * z + aw * w < 0.0:
             ax, ay, az, aw = -ax, -ay, -az, -aw
         x, y, z, w = x + ax, y + ay, z + az, w + aw  # halfway between both, but for its length
@@ -223,7 +223,7 @@ class Accelerometer:
             sy + dy + w * ty - z * tx + x * tz,
             sz + dz + w * tz - x * ty + y * tx,
         )
-        self._before, self._turned = velocity, turned
+        self._before, self._turned = velocity, rotation
         self._ticks += 1
 
     def read(self) -> Triple:
@@ -267,8 +267,8 @@ def reaction_force(site: Site) -> Instrument:
 def reaction_torque(site: Site) -> Instrument:
     """Measure the torque of the joint that carries the link, about the origin of the sensor and along its
     axes, in N m."""
-    read, (arm, turned) = site.engine.joint_wrench((site.robot, site.link)), site.mount
-    back = frames.inverse(turned)
+    read, (arm, rotation) = site.engine.joint_wrench((site.robot, site.link)), site.mount
+    back = frames.inverse(rotation)
 
     def torque() -> Triple:
         force, about_link = read()
@@ -358,22 +358,22 @@ def reflectance(site: Site) -> Instrument:
     """
     beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
-    eyes = [(origin, frames.rotate(turned, _DOWN_AXIS)) for origin, turned in rays]
+    eyes = [(origin, frames.rotate(rotation, _DOWN_AXIS)) for origin, rotation in rays]
     read = site.engine.pose(site.robot, site.link)
     paint = PaintedGround(site.world.lines, spot / 2)
     rotate = frames.rotate
 
     def brightness() -> list[float]:
-        (x, y, z), turned = read()
+        (x, y, z), rotation = read()
         readings = []
         for origin, direction in eyes:
-            right, left, up = rotate(turned, origin)
-            ahead, aside, down = rotate(turned, direction)
+            right, left, up = rotate(rotation, origin)
+            ahead, aside, down = rotate(rotation, direction)
             if down > -1e-6:
                 readings.append(0.0)
                 continue
-            way = (z + up) / -down
-            readings.append(paint(x + right + way * ahead, y + left + way * aside))
+            distance = (z + up) / -down
+            readings.append(paint(x + right + distance * ahead, y + left + distance * aside))
         return readings
 
     return Instrument(brightness)
@@ -396,19 +396,19 @@ def radar(site: Site) -> Instrument:
     spec = site.sensor.radar
     if spec is None:
         raise ValueError(f"the sensor {site.sensor.name} has no targets")
-    own, measure = mounted_motion(site), spec.measure
+    motion, measure = mounted_motion(site), spec.measure
     targets = [echo_reader(site, spec, target) for target in spec.targets]
     if measure == "seen":
 
         def seen() -> list[bool]:
-            here = own()
+            here = motion()
             return [read(here) is not None for read in targets]
 
         return Instrument(seen)
     place = Echo._fields.index(measure)
 
     def measured() -> list[float]:
-        here = own()
+        here = motion()
         echoes = [read(here) for read in targets]
         return [nan if echo is None else echo[place] for echo in echoes]
 
@@ -424,18 +424,18 @@ def echo_reader(site: Site, spec: RadarConfig, target: str) -> Callable[[Motion]
         is_free = site.engine.line_of_sight((site.robot, site.link), (target, None), site.mount[0])
 
     def echo(here: Motion) -> Echo | None:
-        (place, turned), (own_velocity, _) = here
+        (place, rotation), (own_velocity, _) = here
         (position, _), (velocity, _) = motion()
-        way = frames.subtract(position, place)
-        distance = hypot(*way)
+        offset = frames.subtract(position, place)
+        distance = hypot(*offset)
         if distance == 0.0 or not spec.near <= distance <= spec.far:
             return None
-        azimuth, elevation = frames.azimuth_and_elevation(frames.rotate_back(turned, way))
+        azimuth, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
         if abs(azimuth) > horizontal or abs(elevation) > vertical:
             return None
         if is_free is not None and not is_free():
             return None
-        speed = frames.dot(frames.subtract(velocity, own_velocity), way) / distance
+        speed = frames.dot(frames.subtract(velocity, own_velocity), offset) / distance
         return Echo(distance, azimuth, speed)
 
     return echo
@@ -452,11 +452,11 @@ def camera(site: Site) -> Instrument:
     `sees`."""
     optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
     read = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov)
-    taken = _PICTURES[optics.channels]
+    convert = _PICTURES[optics.channels]
 
     def picture() -> tuple[Image, CameraImage]:
         image = read()
-        return taken(image, optics), image
+        return convert(image, optics), image
 
     return Instrument(picture)
 

@@ -221,9 +221,9 @@ def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[
     return total
 
 
-def _goal_values_in_unit(goal: Goal, names: tuple[Name, ...], seen: Goals) -> dict[Name, Any]:
+def _goal_values_in_unit(goal: Goal, names: tuple[Name, ...], goals: Goals) -> dict[Name, Any]:
     """Return the columns in the unit of the goal; exactly what the names mean in a step."""
-    columns = seen.astype(np.float64).T
+    columns = goals.astype(np.float64).T
     return {
         name: middle + half * column
         for name, middle, half, column in zip(names, goal.middles, goal.halves, columns, strict=True)

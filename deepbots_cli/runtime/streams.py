@@ -75,14 +75,14 @@ class Streams:
 
     def note(self, key: str, value: T) -> T:
         """Take a draw by its key; see `take`."""
-        taken = self.drawn[key] = self.chosen.get(key, value)
-        return cast("T", taken)
+        draw = self.drawn[key] = self.chosen.get(key, value)
+        return cast("T", draw)
 
     def __getitem__(self, name: str) -> np.random.Generator:
         generator = self._generators.get(name)
         if generator is None:
-            own = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
-            digest = hashlib.sha256(f"{self.root}/{own}{name}".encode()).digest()
+            prefix = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
+            digest = hashlib.sha256(f"{self.root}/{prefix}{name}".encode()).digest()
             seed = np.random.SeedSequence(
                 [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
             )
@@ -213,7 +213,7 @@ def chosen_values(
         raise UsageError(
             f"options of reset must be a mapping from names to values, not {type(options).__name__}"
         )
-    chosen: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
+    values_by_copy: dict[str, dict[str, Any]] = {name: {} for name in copies or ("",)}
     of_one: dict[tuple[str, str], Any] = {}
     for option, value in options.items():
         copy, name = _split(str(option), copies)
@@ -224,17 +224,17 @@ def chosen_values(
             if copy and not entry.is_of_copy:
                 raise UsageError(f"reset cannot set {option!r}: all copies share this draw; write {name!r}")
             if (copy, entry.key) in of_one or (
-                not copy and any(entry.key in values for values in chosen.values())
+                not copy and any(entry.key in values for values in values_by_copy.values())
             ):
                 raise UsageError(f"reset cannot set {full!r} twice: by {option!r} and by another name")
             if copy:
                 of_one[copy, entry.key] = part
                 continue
-            for values in chosen.values():
+            for values in values_by_copy.values():
                 values[entry.key] = part
     for (copy, key), part in of_one.items():
-        chosen[copy][key] = part
-    return chosen
+        values_by_copy[copy][key] = part
+    return values_by_copy
 
 
 def _split(name: str, copies: Collection[str]) -> tuple[str, str]:
@@ -303,13 +303,13 @@ def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
 
 
 def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
-    wanted = f"{len(components)} numbers ({', '.join(components)})" if components else "a single number"
+    expected = f"{len(components)} numbers ({', '.join(components)})" if components else "a single number"
     try:
         array = np.asarray(value)
     except ValueError:  # sequences of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "biuf" or array.shape != ((len(components),) if components else ()):
-        raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]}: it is {wanted}, in SI units")
+        raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]}: it is {expected}, in SI units")
     return list(array.ravel().tolist())
 
 

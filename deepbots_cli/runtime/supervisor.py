@@ -123,13 +123,13 @@ class Supervisor(
         """
         if self._closed:
             raise UsageError(_CLOSED)
-        chosen = self.require_drawable(options) if options else None
+        values = self.require_drawable(options) if options else None
         super().reset(seed=seed)
         self._go_on = self._refuse
         if seed is not None:
             self.streams = Streams(seed)
             self.action_space.seed(seed)
-        self.choose_values(chosen)
+        self.choose_values(values)
         self._forget()
         try:
             self._begin()

@@ -180,10 +180,10 @@ class Forms:
         return core_schema.with_info_plain_validator_function(_forms_of(source).validate)
 
     def validate(self, value: object, info: ValidationInfo) -> object:
-        chosen = self.index(value)
-        if chosen is None:
+        index = self.index(value)
+        if index is None:
             raise mismatch(noun_of(self), self.help_for(value), value=value)
-        return _validator(self.annotations[chosen]).validate_python(value, context=info.context)
+        return _validator(self.annotations[index]).validate_python(value, context=info.context)
 
     def help_for(self, value: object) -> str | None:
         """Return the help of the first option that is a single value."""
@@ -300,10 +300,10 @@ class Kinds:
         if not isinstance(value, Mapping):
             raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
-            wanted = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
+            keys = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
             help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
             help = next((remedy for marker, remedy in self.remedies.items() if marker in value), help)
-            raise error("DB102", f"missing key {wanted}", help, missing=(self.key, *self.models_by_marker))
+            raise error("DB102", f"missing key {keys}", help, missing=(self.key, *self.models_by_marker))
         word = value[self.key]
         if not isinstance(word, str):
             raise error_at(
@@ -456,17 +456,17 @@ def _visit(shape: Shape, value: object, path: NodePath) -> Iterator[tuple[NodePa
                 yield (*path, key), shape.key, key
                 yield from _visit(shape.value, item, (*path, key))
         case Forms(), _:
-            chosen = shape.choose(value)
-            if chosen is not None:
-                yield from _visit(chosen, value, path)
+            form = shape.choose(value)
+            if form is not None:
+                yield from _visit(form, value, path)
 
 
 def chosen_shape(shape: Shape, data: object) -> Shape | None:
     """Return the shape after choosing among forms and kinds by the data; None if there is no choice."""
     match shape:
         case Forms():
-            chosen = shape.choose(data)
-            return None if chosen is None else chosen_shape(chosen, data)
+            form = shape.choose(data)
+            return None if form is None else chosen_shape(form, data)
         case Kinds():
             return shape.find(data)
         case _:

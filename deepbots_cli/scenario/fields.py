@@ -106,9 +106,9 @@ def counted_noun(number: int, noun: str) -> str:
 def choices_help(word: str, words: Sequence[str]) -> str:
     """Return the help for an unknown word: the probable word, and all known words; a long list is left out
     beside a word that is hardly wrong."""
-    other = word_for(word, words)
-    near = other or nearest_word(word, words)
-    if near and len(words) > MAX_BESIDE and (other or is_typo(word, near)):
+    synonym = word_for(word, words)
+    near = synonym or nearest_word(word, words)
+    if near and len(words) > MAX_BESIDE and (synonym or is_typo(word, near)):
         return f"did you mean `{near}`?"
     listed = shortened_list((f"`{choice}`" for choice in words), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
@@ -116,8 +116,8 @@ def choices_help(word: str, words: Sequence[str]) -> str:
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """Return the probable word of the language, as a replacement."""
-    other = word_for(word, words)
-    return Replacement(other, safe=False) if other else suggest_replacement(word, words, of_language=True)
+    synonym = word_for(word, words)
+    return Replacement(synonym, safe=False) if synonym else suggest_replacement(word, words, of_language=True)
 
 
 _ENDS = (
@@ -268,9 +268,9 @@ class FieldType:
     def json_schema(self) -> JsonSchema:
         types = list(
             dict.fromkeys(
-                _JSON_TYPES[each]
-                for each in self.accepted_types
-                if each is not int or float not in self.accepted_types
+                _JSON_TYPES[accepted_type]
+                for accepted_type in self.accepted_types
+                if accepted_type is not int or float not in self.accepted_types
             )
         )
         return {"type": types if len(types) > 1 else types[0]}
@@ -390,8 +390,8 @@ class WholeNumber(Number):
         near = count_replacement(value)
         if near:
             return Replacement(near, safe=isinstance(value, str))
-        meant = super().replacement_for(value)
-        return meant if meant and re.fullmatch(r"[-+]?[0-9_]+", meant.text) else None
+        replacement = super().replacement_for(value)
+        return replacement if replacement and re.fullmatch(r"[-+]?[0-9_]+", replacement.text) else None
 
 
 @dataclass(frozen=True)
@@ -574,11 +574,11 @@ class Quantity(Parsed):
     def check(self, value: Any) -> None:
         if self.dimension == "number" and not self.components and (near := number_replacement(value)):
             raise mismatch(self.noun, _number_help(value), near, value=value)
-        count, wanted = count_literal(value) if isinstance(value, str) else 1, self.components or 1
-        if count not in (None, wanted):
+        count, expected = count_literal(value) if isinstance(value, str) else 1, self.components or 1
+        if count not in (None, expected):
             raise error(
                 "DB106",
-                f"expected {counted_noun(wanted, 'number')}, found {count}",
+                f"expected {counted_noun(expected, 'number')}, found {count}",
                 self._help_for_count(str(value), count),
             )
         if not isinstance(value, str):
@@ -626,10 +626,10 @@ class Quantity(Parsed):
     def replacement_for(self, value: object) -> Replacement | None:
         """Return the replacement for a list: `0 0 1 m` for `[0, 0, 1]`."""
         numbers = value if isinstance(value, list) and len(value) == self.components else []
-        if not numbers or not all(isinstance(each, (int, float)) for each in numbers):
+        if not numbers or not all(isinstance(number, (int, float)) for number in numbers):
             return None
         unit = self.example.split()[self.components or 1 :]
-        return Replacement(" ".join([*(f"{each:g}" for each in numbers), *unit]), safe=False)
+        return Replacement(" ".join([*(f"{number:g}" for number in numbers), *unit]), safe=False)
 
     def json_schema(self) -> JsonSchema:
         return {"type": "string"} if self.components else super().json_schema()
@@ -878,11 +878,11 @@ class Name(FieldType):
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
         if self.shared:
-            for what, names in RESERVED_NAMES.items():
+            for noun, names in RESERVED_NAMES.items():
                 if value in names:
                     raise error(
                         "DB202",
-                        f"the name `{value}` is reserved: it is {what}",
+                        f"the name `{value}` is reserved: it is {noun}",
                         f"choose another name, such as `{value}_value`",
                     )
 

@@ -249,10 +249,10 @@ class _Writer:
         if isinstance(shape, ColorValue):
             return self._shared("color", offer.added_to(schema, shape.noun))
         if isinstance(shape, Reference) and shape.several:
-            one = offer.added_to({"type": "string"}, shape.noun)
+            item = offer.added_to({"type": "string"}, shape.noun)
             return schema | {
-                "items": one,
-                "anyOf": [{"title": shape.noun, "type": "array"}, *one.get("anyOf", ())],
+                "items": item,
+                "anyOf": [{"title": shape.noun, "type": "array"}, *item.get("anyOf", ())],
             }
         return offer.added_to(schema, shape.noun)
 
@@ -384,7 +384,7 @@ class _Writer:
     def _property(self, section: type[Section], key: str) -> Json:
         shape = section_fields(section)[key]
         schema = self.schema(shape)
-        own = (
+        first_name = (
             next(iter(offer.names), "")
             if (offer := self._names.get(names_key_of(shape))) and offer.is_complete
             else ""
@@ -395,13 +395,13 @@ class _Writer:
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
                 schema = schema | {keyword: entries | {"description": key_description(section, key)}}
         schema = schema | {
-            "description": _text(section, key, own)
+            "description": _text(section, key, first_name)
         }  # `joint: left_wheel` is no example for an arm
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
         example = example_of(section, key)
-        listed = isinstance(shape, (Word, ColorValue)) or "anyOf" in schema or own
+        listed = isinstance(shape, (Word, ColorValue)) or "anyOf" in schema or first_name
         if example and type(example.data) in (str, int, float) and example.data != default and not listed:
             escaped = re.sub(r"([\\$}])", r"\\\1", example.text)
             schema["defaultSnippets"] = [{"label": example.text, "body": f"${{1:{escaped}}}"}]

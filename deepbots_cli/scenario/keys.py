@@ -116,8 +116,8 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
         ]
         if others:
             only = f"only {listed(others)} {'uses' if len(others) == 1 else 'use'} this key"
-            kept = to_data(descend(root, (*path[:-1], kinds.key))[0])
-            to_keep = f" to keep `{kinds.key}: {kept}`" if isinstance(kept, str) else ""
+            kind = to_data(descend(root, (*path[:-1], kinds.key))[0])
+            to_keep = f" to keep `{kinds.key}: {kind}`" if isinstance(kind, str) else ""
             return Suggestion(_beside(f"remove this line{to_keep}: {only}", section))
     if near and (is_typo(key, near.text) or _is_lacking(root, path[:-1], section, near.text)):
         return Suggestion(
@@ -181,11 +181,11 @@ def _renamed(
     elsewhere = SET_ELSEWHERE_HELP.get(written) if issubclass(section, Training) else None
     if elsewhere and not (isinstance(shape, type) and fits(shape, value)):
         return Suggestion(elsewhere, near, is_fix=False)
-    meant = (
+    replacement = (
         shape.replacement_for(value) if isinstance(shape, FieldType) and not shape.has_form(value) else None
     )
-    if meant is not None:
-        return Suggestion(f"write `{key}: {meant.text}`", near, is_fix=False)
+    if replacement is not None:
+        return Suggestion(f"write `{key}: {replacement.text}`", near, is_fix=False)
     if not fits(shape, value):
         return Suggestion(f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", near, is_fix=False)
     return Suggestion(f"write `{_line(root, path, key)}`", near)
@@ -241,7 +241,7 @@ def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
 
 
 def _further_in(
-    root: nodes.MappingNode, path: NodePath, holders: Sequence[str], taken: Container[str]
+    root: nodes.MappingNode, path: NodePath, holders: Sequence[str], used_names: Container[str]
 ) -> str:
     """Return the line that is missing above an entry whose name the user chooses."""
     why = "a name that you choose stands one level further in"
@@ -249,7 +249,7 @@ def _further_in(
     line = _line(root, path, str(path[-1]))
     names = tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
     present = [holder for holder in holders if holder in names]
-    first = next((name for name in names if name not in taken), None)
+    first = next((name for name in names if name not in used_names), None)
     if key is None or line.startswith("--set"):
         assignments = " or ".join(
             f"`--set {'.'.join(map(str, (*path[:-1], holder, path[-1])))}=...`" for holder in holders
@@ -319,7 +319,9 @@ def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
     levels += [home for home in below if len(home) == len(here) + 1 and home[-1] != "*"]
     if not levels:
         return None
-    return tuple(own if step == "*" else step for step, own in zip(levels[0], (*here, ""), strict=False))
+    return tuple(
+        own_step if step == "*" else step for step, own_step in zip(levels[0], (*here, ""), strict=False)
+    )
 
 
 def _home_elsewhere(parent: NodePath, key: str) -> str | None:

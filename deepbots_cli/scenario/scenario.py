@@ -436,8 +436,8 @@ class Placement(Pose):
     key_rules: ClassVar[tuple[KeyCount, ...]] = (
         *Pose.key_rules,
         KeyCount(("region", "line", "xyz")),
-        *(KeyCount((way, axis)) for way in ("region", "line", "on") for axis in ("x", "y")),
-        *(KeyCount(("on", way)) for way in ("line", "xyz")),
+        *(KeyCount((key, axis)) for key in ("region", "line", "on") for axis in ("x", "y")),
+        *(KeyCount(("on", key)) for key in ("line", "xyz")),
     )
 
     region: Annotated[Region | Annotated[str, Reference("region")], FORMS] | None = None
@@ -727,9 +727,9 @@ def _with_whole_training(root: MappingNode) -> MappingNode:
         return root
     sections = {}
     for name, entry in agents.entries.items():
-        section, own = entry.value, node_at(entry.value, "train")
-        if isinstance(section, MappingNode) and isinstance(own, MappingNode):
-            whole = replace(own, entries={**shared.entries, **own.entries})
+        section, train = entry.value, node_at(entry.value, "train")
+        if isinstance(section, MappingNode) and isinstance(train, MappingNode):
+            whole = replace(train, entries={**shared.entries, **train.entries})
             training = section.entries["train"]._replace(value=whole)
             section = replace(section, entries={**section.entries, "train": training})
         sections[name] = entry._replace(value=section)

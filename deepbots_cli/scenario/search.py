@@ -57,7 +57,7 @@ class SearchSpace(BaseModel):
         if self.choices:
             return text if text in self.choices else None
         try:
-            tree, unit = (Parsed.tree(each) for each in (text, f"1 {self.unit}"))
+            tree, unit = (Parsed.tree(expression) for expression in (text, f"1 {self.unit}"))
         except PydanticCustomError:
             return None
         if not isinstance(tree, Number) or not isinstance(unit, Number):
@@ -116,10 +116,14 @@ def read_range(text: str) -> SearchSpace:
 
 def _converted(number: Number, unit: Unit) -> float | None:
     """Return a number in another unit; None if this has another dimension."""
-    own = number.unit or ONE
-    if own.text == unit.text:
+    number_unit = number.unit or ONE
+    if number_unit.text == unit.text:
         return float(number.value)
-    return own.to_si(number.value) * unit.divisor / unit.scale if own.dimension == unit.dimension else None
+    return (
+        number_unit.to_si(number.value) * unit.divisor / unit.scale
+        if number_unit.dimension == unit.dimension
+        else None
+    )
 
 
 @dataclass(frozen=True)

@@ -46,18 +46,18 @@ def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str |
     """
     table, names = synonyms().keys, tuple(models)
     american = word.replace("colour", "color")
-    own = tuple(keys)
-    if american != word and american in own:
+    candidates = tuple(keys)
+    if american != word and american in candidates:
         return american
     plain = word.lower().replace("-", "_")
     qualified = next(
-        (key for key in own if any(plain in table.get(f"{name}.{key}", ()) for name in names)), None
+        (key for key in candidates if any(plain in table.get(f"{name}.{key}", ()) for name in names)), None
     )
-    return qualified or next((key for key in own if plain in table.get(key, ())), None)
+    return qualified or next((key for key in candidates if plain in table.get(key, ())), None)
 
 
 def word_for(word: str, words: Iterable[str]) -> str | None:
     """Return the one of the `words` of the language that corresponds to a name from another tool; None if
     there is none."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
-    return next((own for own in words if plain in synonyms().words.get(own, ())), None)
+    return next((candidate for candidate in words if plain in synonyms().words.get(candidate, ())), None)

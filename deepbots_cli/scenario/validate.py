@@ -103,8 +103,8 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
                 problem.finding
                 for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))
             ]
-            for one in outcome:
-                findings.append(one)
+            for finding in outcome:
+                findings.append(finding)
             # The remaining errors would disturb later passes.
             if findings.limit is not None and len(problems) >= findings.limit:
                 raise TooManyFindings(outcome[-1])
@@ -204,13 +204,13 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     )
 
 
-def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, meant: Suggestion) -> _Problem:
+def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, suggestion: Suggestion) -> _Problem:
     headline = f"unknown key `{str(path[-1])[:60]}` {_place(path[:-1])}"
-    fix = _fix(descend(root, path)[1], meant.replacement) if meant.is_fix else None
+    fix = _fix(descend(root, path)[1], suggestion.replacement) if suggestion.is_fix else None
     return _Problem(
         path,
-        Finding("DB101", _key_span(root, path), headline, meant.help or about_key(data, path), fix=fix),
-        replacement=meant.replacement,
+        Finding("DB101", _key_span(root, path), headline, suggestion.help or about_key(data, path), fix=fix),
+        replacement=suggestion.replacement,
     )
 
 
@@ -266,11 +266,11 @@ def _typing_hint(
     """Return help and replacement for a typing error that the form of a wrong value shows."""
     match node:
         case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
-            meant = Replacement(f"{glued[1]}: {glued[2]}", safe=False)
-            return f"put a space after the colon: `{meant.text[:60]}`", meant
+            replacement = Replacement(f"{glued[1]}: {glued[2]}", safe=False)
+            return f"put a space after the colon: `{replacement.text[:60]}`", replacement
         case ScalarNode(style="plain", text=text) if takes_mapping and (corrected := missing_colon(text)):
-            meant = Replacement(corrected[1], safe=False)
-            return f"write a colon after the key: `{meant.text[:60]}`", meant
+            replacement = Replacement(corrected[1], safe=False)
+            return f"write a colon after the key: `{replacement.text[:60]}`", replacement
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
         case nodes.SequenceNode(items=items) if items and all(
@@ -311,7 +311,7 @@ def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
 def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
     """Replace all problems of a section that is indented into another section by a single one."""
     moved: dict[NodePath, _Problem] = {}
-    kept = []
+    remaining = []
     for problem in problems:
         if path := _displaced(root, data, problem.path):
             moved[path] = _Problem(
@@ -324,9 +324,12 @@ def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[
                 ),
             )
         else:
-            kept.append(problem)
+            remaining.append(problem)
     lacking = {(str(path[-1]),) for path in moved}
-    return [*moved.values(), *(problem for problem in kept if problem.path or problem.missing not in lacking)]
+    return [
+        *moved.values(),
+        *(problem for problem in remaining if problem.path or problem.missing not in lacking),
+    ]
 
 
 def _displaced(root: nodes.MappingNode, data: object, path: NodePath) -> NodePath | None:

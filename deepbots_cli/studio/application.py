@@ -97,7 +97,9 @@ class _Routes:
     async def _output(self, request: Request) -> Response:
         number = request.path_params["number"]
         session = self._session
-        task = next((each for each in session.commands.tasks.all if each.path.name == number), None)
+        task = next(
+            (candidate for candidate in session.commands.tasks.all if candidate.path.name == number), None
+        )
         file = session.folder / task.record.output if task is not None and task.record.output else None
         kind = _MEDIA_TYPES.get(file.suffix) if file is not None else None
         if file is None or kind is None or not file.resolve().is_relative_to(session.folder):

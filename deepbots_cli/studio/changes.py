@@ -60,18 +60,18 @@ class RunChanges:
         return self._texts[key]
 
     def _text(self, before: ListedRun, run: ListedRun, opened: dict[Path, WrittenScenario]) -> str:
-        for each in (before, run):
-            if each.path not in opened:
-                opened[each.path] = open_source(str(each.path), (), self._permissions)
+        for side in (before, run):
+            if side.path not in opened:
+                opened[side.path] = open_source(str(side.path), (), self._permissions)
         changes = scenario_changes(opened[before.path], opened[run.path])
         shown = (_parts(change) for change in changes if change.group is not Effect.cosmetic)
-        parts = list(dict.fromkeys(part for each in shown for part in each))
+        parts = list(dict.fromkeys(part for change_parts in shown for part in change_parts))
         if before.total_timesteps != run.total_timesteps and not any(
-            "total_timesteps" in one for one in parts
+            "total_timesteps" in part for part in parts
         ):
             parts.append(f"--timesteps {before.total_timesteps} -> {run.total_timesteps}")
         if before.seeds != run.seeds:
-            old, new = (", ".join(map(str, each.seeds)) for each in (before, run))
+            old, new = (", ".join(map(str, side.seeds)) for side in (before, run))
             parts.append(f"--seed {old} -> {new}")
         more = f"; and {len(parts) - _MAX_SHOWN} more" if len(parts) > _MAX_SHOWN else ""
         return "; ".join(parts[:_MAX_SHOWN]) + more or "nothing"

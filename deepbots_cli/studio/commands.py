@@ -121,8 +121,8 @@ class Commands:
     def new_run(self, stem: str) -> Path:
         """Return the name of a new run directory, relative to the folder."""
         stem = re.sub(r"[^A-Za-z0-9_.-]+", "_", stem)
-        taken = {path.name for path in (self._folder / RUNS_FOLDER).glob(f"{stem}-*")}
-        number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in taken)
+        names = {path.name for path in (self._folder / RUNS_FOLDER).glob(f"{stem}-*")}
+        number = next(number for number in range(1, 10**6) if f"{stem}-{number}" not in names)
         return Path(RUNS_FOLDER, f"{stem}-{number}")
 
     def _allowed(self, verb: str) -> list[str]:

@@ -23,7 +23,9 @@ _SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 def _templates() -> dict[str, str]:
     """Return the templates, each with its summary."""
-    texts = {each.value: next(iter(from_template(each.value, "mine").values())) for each in Template}
+    texts = {
+        template.value: next(iter(from_template(template.value, "mine").values())) for template in Template
+    }
     return {name: _described(name, text.decode()) for name, text in texts.items()}
 
 

@@ -47,13 +47,13 @@ def explanation(word: str) -> str:
     if rules:
         return "\n".join(f"- {_link(rule.code)} {rule.name}: {rule.summary}" for rule in rules)
     explained = explain_word(word)
-    if not explained.entries and (meant := misspelled_word(word)):
-        return f"There is no entry `{word}`; this is the entry `{meant}`.\n\n{explanation(meant)}"
+    if not explained.entries and (nearest := misspelled_word(word)):
+        return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
     if not explained.entries:
         return _with_links(unknown_word_message(word))
     parts = [_entry(title, text) for title, *text in explained.entries]
     if explained.others:
-        parts.append(f"See also: {', '.join(_link(other) for other in explained.others)}")
+        parts.append(f"See also: {', '.join(_link(name) for name in explained.others)}")
     return "\n\n---\n\n".join(parts)
 
 
@@ -116,7 +116,11 @@ def _section(text: str, anchor: str) -> str:
     headings = list(_HEADING.finditer(text))
     for number, heading in enumerate(headings):
         if re.sub(r"[^\w -]", "", heading[2].lower()).strip().replace(" ", "-") == anchor:
-            following = (each.start() for each in headings[number + 1 :] if len(each[1]) <= len(heading[1]))
+            following = (
+                candidate.start()
+                for candidate in headings[number + 1 :]
+                if len(candidate[1]) <= len(heading[1])
+            )
             return text[heading.start() : next(following, len(text))]
     return ""
 
@@ -132,14 +136,14 @@ def show_explanation(
     """
     earlier: list[str] = []
 
-    def show(asked: str) -> None:
-        if not asked:
+    def show(query: str) -> None:
+        if not query:
             return
-        earlier.append(asked)
-        word.set_value(asked)
-        answer.set_content(explanation(asked))
+        earlier.append(query)
+        word.set_value(query)
+        answer.set_content(explanation(query))
         back.set_enabled(len(earlier) > 1)
-        offered = list(fixes_of(asked))
+        offered = list(fixes_of(query))
         fixes.clear()
         fixes.set_visibility(bool(offered))
         with fixes:

@@ -107,14 +107,14 @@ def _merged_tokens(base: list[str], typed: list[str], other: list[str], conflict
             group.append(changes.pop(0))
             end = max(end, group[-1][1])
         parts += base[at:start]
-        both = [_replaced(base[start:end], start, group, is_typed) for is_typed in (True, False)]
+        versions = [_replaced(base[start:end], start, group, is_typed) for is_typed in (True, False)]
         before = "".join(base[start:end])
-        if before == both[0]:
-            parts.append(both[1])
-        elif before == both[1]:
-            parts.append(both[0])
+        if before == versions[0]:
+            parts.append(versions[1])
+        elif before == versions[1]:
+            parts.append(versions[0])
         else:
-            parts.append(conflict(before, *both))
+            parts.append(conflict(before, *versions))
         at = end
     return "".join([*parts, *base[at:]])
 

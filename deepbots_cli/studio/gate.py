@@ -209,11 +209,14 @@ async def _pass_socket(address: str, scope: Scope, receive: Receive, send: Send)
             proxy=None,
         ) as wire:
             await send({"type": "websocket.accept", "subprotocol": wire.subprotocol})
-            both = [asyncio.create_task(_upwards(receive, wire)), asyncio.create_task(_downwards(wire, send))]
-            _, pending = await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            tasks = [
+                asyncio.create_task(_upwards(receive, wire)),
+                asyncio.create_task(_downwards(wire, send)),
+            ]
+            _, pending = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in pending:
                 task.cancel()
-            await asyncio.gather(*both, return_exceptions=True)
+            await asyncio.gather(*tasks, return_exceptions=True)
     except (OSError, WebSocketException):
         pass
     with suppress(Exception):  # the browser has closed it already

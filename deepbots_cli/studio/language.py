@@ -84,8 +84,8 @@ class Language:
         """Analyze the present text of a file soon."""
         document = self._put(file)
         dependents = self._workspace.dependents(document)
-        own = [document.uri] if document.is_scenario or not dependents else []
-        self._checker.schedule(*own, *dependents)
+        uris = [document.uri] if document.is_scenario or not dependents else []
+        self._checker.schedule(*uris, *dependents)
 
     def update_all(self) -> None:
         """Analyze all open files again, because a file that they read has changed."""
@@ -113,12 +113,12 @@ class Language:
         analysis = self._analysis(path)
         if analysis is None or analysis.checked is None:
             return []
-        return [each for each in analysis.checked.document.files if each != path]
+        return [file for file in analysis.checked.document.files if file != path]
 
     def inputs_of(self, path: Path) -> list[Path]:
         """Return the other files that a scenario reads, robot files among them."""
         analysis = self._analysis(path)
-        return [] if analysis is None else [each for each in analysis.paths.values() if each != path]
+        return [] if analysis is None else [file for file in analysis.paths.values() if file != path]
 
     def is_scenario(self, file: OpenFile) -> bool:
         """Return whether a file is a scenario rather than a file that scenarios include."""
@@ -204,10 +204,10 @@ class Language:
         place = types.Range(types.Position(*finding.start), types.Position(*finding.end))
         fixes = []
         for action in actions.at(place, [types.CodeActionKind.QuickFix.value]):
-            concerned = {each.code for each in action.diagnostics or ()}
+            concerned = {diagnostic.code for diagnostic in action.diagnostics or ()}
             changes = action.edit.changes if action.edit is not None else None
             if finding.code in concerned and changes is not None and set(changes) == {document.uri}:
-                edits = _edits(document, [each for each in changes[document.uri] if not _is_annotated(each)])
+                edits = _edits(document, [edit for edit in changes[document.uri] if not _is_annotated(edit)])
                 fixes.append(EditorFix(action.title, edits))
         return fixes
 
@@ -240,7 +240,7 @@ class Language:
         document = self._workspace.documents.get(uri)
         if document is None:
             return
-        rows = sorted(map(_finding, shown), key=lambda each: (each.severity != "error", each.start))
+        rows = sorted(map(_finding, shown), key=lambda row: (row.severity != "error", row.start))
         self._findings[document.path] = tuple(rows)
         self._checked[document.path] = version or 0
         self._on_findings(document.path)
@@ -289,4 +289,4 @@ def _utf16(text: str) -> str:
     """Return a text of as many characters as UTF-16 has units."""
     if text.isascii():
         return text
-    return "".join("xx" if ord(each) > 0xFFFF else "x" for each in text)
+    return "".join("xx" if ord(character) > 0xFFFF else "x" for character in text)

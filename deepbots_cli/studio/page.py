@@ -353,19 +353,21 @@ class StudioPage:
             self._show_file(self._session.files.get(path))
             self._show_files()
 
-    def _explain(self, wanted: str = "") -> None:
+    def _explain(self, word: str = "") -> None:
         """Open the explanation of a word, with the fixes of the findings that have it as their code."""
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
             file, language = self._file, self._session.language
             if file is None:
                 return
-            for finding in [each for each in language.findings(file.path) if each.code == code][:_MAX_FIXES]:
+            for finding in [entry for entry in language.findings(file.path) if entry.code == code][
+                :_MAX_FIXES
+            ]:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._fix, file, finding, fix.title)
 
-        show_explanation(wanted, fixes)
+        show_explanation(word, fixes)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

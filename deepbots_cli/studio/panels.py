@@ -159,8 +159,8 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
     """Return the state and the results of a run in one line."""
     parts: list[str] = [run.state]
     if run.steps is not None:
-        of = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
-        parts.append(f"{run.steps:,}{of} steps")
+        suffix = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
+        parts.append(f"{run.steps:,}{suffix} steps")
     if run.mean_return is not None:
         parts.append(f"return {run.mean_return:.4g}")
     if run.success_rate is not None:
@@ -278,7 +278,7 @@ class RunsTab:
         for column in columns:
             column["headerStyle"] = column["style"] = "white-space: nowrap"
         columns[-1]["style"] = "min-width: 14rem; overflow-wrap: anywhere"
-        next(each for each in columns if each["name"] == "when")[":format"] = _AGE
+        next(entry for entry in columns if entry["name"] == "when")[":format"] = _AGE
         self._columns = columns
         ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
@@ -324,7 +324,9 @@ class RunsTab:
             }
             for run in reversed(self._session.runs)
         ]
-        columns = [each for each in self._columns if each["name"] not in _OPTIONAL or _has_value(rows, each)]
+        columns = [
+            column for column in self._columns if column["name"] not in _OPTIONAL or _has_value(rows, column)
+        ]
         if columns != self._table.columns:
             self._table.columns = columns
         if rows != self._table.rows:
@@ -345,12 +347,12 @@ class RunsTab:
         """Select the row that was clicked, and no other one unless a key for several is pressed."""
         keys, row, _ = event.args
         name = row["name"]
-        selected = {each["name"] for each in self._table.selected}
+        selected = {entry["name"] for entry in self._table.selected}
         if any(keys.values()) or selected == {name}:
             selected ^= {name}
         else:
             selected = {name}
-        self._table.selected = [each for each in self._table.rows if each["name"] in selected]
+        self._table.selected = [entry for entry in self._table.rows if entry["name"] in selected]
         self._show_buttons()
 
     def _show_buttons(self) -> None:
@@ -506,8 +508,8 @@ class CommandTab:
     def update(self) -> None:
         task = self._session.commands.task
         options = {
-            each.path.name: f"{each.path.name} {each.command}"
-            for each in self._session.commands.tasks.all[-30:]
+            entry.path.name: f"{entry.path.name} {entry.command}"
+            for entry in self._session.commands.tasks.all[-30:]
         }
         options = dict(reversed(options.items()))
         if options != self._choice.options:
@@ -533,9 +535,9 @@ class CommandTab:
         self._link.props(f'href="studio/output/{task.path.name}"')
 
     def _choose(self, name: str | None) -> None:
-        chosen: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
-        if chosen is not None and chosen is not self._session.commands.task:
-            self._session.commands.show(chosen)
+        task: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
+        if task is not None and task is not self._session.commands.task:
+            self._session.commands.show(task)
 
     def _copy_command(self) -> None:
         if self._session.commands.task is not None:

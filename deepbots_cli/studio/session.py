@@ -173,7 +173,7 @@ class Session:
             self._drafts.discard(path)
         if path == self.current:
             self.current = None
-            others = [each for each in self.scenarios() if each != path]
+            others = [scenario for scenario in self.scenarios() if scenario != path]
             if others:
                 self.show(others[0])
         self._tell("files")

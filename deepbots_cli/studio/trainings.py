@@ -80,9 +80,9 @@ def _points(curve: Any) -> tuple[Point, ...]:
     if curve is None:
         return ()
     steps, values = curve
-    chosen = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int))
+    indices = np.unique(np.linspace(0, len(steps) - 1, min(len(steps), MAX_POINTS)).round().astype(int))
     return tuple(
-        (float(steps[at]), float(f"{values[at]:.6g}") if np.isfinite(values[at]) else None) for at in chosen
+        (float(steps[at]), float(f"{values[at]:.6g}") if np.isfinite(values[at]) else None) for at in indices
     )
 
 

@@ -55,7 +55,11 @@ class WorldFindings:
             self._findings.setdefault((finding.severity, finding.headline), finding)
 
     def __iter__(self) -> Iterator[WorldFinding]:
-        return iter(sorted(self._findings.values(), key=lambda one: (one.span.source.name, one.span.start)))
+        return iter(
+            sorted(
+                self._findings.values(), key=lambda finding: (finding.span.source.name, finding.span.start)
+            )
+        )
 
     def __len__(self) -> int:
         return len(self._findings)

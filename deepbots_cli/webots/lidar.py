@@ -73,9 +73,9 @@ class Lidar(Sensor):
         if not self._rotates:
             self._measure(list(range(self._columns)))
             return
-        turned = self._frequency * self.period / 1000 * self._columns
-        first, last = math.floor(self._passed), math.floor(self._passed + turned)
-        self._passed = (self._passed + turned) % self._columns
+        advance = self._frequency * self.period / 1000 * self._columns
+        first, last = math.floor(self._passed), math.floor(self._passed + advance)
+        self._passed = (self._passed + advance) % self._columns
         count = min(last - first, self._columns)
         self._measure([column % self._columns for column in range(last - count, last)])
 
@@ -85,8 +85,8 @@ class Lidar(Sensor):
 
         if not columns:
             return
-        start, turned = self._frame()
-        axes = np.array([frames.rotate(turned, axis) for axis in AXES])
+        start, rotation = self._frame()
+        axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
         robot = self._spec.body.robot
         least, most = self._range
         rays = self._rays[:, columns].reshape(-1, 3) @ axes

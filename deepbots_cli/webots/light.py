@@ -49,8 +49,8 @@ class LightSensor(ScalarSensor):
     def _irradiance(self) -> float:
         """Return the mean over the colors of the light that arrives, through the color filter."""
         node = self._spec.node
-        place, turned = self._frame()
-        normal = frames.rotate(turned, (1.0, 0.0, 0.0))
+        place, rotation = self._frame()
+        normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
         total = 0.0
         for light in self._simulation.scene.lights:
             if not boolean(light.node, "on"):
@@ -81,11 +81,11 @@ def _beam(light: Light, frame: Frame, place: Triple) -> _Beam:
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
         return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)
     source = compose(frame, (vector(node, "location"), IDENTITY_ROTATION))[0]
-    way = frames.subtract(source, place)
-    distance = math.hypot(*way)
+    offset = frames.subtract(source, place)
+    distance = math.hypot(*offset)
     constant, linear, square = vector(node, "attenuation")
     weakened = constant + linear * distance + square * distance**2
-    direction = _unit(way)
+    direction = _unit(offset)
     spot = 1.0
     if node.type == "SpotLight":
         axis = frames.rotate(frame[1], _unit(vector(node, "direction")))

@@ -61,8 +61,8 @@ class ModelBuilder:
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
-        place, turned = body.frame
-        element = parent.add_body(name=f"b{body.index}", pos=place, quat=frames.wxyz(turned))
+        place, rotation = body.frame
+        element = parent.add_body(name=f"b{body.index}", pos=place, quat=frames.wxyz(rotation))
         self.bodies.append(element)
         if body.is_free:
             self.free_joints[body] = element.add_freejoint()
@@ -101,7 +101,7 @@ class ModelBuilder:
 
     def _add_geometry(self, element: Any, body: Body, geometry: Geometry) -> None:
         shape = geometry.shape
-        place, turned = geometry.frame
+        place, rotation = geometry.frame
         types = mj.mjtGeom
         fields: dict[str, Any] = {}
         match shape.kind:
@@ -121,7 +121,7 @@ class ModelBuilder:
         friction = self.scene.contact(geometry.material, geometry.material)
         added = element.add_geom(
             pos=place,
-            quat=frames.wxyz(turned),
+            quat=frames.wxyz(rotation),
             mass=geometry.mass,
             friction=_friction(friction),
             condim=_condim(friction),
@@ -174,9 +174,9 @@ class ModelBuilder:
             ]
         )
         axes = np.array([frames.rotate(frame[1], axis) for axis in AXES]).T
-        turned = axes @ tensor @ axes.T
+        rotated = axes @ tensor @ axes.T
         element.fullinertia = [
-            turned[0, 0], turned[1, 1], turned[2, 2], turned[0, 1], turned[0, 2], turned[1, 2]
+            rotated[0, 0], rotated[1, 1], rotated[2, 2], rotated[0, 1], rotated[0, 2], rotated[1, 2]
         ]  # fmt: skip
 
     def geometries_by_id(self) -> list[tuple[Body, Geometry]]:
@@ -189,10 +189,10 @@ class ModelBuilder:
         for robot in self.scene.robots:
             if boolean(robot.node, "selfCollision"):
                 continue
-            own = [body for body in self.scene.bodies if body.robot is robot and body.geometries]
-            for at, one in enumerate(own):
-                for other in own[at + 1 :]:
-                    self.spec.add_exclude(bodyname1=f"b{one.index}", bodyname2=f"b{other.index}")
+            bodies = [body for body in self.scene.bodies if body.robot is robot and body.geometries]
+            for at, body in enumerate(bodies):
+                for other_body in bodies[at + 1 :]:
+                    self.spec.add_exclude(bodyname1=f"b{body.index}", bodyname2=f"b{other_body.index}")
 
     def _add_pairs(self) -> None:
         """Give pairs of materials their friction, where it is not the larger one of the two."""
@@ -200,27 +200,27 @@ class ModelBuilder:
         special = {
             pair for pair, contact in self.scene.contacts.items() if contact != usual and pair[0] != pair[1]
         }
-        for at, (one, first) in enumerate(self.geometries):
+        for at, (body, first) in enumerate(self.geometries):
             for other_at in range(at + 1, len(self.geometries)):
-                other, second = self.geometries[other_at]
+                other_body, second = self.geometries[other_at]
                 pair = (first.material, second.material)
                 mixed = first.material != second.material
-                wanted = self.scene.contact(*pair)
+                pair_contact = self.scene.contact(*pair)
                 differs = mixed and (
                     pair in special
                     or pair[::-1] in special
-                    or wanted.friction != max(self.scene.contact(name, name).friction for name in pair)
+                    or pair_contact.friction != max(self.scene.contact(name, name).friction for name in pair)
                 )
-                if differs and _may_touch(one, other):
-                    self._add_pair(at, other_at, wanted)
+                if differs and _may_touch(body, other_body):
+                    self._add_pair(at, other_at, pair_contact)
 
-    def _add_pair(self, one: int, other: int, contact: Contact) -> None:
-        for index in (one, other):
+    def _add_pair(self, first: int, second: int, contact: Contact) -> None:
+        for index in (first, second):
             self._geoms[index].name = f"g{index}"
         slide, spin, roll = _friction(contact)
         self.spec.add_pair(
-            geomname1=f"g{one}",
-            geomname2=f"g{other}",
+            geomname1=f"g{first}",
+            geomname2=f"g{second}",
             condim=_condim(contact),
             friction=[slide, slide, spin, roll, roll],
             solref=[self.contact_time, 1.0],
@@ -228,10 +228,10 @@ class ModelBuilder:
         )
 
 
-def _may_touch(one: Body, other: Body) -> bool:
-    same_robot = one.robot is not None and one.robot is other.robot
-    moves = one.is_free or one.joints or other.is_free or other.joints
-    return one is not other and not same_robot and bool(moves)
+def _may_touch(first: Body, second: Body) -> bool:
+    same_robot = first.robot is not None and first.robot is second.robot
+    moves = first.is_free or first.joints or second.is_free or second.joints
+    return first is not second and not same_robot and bool(moves)
 
 
 def _friction(contact: Contact) -> list[float]:

@@ -47,9 +47,9 @@ def node_types() -> Mapping[str, NodeType]:
     for match in _ENTRY.finditer(text):
         name, base, body = match.groups()
         parent = types.get(base)
-        own = parse_interface(Source("nodes.txt", body))
+        interface = parse_interface(Source("nodes.txt", body))
         bases = () if parent is None else (parent.name, *parent.bases)
-        types[name] = NodeType(name, bases, {**(parent.fields if parent else {}), **own})
+        types[name] = NodeType(name, bases, {**(parent.fields if parent else {}), **interface})
     return types
 
 
@@ -142,13 +142,13 @@ def children(node: Node, field: str = "children") -> list[Node]:
 
 def walk(nodes: list[Node]) -> Iterator[Node]:
     """Yield nodes and what is in them, each once, in the order of the text; a PROTO node before its body."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     stack = list(reversed(nodes))
     while stack:
         node = stack.pop()
-        if id(node) in seen:
+        if id(node) in visited:
             continue
-        seen.add(id(node))
+        visited.add(id(node))
         yield node
         if node.body is not None:
             stack.append(node.body)
@@ -208,11 +208,11 @@ def _check_node(node: Node, findings: WorldFindings) -> None:
 
 def _slot_problem(name: str, value: Value) -> str:
     """Return why a node cannot be in a field; "" if it can."""
-    wanted = _SLOTS.get(name, ())
-    for item in value.items if wanted else ():
+    kinds = _SLOTS.get(name, ())
+    for item in value.items if kinds else ():
         is_known = isinstance(item, Node) and real(item).type in node_types()
-        if isinstance(item, Node) and is_known and not any(is_a(item, kind) for kind in wanted):
-            return f"a {item.type[:60]}, and not a {' or '.join(wanted[:3])}"
+        if isinstance(item, Node) and is_known and not any(is_a(item, kind) for kind in kinds):
+            return f"a {item.type[:60]}, and not a {' or '.join(kinds[:3])}"
     return ""
 
 
@@ -239,12 +239,12 @@ def type_problem(kind: str, value: Value) -> str:
 def _other_problem(kind: str, items: list[Item], *, several: bool) -> str:
     if not several and len(items) != 1:
         return f"not {_described(kind)}"
-    wanted: type | tuple[type, ...] = {
+    types: type | tuple[type, ...] = {
         "Bool": bool,
         "String": str,
         "Node": Node if several else (Node, type(None)),
     }.get(kind[2:], object)
-    return "" if all(isinstance(item, wanted) for item in items) else f"not {_described(kind)}"
+    return "" if all(isinstance(item, types) for item in items) else f"not {_described(kind)}"
 
 
 def _described(kind: str) -> str:
@@ -259,5 +259,5 @@ def _described(kind: str) -> str:
         "Color": ("three numbers", "of numbers, three each"),
         "Rotation": ("an axis and an angle", "of axes and angles"),
     }
-    one, many = names[kind[2:]]
-    return f"a list {many}" if kind[0] == "M" else one
+    single, many = names[kind[2:]]
+    return f"a list {many}" if kind[0] == "M" else single

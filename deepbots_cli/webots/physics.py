@@ -70,19 +70,19 @@ class MotorState:
 
     def next_velocity(self, position: float, step: float) -> float:
         """Return the velocity that it aims at in a basic time step of `step` s, from its position now."""
-        wanted = self.target_velocity
+        velocity = self.target_velocity
         if not isinf(self.target_position):
             p, i, d = self.gains
             error = self.target_position - position
             self.integral += error * step
-            wanted = p * error + i * self.integral + d * (error - self.last_error) / step
+            velocity = p * error + i * self.integral + d * (error - self.last_error) / step
             self.last_error = error
-            wanted = min(max(wanted, -self.target_velocity), self.target_velocity)
+            velocity = min(max(velocity, -self.target_velocity), self.target_velocity)
         if self.acceleration >= 0:
             most = self.acceleration * step
-            wanted = min(max(wanted, self.velocity - most), self.velocity + most)
-        self.velocity = wanted
-        return wanted
+            velocity = min(max(velocity, self.velocity - most), self.velocity + most)
+        self.velocity = velocity
+        return velocity
 
 
 class Physics:
@@ -104,7 +104,7 @@ class Physics:
             message = " ".join(str(error).split())[:200]
             raise WorldError([WorldFinding("error", span, f"MuJoCo refuses the world: {message}")]) from error
         self.data = mj.MjData(model)
-        self.bodies = [int(one.id) for one in builder.bodies]
+        self.bodies = [int(element.id) for element in builder.bodies]
         self.geoms = builder.geometries_by_id()
         self.motors: dict[Node, MotorState] = {}
         self._joint_ids = {joint: int(element.id) for joint, element in builder.joints.items()}
@@ -181,7 +181,7 @@ class Physics:
     def renew_motors(self) -> None:
         """Apply the limits and modes of motors after a change."""
         self._active = []
-        for motor in sorted(self.motors.values(), key=lambda one: one.dof):
+        for motor in sorted(self.motors.values(), key=lambda motor: motor.dof):
             is_active = motor.torque is None and motor.available_torque > 0
             limit = motor.available_torque if is_active else float(self._usual_friction(motor))
             self.model.dof_frictionloss[motor.dof] = limit
@@ -193,7 +193,7 @@ class Physics:
         self._dofs = np.array([motor.dof for motor in self._active], np.intp)
 
     def _usual_friction(self, motor: MotorState) -> float:
-        joint = next(one for one, index in self._joint_ids.items() if index == motor.joint)
+        joint = next(candidate for candidate, index in self._joint_ids.items() if index == motor.joint)
         return joint.friction
 
     def step(self) -> None:
@@ -212,8 +212,8 @@ class Physics:
             step1(model, data)
             if self._active:
                 rows = self._rows + data.ne
-                wanted = targets - data.qvel[self._dofs]
-                data.efc_aref[rows] = wanted / (self.substep * left)
+                velocity_change = targets - data.qvel[self._dofs]
+                data.efc_aref[rows] = velocity_change / (self.substep * left)
             if bounces and data.ncon:
                 self._bounces.apply(data, self.substep)
             if self._damped:
@@ -319,20 +319,20 @@ class Physics:
         cosine of its incidence. The robot `skipped` stops no ray."""
         self.update_positions()
         groups = self.model.geom_group
-        own = self._robot_geoms.get(-1 if skipped is None else skipped, [])
-        kept = groups[own].copy()
-        groups[own] = OWN_GROUP
+        own_geoms = self._robot_geoms.get(-1 if skipped is None else skipped, [])
+        saved = groups[own_geoms].copy()
+        groups[own_geoms] = OWN_GROUP
         geom, normal = np.full(1, -1, np.int32), np.zeros(3)
         results = []
         origin = np.array(start)
         for direction in directions:
-            way = np.array(direction)
-            length = float(mj.mj_ray(self.model, self.data, origin, way, SEEN_GROUPS, True, -1, geom, normal))
+            ray = np.array(direction)
+            length = float(mj.mj_ray(self.model, self.data, origin, ray, SEEN_GROUPS, True, -1, geom, normal))
             if length < 0 or length > reach:
                 results.append((reach, -1, 1.0))
             else:
-                results.append((length, int(geom[0]), abs(float(normal @ way))))
-        groups[own] = kept
+                results.append((length, int(geom[0]), abs(float(normal @ ray))))
+        groups[own_geoms] = saved
         return results
 
     def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
@@ -340,9 +340,9 @@ class Physics:
         directions have the shape (rays, 3). The robot `skipped` stops no ray."""
         self.update_positions()
         groups = self.model.geom_group
-        own = self._robot_geoms.get(-1 if skipped is None else skipped, [])
-        kept = groups[own].copy()
-        groups[own] = OWN_GROUP
+        own_geoms = self._robot_geoms.get(-1 if skipped is None else skipped, [])
+        saved = groups[own_geoms].copy()
+        groups[own_geoms] = OWN_GROUP
         count = len(directions)
         geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
         ways = np.ascontiguousarray(directions).ravel()
@@ -350,7 +350,7 @@ class Physics:
         mj.mj_multiRay(
             self.model, self.data, origin, ways, SEEN_GROUPS, True, -1, geoms, lengths, None, count, reach
         )
-        groups[own] = kept
+        groups[own_geoms] = saved
         return np.where((lengths < 0) | (lengths > reach), inf, lengths).tolist()  # type: ignore[no-any-return]
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
@@ -449,14 +449,14 @@ class _BounceTable:
 
     def __init__(self, scene: Scene, geometries: Sequence[Geometry]) -> None:
         names = sorted({geometry.material for geometry in geometries}) or [""]
-        self._material = np.array([names.index(one.material) for one in geometries], np.intp)
-        pairs = [[scene.contact(one, other) for other in names] for one in names]
+        self._material = np.array([names.index(geometry.material) for geometry in geometries], np.intp)
+        pairs = [[scene.contact(name, other) for other in names] for name in names]
         self._bounce = np.array([[pair.bounce for pair in row] for row in pairs])
         self._speed = np.array([[pair.bounce_velocity for pair in row] for row in pairs])
         self.is_needed = bool(self._bounce.max() > 0)
         self._slowest = max(float(self._speed.min()), 1e-6)
         # Contacts with rolling friction have more rows than others: then each row counts.
-        self._rows_per_contact = 1 if any(any(one.rolling) for one in scene.contacts.values()) else 3
+        self._rows_per_contact = 1 if any(any(contact.rolling) for contact in scene.contacts.values()) else 3
 
     def apply(self, data: Any, step: float) -> None:
         """Let contacts that close fast leave with a share of their speed: their reference acceleration
@@ -473,10 +473,10 @@ class _BounceTable:
         ones, others = self._material[geoms[:, 0]], self._material[geoms[:, 1]]
         fast = speeds < -np.maximum(self._speed[ones, others], 1e-6)
         if fast.any():
-            chosen = rows[fast]
-            impedance = data.efc_KBIP[chosen, 2]
+            fast_rows = rows[fast]
+            impedance = data.efc_KBIP[fast_rows, 2]
             shares = 1.0 + self._bounce[ones, others][fast]
-            data.efc_aref[chosen] = -shares * speeds[fast] / (step * impedance)
+            data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
 
 
 def _damped_bodies(scene: Scene) -> list[tuple[Body, float, float]]:

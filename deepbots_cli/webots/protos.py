@@ -48,12 +48,14 @@ class Scope:
 
     @classmethod
     def of_document(cls, document: Document) -> Scope:
-        return cls(document.protos, {one.name: one for one in document.externs}, document.source)
+        return cls(document.protos, {extern.name: extern for extern in document.externs}, document.source)
 
     @classmethod
     def of_proto(cls, proto: Proto) -> Scope:
         return cls(
-            proto.neighbors, {one.name: one for one in proto.externs}, proto.source or proto.span.source
+            proto.neighbors,
+            {extern.name: extern for extern in proto.externs},
+            proto.source or proto.span.source,
         )
 
 
@@ -142,8 +144,8 @@ class Expander:
         document = parse(source, is_proto=True)
         proto = document.protos.get(name)
         if proto is None:
-            other = next(iter(document.protos.values()))
-            self.findings.error(other.span, f"PROTO {other.name} in a file for {name}")
+            first_proto = next(iter(document.protos.values()))
+            self.findings.error(first_proto.span, f"PROTO {first_proto.name} in a file for {name}")
         return proto
 
     def _check_fields(self, node: Node, proto: Proto) -> None:

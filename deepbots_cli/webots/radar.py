@@ -66,8 +66,8 @@ class Radar(Sensor):
         self._targets = []
 
     def sample(self) -> None:
-        seen = [self._target(solid) for solid in self._simulation.scene.radar_targets]
-        targets = self._merged([target for target in seen if target is not None])
+        candidates = [self._target(solid) for solid in self._simulation.scene.radar_targets]
+        targets = self._merged([target for target in candidates if target is not None])
         for target in targets:
             target.received_power = 10 * math.log10(target.received_power)
         self._targets = targets
@@ -81,29 +81,29 @@ class Radar(Sensor):
         node, physics = self._spec.node, self._simulation.physics
         if solid is node:
             return None
-        place, turned = self._frame()
+        place, rotation = self._frame()
         body, inside = self._simulation.scene.places[solid]
-        way = frames.subtract(physics.position(body, inside), place)
-        distance, radius = math.hypot(*way), physics.radius(solid)
+        offset = frames.subtract(physics.position(body, inside), place)
+        distance, radius = math.hypot(*offset), physics.radius(solid)
         near, far = self.getMinRange(), self.getMaxRange()
         if distance == 0 or distance - radius > far or distance + radius < near:
             return None
-        left, elevation = frames.azimuth_and_elevation(frames.rotate_back(turned, way))
+        left, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
         share, azimuth = math.asin(min(1.0, radius / distance)), -left
         half = self.getHorizontalFov() / 2
         if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
             return None
-        if boolean(node, "occlusion") and self._is_hidden(solid, way, distance):
+        if boolean(node, "occlusion") and self._is_hidden(solid, offset, distance):
             return None
         measured = distance + self._noise(number(node, "rangeNoise"))
         measured = min(max(measured, near), far)
         power = self._power * number(solid, "radarCrossSection") / max(measured, 1e-9) ** 4
         if power <= 0 or power < _milliwatts(number(node, "minDetectableSignal")):
             return None
-        own, other = (
+        velocity, target_velocity = (
             physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, inside))
         )
-        speed = frames.dot(frames.subtract(other, own), way) / distance + self._noise(
+        speed = frames.dot(frames.subtract(target_velocity, velocity), offset) / distance + self._noise(
             number(node, "speedNoise")
         )
         if not self._sees_speed(speed):
@@ -118,11 +118,11 @@ class Radar(Sensor):
             return False
         return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
 
-    def _is_hidden(self, solid: Node, way: tuple[float, float, float], distance: float) -> bool:
+    def _is_hidden(self, solid: Node, offset: tuple[float, float, float], distance: float) -> bool:
         """Return whether something else is on the way to a solid."""
         physics, robot = self._simulation.physics, self._spec.body.robot
         skipped = None if robot is None else robot.index
-        unit = frames.scaled(way, 1 / distance)
+        unit = frames.scaled(offset, 1 / distance)
         geom = physics.rays(self._frame()[0], [unit], distance, skipped)[0][1]
         return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.places[solid][0]
 

@@ -85,7 +85,7 @@ class Receiver(Sensor):
             return
         size = self._size
         for packet in inbox.arrived:
-            if size < 0 or sum(len(one.data) for one in inbox.queue) + len(packet.data) <= size:
+            if size < 0 or sum(len(entry.data) for entry in inbox.queue) + len(packet.data) <= size:
                 inbox.queue.append(packet)
         inbox.arrived.clear()
 

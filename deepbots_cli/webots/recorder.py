@@ -100,7 +100,7 @@ class _Viewpoint:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         nodes = simulation.scene.nodes
-        node = next((real(one) for one in nodes if real(one).type == "Viewpoint"), None)
+        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
         self._fov, self._frame, self._followed = 0.785, _overview(), None
         if node is not None:
             self._fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
@@ -121,9 +121,9 @@ class _Viewpoint:
 
 def _solid(simulation: Simulation, name: str) -> Node | None:
     """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
-    wanted = name.rpartition(":")[2]
+    last_part = name.rpartition(":")[2]
     for node in walk(simulation.scene.nodes):
-        if wanted and node in simulation.scene.places and _name(node) == wanted:
+        if last_part and node in simulation.scene.places and _name(node) == last_part:
             return node
     return None
 

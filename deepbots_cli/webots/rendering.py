@@ -128,8 +128,8 @@ class Pictures:
     def _follow(self) -> None:
         """Place the bodies as they are now."""
         for body, index in self._bodies.items():
-            place, turned = self._physics.frame(self._physics.scene.bodies[body])
-            self._data.mocap_pos[index], self._data.mocap_quat[index] = place, frames.wxyz(turned)
+            place, rotation = self._physics.frame(self._physics.scene.bodies[body])
+            self._data.mocap_pos[index], self._data.mocap_quat[index] = place, frames.wxyz(rotation)
         mj.mj_kinematics(self._model, self._data)
         mj.mj_camlight(self._model, self._data)
 
@@ -143,14 +143,14 @@ class Pictures:
 
 
 def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
-    place, turned = frame
-    ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
+    place, rotation = frame
+    ahead = frames.rotate(rotation, (1.0, 0.0, 0.0))
     for light in renderer.scene.lights[: renderer.scene.nlight]:
         light.pos, light.dir = place, ahead  # MuJoCo's shines from where its own camera is
     for camera in renderer.scene.camera:
         camera.pos = place
         camera.forward = ahead
-        camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
+        camera.up = frames.rotate(rotation, (0.0, 0.0, 1.0))
         camera.frustum_center, camera.frustum_width = 0.0, 0.0
         camera.frustum_top, camera.frustum_bottom = top, -top
         camera.frustum_near, camera.frustum_far = near, FAR_M
@@ -200,13 +200,13 @@ class _VisualModel:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
         fields = self._fields(shape)
-        place, turned = visual.frame
+        place, rotation = visual.frame
         if shape.kind == "grid":
             middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
             place = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
         parent.add_geom(
             pos=place,
-            quat=frames.wxyz(turned),
+            quat=frames.wxyz(rotation),
             rgba=_color(visual.node),
             contype=0,
             conaffinity=0,

@@ -430,8 +430,8 @@ def _ball_axes(second: Node | None, third: Node | None) -> tuple[Triple, Triple,
     return first_axis, frames.cross(last_axis, first_axis), last_axis
 
 
-def _perpendicular(axis: Triple, wanted: Triple, otherwise: Triple) -> Triple:
-    product = frames.cross(axis, wanted)
+def _perpendicular(axis: Triple, direction: Triple, otherwise: Triple) -> Triple:
+    product = frames.cross(axis, direction)
     return product if hypot(*product) > 1e-9 else frames.cross(axis, otherwise)
 
 

@@ -82,14 +82,14 @@ class InertialUnit(Sensor):
         return number(self._spec.node, "noise")
 
     def sample(self) -> None:
-        turned = self._frame()[1]
+        rotation = self._frame()[1]
         noise, node = self.getNoise(), self._spec.node
         x, y, z = (
             self._rounded(angle + self._noise(noise)) if boolean(node, f"{axis}Axis") else nan
-            for axis, angle in zip("xyz", frames.roll_pitch_yaw(turned), strict=True)
+            for axis, angle in zip("xyz", frames.roll_pitch_yaw(rotation), strict=True)
         )
         self._angles = x, y, z
-        self._turned = frames.quaternion(x, y, z) if noise else turned
+        self._turned = frames.quaternion(x, y, z) if noise else rotation
 
 
 class GPS(Sensor):
@@ -178,9 +178,9 @@ class DistanceSensor(ScalarSensor):
 
     def _distance(self) -> float:
         """Return the distance that the table is asked for, m."""
-        start, turned = self._frame()
+        start, rotation = self._frame()
         physics, robot = self._simulation.physics, self._spec.body.robot
-        directions = [frames.rotate(turned, direction) for direction in self._directions]
+        directions = [frames.rotate(rotation, direction) for direction in self._directions]
         reach = self._reach or 1e3
         hits = physics.rays(start, directions, reach, robot.index if robot else None)
         if self._type in ("sonar", "laser"):
@@ -221,8 +221,8 @@ class TouchSensor(Sensor):
         physics, node = self._simulation.physics, self._spec.node
         total: Triple = (0.0, 0.0, 0.0)
         touches = False
-        for one, other, _, force in physics.contacts():
-            for geom, sign in ((other, 1.0), (one, -1.0)):
+        for first, second, _, force in physics.contacts():
+            for geom, sign in ((second, 1.0), (first, -1.0)):
                 if physics.geoms[geom][1].owner is node:
                     touches, total = True, frames.add(total, frames.scaled(force, sign))
         local = frames.rotate_back(self._frame()[1], total)

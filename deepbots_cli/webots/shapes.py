@@ -186,6 +186,6 @@ def _mesh_volume(vertices: Sequence[Triple], faces: Sequence[tuple[int, int, int
 
 def compose(outer: Frame, inner: Frame, scale: Triple = (1.0, 1.0, 1.0)) -> Frame:
     """Return a frame in the frame of `outer`; `scale` is that of the coordinates of `inner`."""
-    (x, y, z), turned = inner
+    (x, y, z), rotation = inner
     place = frames.rotate(outer[1], (x * scale[0], y * scale[1], z * scale[2]))
-    return frames.add(outer[0], place), frames.multiply(outer[1], turned)
+    return frames.add(outer[0], place), frames.multiply(outer[1], rotation)

@@ -209,8 +209,8 @@ class Simulation:
                 continue
             if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
                 continue
-            place, turned = physics.frame(device.body, device.frame)
-            arrived = replace(packet, way=frames.subtract(start, place), turned=turned)
+            place, rotation = physics.frame(device.body, device.frame)
+            arrived = replace(packet, way=frames.subtract(start, place), turned=rotation)
             if 0 <= packet.range < arrived.distance:
                 continue
             if inbox.noise:
@@ -222,17 +222,17 @@ class Simulation:
         obstacles."""
         start, sent = self.physics.frame(sender.body, sender.frame)
         end, received = self.physics.frame(receiver.body, receiver.frame)
-        way = frames.subtract(end, start)
-        distance = frames.dot(way, way) ** 0.5
+        offset = frames.subtract(end, start)
+        distance = frames.dot(offset, offset) ** 0.5
         if distance == 0:
             return True
-        unit = frames.scaled(way, 1 / distance)
-        for device, turned, direction in (
+        unit = frames.scaled(offset, 1 / distance)
+        for device, rotation, direction in (
             (sender, sent, unit),
             (receiver, received, frames.scaled(unit, -1.0)),
         ):
             aperture = number(device.node, "aperture")
-            if aperture >= 0 and not _within_cone(frames.rotate_back(turned, direction), aperture):
+            if aperture >= 0 and not _within_cone(frames.rotate_back(rotation, direction), aperture):
                 return False
         skipped = sender.body.robot.index if sender.body.robot else None
         hit = self.physics.rays(start, [unit], distance, skipped)[0]

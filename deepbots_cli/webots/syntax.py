@@ -196,10 +196,10 @@ class _Parser:
             return WorldSyntaxError(self._span(place), headline, help)
         return WorldSyntaxError(Span(self.source, place, place), headline, help)
 
-    def _unexpected(self, wanted: str) -> WorldSyntaxError:
+    def _unexpected(self, expected: str) -> WorldSyntaxError:
         text = self.token.text
         shown = f"'{text[:40]}'" if text else "the end of the file"
-        return self._error(self.token, f"{shown} in the place of {wanted}")
+        return self._error(self.token, f"{shown} in the place of {expected}")
 
     def expect(self, text: str) -> _Token:
         if self.token.text != text or self.token.kind not in (2, 4):

@@ -161,12 +161,12 @@ class Node(_NodeTypes):
         self, function: str, force: Any, torque: Any, relative: bool, place: Triple | None = None
     ) -> None:
         body, _ = self._place(function)
-        turned = self._frame(function)[1]
+        rotation = self._frame(function)[1]
         fx, fy, fz = map(float, force)
         tx, ty, tz = map(float, torque)
         pushed, twisted = (fx, fy, fz), (tx, ty, tz)
         if relative:
-            pushed, twisted = frames.rotate(turned, pushed), frames.rotate(turned, twisted)
+            pushed, twisted = frames.rotate(rotation, pushed), frames.rotate(rotation, twisted)
         self._simulation.physics.push(body, pushed, twisted, place)
 
     def setJointPosition(self, position: float, index: int = 1) -> None:
@@ -186,11 +186,11 @@ class Node(_NodeTypes):
     def getContactPoints(self, includeDescendants: bool = False) -> list[ContactPoint]:
         """Return the contacts of the last substep."""
         physics = self._simulation.physics
-        mine = self._owners(include=includeDescendants)
+        owners = self._owners(include=includeDescendants)
         points = []
-        for one, other, place, _ in physics.contacts():
-            for geom in (one, other):
-                if physics.geoms[geom][1].owner in mine:
+        for first, second, place, _ in physics.contacts():
+            for geom in (first, second):
+                if physics.geoms[geom][1].owner in owners:
                     points.append(ContactPoint(place, number_of(self._simulation, self._node)))
         return points
 
@@ -367,9 +367,9 @@ class Field:
             return None
         for body in self._simulation.scene.bodies:
             for joint in body.joints:
-                own = joint.parameters is self._real and self._name == "position"
+                is_position = joint.parameters is self._real and self._name == "position"
                 of_joint = joint.node is self._real and self._name == _JOINT_POSITIONS[joint.index]
-                if joint.kind != "ball" and (own or of_joint):
+                if joint.kind != "ball" and (is_position or of_joint):
                     return joint
         return None
 
@@ -400,19 +400,19 @@ class Field:
             return
         if length == 0:
             raise ValueError("setSFRotation(): the axis is zero")
-        turned = frames.from_axis_angle((x / length, y / length, z / length), angle)
-        self._move("setSFRotation", None, turned)
+        rotation = frames.from_axis_angle((x / length, y / length, z / length), angle)
+        self._move("setSFRotation", None, rotation)
 
-    def _move(self, function: str, place: Triple | None, turned: Quaternion | None) -> None:
+    def _move(self, function: str, place: Triple | None, rotation: Quaternion | None) -> None:
         """Move a solid that stands alone in the world."""
         scene, physics = self._simulation.scene, self._simulation.physics
         body, _ = scene.places[self._real]
         local = self._local_frame()
         if body.node is not self._real or body.parent is not None or local is None:
             raise self._unset(function)
-        wanted = place or local[0], turned or local[1]
+        frame = place or local[0], rotation or local[1]
         outer = self._outer_frame()
-        physics.place(body, wanted if outer is None else compose(outer, wanted))
+        physics.place(body, frame if outer is None else compose(outer, frame))
 
     def _outer_frame(self) -> Frame | None:
         """Return the frame in which the fields of the node are: None for that of the world."""
@@ -529,8 +529,8 @@ def _padded(values: Sequence[float], size: int) -> list[float]:
 
 
 def number_of(simulation: Simulation, node: Written) -> int:
-    for number, one in enumerate(walk(simulation.scene.nodes), 1):
-        if real(one) is real(node):
+    for number, candidate in enumerate(walk(simulation.scene.nodes), 1):
+        if real(candidate) is real(node):
             return number
     return 0
 
@@ -541,8 +541,8 @@ def _matrix(frame: Frame) -> list[float]:
 
 
 def _inverse(frame: Frame) -> Frame:
-    turned = frames.inverse(frame[1])
-    return frames.scaled(frames.rotate(turned, frame[0]), -1.0), turned
+    rotation = frames.inverse(frame[1])
+    return frames.scaled(frames.rotate(rotation, frame[0]), -1.0), rotation
 
 
 def _axis_angle(frame: Frame) -> list[float]:

@@ -100,8 +100,8 @@ def command(
     if shards is not None:
         if several:
             raise UsageError("--shards measures a training with one engine; name one with --engine")
-        others = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
-        if present := [name for name, value in others.items() if value is not None]:
+        options = {"--steps": steps, "--pairs": pairs, "--quick": quick or None}
+        if present := [name for name, value in options.items() if value is not None]:
             raise UsageError(f"--shards and {present[0]} cannot be combined")
         _bench_shards(
             scenario,

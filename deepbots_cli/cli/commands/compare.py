@@ -142,10 +142,10 @@ _BETTER = {
 
 
 def _lines(comparison: Comparison) -> Iterator[str]:
-    own = any(entry.own_scenarios for entry in comparison.differences)
+    has_own_scenarios = any(entry.own_scenarios for entry in comparison.differences)
     if comparison.scenario:
         where = f"{comparison.scenario}: "
-    elif own:
+    elif has_own_scenarios:
         where = "each run in its own scenario: "
     else:
         where = ""

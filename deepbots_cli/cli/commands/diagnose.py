@@ -102,16 +102,18 @@ def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> bool
     if not is_robot_log(path):
         return False
     episodes = [
-        each
-        for each in logged_episodes(path, terminal.note)
-        if number is None or str(each.number) == str(number)
+        episode
+        for episode in logged_episodes(path, terminal.note)
+        if number is None or str(episode.number) == str(number)
     ]
     if not episodes:
         raise UsageError(
             f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}"
         )
-    data = [{**vars(each), "events": [event._asdict() for event in each.events]} for each in episodes]
-    terminal.show(data, *(line for each in episodes for line in explain_log(each)), as_json=as_json)
+    data = [
+        {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
+    ]
+    terminal.show(data, *(line for episode in episodes for line in explain_log(episode)), as_json=as_json)
     return True
 
 
@@ -179,16 +181,16 @@ def _trace(
     if episode == FAILED_EPISODES:
         if seed is not None or last:
             raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
-        _, kept = last_evaluation(ref)
+        _, record = last_evaluation(ref)
         if member is not None:
-            own = [own_episode(member, each) for each in kept.outcomes]
-            kept = kept.model_copy(update={"outcomes": own})
-        failed = kept.failed(run.program)
+            outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
+            record = record.model_copy(update={"outcomes": outcomes})
+        failed = record.failed(run.program)
         if not failed:
             raise UsageError(
-                f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {run.path} failed"
+                f"none of the {len(record.outcomes):,} episodes of the last evaluation of {run.path} failed"
             )
-        return next(trace.trace_episodes(run, failed[:1], **kept.replay_options, permissions=permissions))
+        return next(trace.trace_episodes(run, failed[:1], **record.replay_options, permissions=permissions))
     evaluation = last_episodes(ref) if seed is None and not last else None
     options = (
         evaluation[1].replay_options
@@ -208,10 +210,10 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
     evaluation = last_episodes(ref)
     if evaluation is None:
         path = ref.path if ref.is_named else ref.run.path
-        of = f" of {ref.name}" if ref.is_named else ""
+        suffix = f" of {ref.name}" if ref.is_named else ""
         raise UsageError(
-            f"{ref.run.path} keeps no evaluation{of} in its own scenario and engine; make one with: deepbots"
-            f" eval {quote(str(path))}"
+            f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with:"
+            f" deepbots eval {quote(str(path))}"
         )
     return evaluation
 
@@ -219,9 +221,9 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
 def _outcome(training: TrainingEvidence) -> str:
     """Return the verdict as text: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 %
     interval ...), over 100 ...`."""
-    wanted, verdict = training.run.program.agent.solved, training.verdict
+    criterion, verdict = training.run.program.agent.solved, training.verdict
     states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
-    state = "" if wanted is None else f"; {states[verdict.solved]} ({wanted.description})"
+    state = "" if criterion is None else f"; {states[verdict.solved]} ({criterion.description})"
     return state + (
         f"; {verdict.evaluation.text}"
         if verdict.evaluation is not None
@@ -242,14 +244,14 @@ def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> 
     from deepbots_cli.insight import trace
     from deepbots_cli.insight.episode import explain, explanation_json
 
-    path, kept = last_evaluation(ref)
+    path, evaluation = last_evaluation(ref)
     run = ref.run
-    failed = kept.failed(run.program)
+    failed = evaluation.failed(run.program)
     first = failed[:MAX_SHOWN]
     rows = []
     with terminal.progress("episodes", always=False) as show:
         again = (
-            trace.trace_episodes(run, failed, **kept.replay_options, permissions=permissions)
+            trace.trace_episodes(run, failed, **evaluation.replay_options, permissions=permissions)
             if failed
             else ()
         )
@@ -263,15 +265,15 @@ def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> 
                 if ends := [statement.text for statement in statements if statement.cause in _ENDS]:
                     terminal.print_result(f"  {' '.join(ends)}")
     lines = [f"and {len(failed) - len(first)} more; --json shows all"] if len(failed) > len(first) else []
-    lines.append(f"{len(failed)} of {len(kept.outcomes)} episodes of {path} failed")
+    lines.append(f"{len(failed)} of {len(evaluation.outcomes)} episodes of {path} failed")
     lines += [
         f"  '{ending}' ended {count}"
-        for ending, count in Counter(each["ended_by"] for each in rows).most_common()
+        for ending, count in Counter(row["ended_by"] for row in rows).most_common()
     ]
     name = quote(str(ref.path if ref.is_named else run.path))
     commands = [f"deepbots diagnose {name} --episode {number}" for number in failed[:1]]
     commands += [f"deepbots render {name} -o failed.mp4 --episodes failed"] if failed else []
-    data = {"run": run.path, "evaluation": path, "episodes": len(kept.outcomes), "failed": rows}
+    data = {"run": run.path, "evaluation": path, "episodes": len(evaluation.outcomes), "failed": rows}
     terminal.show(data, *lines, as_json=as_json, next_commands=commands)
 
 
@@ -330,7 +332,7 @@ def _diagnose(
             opened = Run.open(folder)
             if agent is not None:
                 opened.member(agent)
-            trainings = [each for each in read_trainings(opened) if agent in (None, each.agent)]
+            trainings = [evidence for evidence in read_trainings(opened) if agent in (None, evidence.agent)]
             for training in trainings:
                 if not only_logs and not has_learned(training):
                     with terminal.progress("short episodes", always=False) as show:
@@ -345,14 +347,14 @@ def _diagnose(
                 raise
             terminal.note(f"note: {error}")
             reports.append({"run": folder, "error": str(error)})
-    if all("error" in each for each in reports):
+    if all("error" in report for report in reports):
         raise RunError(f"{run} contains no run that can be diagnosed")
-    commands = [each["causes"][0].get("command") for each in reports if each.get("causes")]
+    commands = [report["causes"][0].get("command") for report in reports if report.get("causes")]
     commands += [
-        f"deepbots eval {quote(str(each['run']))} --details"
-        + (f" --agent {each['agent']}" if "agent" in each else "")
-        for each in reports
-        if each.get("causes") == [] and not (each["solved"] or each["running"])
+        f"deepbots eval {quote(str(report['run']))} --details"
+        + (f" --agent {report['agent']}" if "agent" in report else "")
+        for report in reports
+        if report.get("causes") == [] and not (report["solved"] or report["running"])
     ]
     terminal.show(
         {"runs": reports}, as_json=as_json, next_commands=list(dict.fromkeys(filter(None, commands)))

@@ -62,9 +62,9 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _lines(changes: Sequence[Change], one: str, other: str) -> Iterator[str]:
+def _lines(changes: Sequence[Change], first_name: str, second_name: str) -> Iterator[str]:
     if not changes:
-        yield f"{one} and {other} have the same meaning"
+        yield f"{first_name} and {second_name} have the same meaning"
     for group, heading in _HEADINGS.items():
         here = [change for change in changes if change.group is group]
         if here:

@@ -270,10 +270,10 @@ def _row(episode: Episode) -> Row:
 
 def _agent_columns(program: Program, episode: Episode) -> Row:
     """Return the columns of an episode of several agents: the return of each, and who succeeded."""
-    own = {name: own_episode(member, episode) for name, member in program.members.items()}
-    succeeded = [name for name, each in own.items() if each.is_success]
+    agent_episodes = {name: own_episode(member, episode) for name, member in program.members.items()}
+    succeeded = [name for name, agent_episode in agent_episodes.items() if agent_episode.is_success]
     return {
-        **{name: each.total_return for name, each in own.items()},
+        **{name: agent_episode.total_return for name, agent_episode in agent_episodes.items()},
         "length": episode.length,
         "ended_by": episode.ended_by,
         "success": ", ".join(succeeded) or "no",

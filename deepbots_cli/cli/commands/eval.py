@@ -190,7 +190,7 @@ def command(
     present = _given_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        others = [
+        options = [
             name
             for name in present
             if name not in ("episodes", "force", "as_json", "allow_paths", "allow_code")
@@ -198,7 +198,7 @@ def command(
         _refuse(
             "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
             present,
-            others,
+            options,
         )
         repeat_failed(ModelRef.open(run, permissions), as_json=as_json, permissions=permissions)
         return
@@ -217,8 +217,8 @@ def command(
     if source.kind is SourceKind.GROUP:
         runs = Group.open(source).runs
         example = runs[0] if runs else run
-        one = f"needs a single run, but {run} is a group; name one of its runs, such as {example}"
-        _refuse(one, present, (*single, "keep"))
+        reason = f"needs a single run, but {run} is a group; name one of its runs, such as {example}"
+        _refuse(reason, present, (*single, "keep"))
     request = _Request(
         run=run,
         source=source,
@@ -239,9 +239,14 @@ def command(
         _evaluate_group(request, seed=seed or 0, model="last" if last else "best")
         return
     ref = ModelRef.open(source, model="last" if last else "best")
-    kept = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
+    kept_model = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
     _evaluate_run(
-        request, ref if kept is None else ModelRef(kept.run), kept, seed, baselines=baselines, details=details
+        request,
+        ref if kept_model is None else ModelRef(kept_model.run),
+        kept_model,
+        seed,
+        baselines=baselines,
+        details=details,
     )
 
 
@@ -278,20 +283,20 @@ class _Request:
 def _evaluate_run(
     request: _Request,
     ref: ModelRef,
-    kept: KeptModel | None,
+    kept_model: KeptModel | None,
     seed: int | None,
     *,
     baselines: bool,
     details: bool,
 ) -> None:
-    """Evaluate a model of a run in each engine; `kept` is the choice of that model."""
+    """Evaluate a model of a run in each engine; `kept_model` is the choice of that model."""
     run, gates, case, stage = ref.run, request.gates, request.case, request.stage
     scenarios = request.scenarios(run.record.engine)
-    programs = [run.program if each is None else each.program for each in scenarios]
+    programs = [run.program if compiled is None else compiled.program for compiled in scenarios]
     for program in programs:
         gates.check(program)
         program.variant(case, stage)
-    planned = [request.options["episodes"] or each.evaluation_episodes(case) for each in programs]
+    planned = [request.options["episodes"] or program.evaluation_episodes(case) for program in programs]
     with terminal.transient_line("loading the policy ..."):
         from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
@@ -302,42 +307,51 @@ def _evaluate_run(
     with processes.executor(request.workers, request.address, parts) as executor:
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
-            chosen = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
+            further_options = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
             evaluations.append(
                 _evaluate_in_engine(
-                    request, run, chosen, until, executor, baselines=baselines, details=details
+                    request, run, further_options, until, executor, baselines=baselines, details=details
                 )
             )
             result = evaluations[-1].result
             records.write_evaluation(run, evaluations[-1].as_json())
-            of = f"{result.engine}: " if len(scenarios) > 1 else ""
-            requirements += [requirement.with_words(of) for requirement in gates.requirements(result, count)]
+            prefix = f"{result.engine}: " if len(scenarios) > 1 else ""
+            requirements += [
+                requirement.with_words(prefix) for requirement in gates.requirements(result, count)
+            ]
     if request.csv is not None:
-        rows = [each for one in evaluations for each in (one.result, *one.cases, *one.baselines)]
+        rows = [
+            result
+            for evaluation in evaluations
+            for result in (evaluation.result, *evaluation.cases, *evaluation.baselines)
+        ]
         records.write_csv(request.csv, rows)
     if len(evaluations) > 1:
         _show_engines(run, evaluations, as_json=request.as_json)
     else:
-        data = evaluations[0].as_json() | ({} if kept is None else {"kept": records.kept_json(kept)})
+        data = evaluations[0].as_json() | (
+            {} if kept_model is None else {"kept": records.kept_json(kept_model)}
+        )
         terminal.show(data, *evaluations[0].lines(details=details), as_json=request.as_json)
-    _require(requirements, [each.result for each in evaluations], request.junit)
+    _require(requirements, [evaluation.result for evaluation in evaluations], request.junit)
 
 
 def _evaluate_in_engine(
     request: _Request,
     run: Run,
-    chosen: Mapping[str, Any],
+    further_options: Mapping[str, Any],
     until: StopCondition | None,
     executor: Executor,
     *,
     baselines: bool,
     details: bool,
 ) -> _EngineEvaluations:
-    """Evaluate a model of a run, and the models that it is compared with; `chosen` are further options."""
-    case, stage, engine = request.case, request.stage, chosen["engine"]
+    """Evaluate a model of a run, and the models that it is compared with; `further_options` are options of
+    `evaluate`."""
+    case, stage, engine = request.case, request.stage, further_options["engine"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     with terminal.progress(unit, always=False) as show_episode:
-        options = {**request.options, **chosen, "on_episode": show_episode}
+        options = {**request.options, **further_options, "on_episode": show_episode}
         result = learning.evaluate(run, case=case, stage=stage, until=until, executor=executor, **options)
         cases: Sequence[EvaluationResult] = ()
         if case is None and stage is None:
@@ -345,10 +359,10 @@ def _evaluate_in_engine(
         scripted: Sequence[EvaluationResult] = ()
         if baselines:
             of_policy = ("model", "deterministic")
-            others = {name: value for name, value in options.items() if name not in of_policy}
-            others["episodes"] = result.episodes
-            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **others)
-    label = scenario_label(run, request.scenario, request.overrides, chosen["scenario"])
+            baseline_options = {name: value for name, value in options.items() if name not in of_policy}
+            baseline_options["episodes"] = result.episodes
+            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **baseline_options)
+    label = scenario_label(run, request.scenario, request.overrides, further_options["scenario"])
     return _EngineEvaluations(result, cases, scripted, label)
 
 
@@ -365,7 +379,7 @@ class _EngineEvaluations:
     def as_json(self) -> dict[str, Any]:
         return {
             **records.evaluation_json(self.result, self.cases),
-            "baselines": [each.model_dump(mode="json") for each in self.baselines],
+            "baselines": [baseline.model_dump(mode="json") for baseline in self.baselines],
         }
 
     def lines(self, *, details: bool) -> Iterator[str]:
@@ -373,7 +387,7 @@ class _EngineEvaluations:
         if self.baselines:
             policies = [
                 ("the trained policy", self.result),
-                *((other.model, other) for other in self.baselines),
+                *((baseline.model, baseline) for baseline in self.baselines),
             ]
             yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
@@ -390,10 +404,10 @@ def _kept(
         processes.executor(workers, address) as executor,
         terminal.progress("models", always=False) as show_model,
     ):
-        kept = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
+        kept_model = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
     if not as_json:
-        terminal.print_result(records.kept_text(kept))
-    return kept
+        terminal.print_result(records.kept_text(kept_model))
+    return kept_model
 
 
 def _given_options(ctx: typer.Context) -> dict[str, str]:
@@ -427,23 +441,24 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
     the same starts."""
     from deepbots_cli.learning.comparison import compare_engines
 
-    columns = zip(*((each.result, *each.cases) for each in evaluations), strict=True)
+    columns = zip(*((evaluation.result, *evaluation.cases) for evaluation in evaluations), strict=True)
     pairs = [compare_engines(column[0], other) for column in columns for other in column[1:]]
     first = evaluations[0].result
     scenario = f"; scenario {evaluations[0].scenario}" if evaluations[0].scenario else ""
-    every = [result for each in evaluations for result in (each.result, *each.cases)]
+    results = [result for evaluation in evaluations for result in (evaluation.result, *evaluation.cases)]
     rows = [
-        {"engine": result.engine, **row} for result, row in zip(every, records.case_rows(every), strict=True)
+        {"engine": result.engine, **row}
+        for result, row in zip(results, records.case_rows(results), strict=True)
     ]
     terminal.show(
-        {"evaluations": [each.as_json() for each in evaluations], "differences": pairs},
+        {"evaluations": [evaluation.as_json() for evaluation in evaluations], "differences": pairs},
         f"evaluation of {first.scenario} in {len(evaluations)} engines, trained in"
         f" {run.record.engine}{scenario}",
         f"  {records.held_out(first.episodes)} from evaluation seed {first.seed}, the same in every engine",
         table(rows),
         "\ndifferences on the same starts, with 95 % intervals\n" + records.engines_table(pairs),
-        *(f"{each.result.engine}: {each.result.verdict}" for each in evaluations),
-        *dict.fromkeys(f"note: {note}" for each in evaluations for note in each.result.notes),
+        *(f"{evaluation.result.engine}: {evaluation.result.verdict}" for evaluation in evaluations),
+        *dict.fromkeys(f"note: {note}" for evaluation in evaluations for note in evaluation.result.notes),
         as_json=as_json,
     )
 
@@ -454,8 +469,10 @@ def evaluation_scenario(
     """Return the scenario to evaluate in, if it is not that of the run or group `source`."""
     if scenario is None and not overrides and engine in (None, trained_in):
         return None
-    chosen = source if scenario is None else Source.open(scenario, source.permissions, SourceKind.SCENARIO)
-    compiled = api.compile(chosen, overrides=with_engine(overrides, engine))
+    scenario_source = (
+        source if scenario is None else Source.open(scenario, source.permissions, SourceKind.SCENARIO)
+    )
+    compiled = api.compile(scenario_source, overrides=with_engine(overrides, engine))
     if scenario is not None:
         terminal.note_warnings(compiled.findings, scenario)
     return compiled
@@ -470,13 +487,13 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
         )
 
 
-def _evaluate_group(request: _Request, **chosen: Any) -> None:
-    """Evaluate a group in each engine; `chosen` are further options of `evaluate_group`."""
+def _evaluate_group(request: _Request, **further_options: Any) -> None:
+    """Evaluate a group in each engine; `further_options` are options of `evaluate_group`."""
     group, gates = Group.open(request.source), request.gates
     scenarios, ready = request.scenarios(group.record.engine), group.runs_with_model
     reason = f"{request.run} contains {len(ready)} trained run{'' if len(ready) == 1 else 's'}"
     processes.check_dividable(request.workers, request.address, len(ready), reason)
-    options = {**request.options, **chosen, "case": request.case, "stage": request.stage}
+    options = {**request.options, **further_options, "case": request.case, "stage": request.stage}
     groups: list[GroupResult] = []
     requirements: list[Requirement] = []
     with processes.executor(request.workers, request.address, len(ready)) as executor:
@@ -495,12 +512,12 @@ def _evaluate_group(request: _Request, **chosen: Any) -> None:
                 result = evaluate_group(
                     request.run, scenario=compiled, on_run=show_run, until=until, executor=executor, **options
                 )
-            for each in result.evaluations:
-                records.write_evaluation(Run.open(each.run), records.evaluation_json(each))
+            for evaluation in result.evaluations:
+                records.write_evaluation(Run.open(evaluation.run), records.evaluation_json(evaluation))
             engine = result.evaluations[0].engine if len(scenarios) > 1 else None
-            of = "" if engine is None else f"{engine}: "
+            prefix = "" if engine is None else f"{engine}: "
             requirements += [
-                requirement.with_words(of) for requirement in gates.requirements_of_group(result, planned)
+                requirement.with_words(prefix) for requirement in gates.requirements_of_group(result, planned)
             ]
             groups.append(result)
             if not request.as_json:
@@ -533,11 +550,11 @@ def scenario_label(
     --set is given."""
     if compiled is None or not (scenario or overrides):
         return None
-    same = task_digest(compiled.program) == task_digest(run.program)
+    is_same_task = task_digest(compiled.program) == task_digest(run.program)
     changed = "".join(f" --set {quote(text)}" for text in overrides)
     return (
         f"{scenario or 'of the run'}{changed},"
-        f" {'with the same episodes as the training' if same else 'different from the training'}"
+        f" {'with the same episodes as the training' if is_same_task else 'different from the training'}"
     )
 
 
@@ -548,12 +565,14 @@ def _require(
     if junit is not None:
         first = judged[0]
         properties = {
-            "run": ", ".join(dict.fromkeys(str(each.run) for each in judged)),
+            "run": ", ".join(dict.fromkeys(str(result.run) for result in judged)),
             "model": first.model,
             "seed": str(first.seed),
         }
-        properties |= {"episodes": str(sum(each.episodes for each in judged))} | records.evaluated_in(first)
-        properties["engine"] = ", ".join(dict.fromkeys(each.engine or "" for each in judged))
+        properties |= {"episodes": str(sum(result.episodes for result in judged))} | records.evaluated_in(
+            first
+        )
+        properties["engine"] = ", ".join(dict.fromkeys(result.engine or "" for result in judged))
         cases = [
             Case(words, reason, "" if met else f"not met: {words} ({reason})")
             for words, met, reason in requirements

@@ -58,9 +58,9 @@ def command(
     rules = matching_rules(finding)
     if not rules:
         explained = explain_word(finding)
-        if not explained.entries and not _CODE.match(finding) and (meant := misspelled_word(finding)):
-            terminal.note(f"there is no entry '{finding}'; this is the entry '{meant}'\n")
-            explained = explain_word(meant)
+        if not explained.entries and not _CODE.match(finding) and (word := misspelled_word(finding)):
+            terminal.note(f"there is no entry '{finding}'; this is the entry '{word}'\n")
+            explained = explain_word(word)
         if not explained.entries:
             raise UsageError(
                 unknown_rule_message(finding) if _CODE.match(finding) else unknown_word_message(finding)
@@ -94,14 +94,14 @@ def _data(entry: Rule) -> Row:
         {"about": page.about, "example": page.example, "instead": page.instead}
         for page in pages_of(entry.code)
     ]
-    named: Row = {
+    row: Row = {
         "code": entry.code,
         "name": entry.name,
         "severity": entry.severity,
         "preview": entry.preview,
         "deep": entry.deep,
     }
-    return {**named, "summary": entry.summary, "pages": pages}
+    return {**row, "summary": entry.summary, "pages": pages}
 
 
 def _lines(entry: Rule) -> Iterator[str]:
@@ -182,7 +182,7 @@ def topics() -> tuple[Topic, ...]:
 
 
 def _topic(name: str, entry: dict[str, str]) -> Topic:
-    names = tuple(other.strip() for other in entry["names"].split(","))
+    names = tuple(alias.strip() for alias in entry["names"].split(","))
     return Topic(name, names, entry["about"].strip(), entry.get("example", "").strip(), entry["read"])
 
 
@@ -206,7 +206,9 @@ def explain_word(word: str) -> Explained:
     """
     plain = _plain(word)
     spelled = (
-        word if word in _words() else next((other for other in _words() if _plain(other) == plain), word)
+        word
+        if word in _words()
+        else next((candidate for candidate in _words() if _plain(candidate) == plain), word)
     )
     blocks = _blocks(spelled)
     matching = [topic for topic in topics() if plain == _plain(topic.name)]
@@ -246,13 +248,13 @@ def _blocks(word: str) -> list[list[str]]:
         for lines in _explained_in(part, mark, word):
             places.setdefault(lines, {}).setdefault(place, {}).update({kind: None} if kind else {})
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (what, *text), paths in list(places.items())[:_MAX_SHOWN]:
+    for (noun, *text), paths in list(places.items())[:_MAX_SHOWN]:
         more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
         shown = [
             f"{place} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[place] else place
             for place, kinds in list(paths.items())[:_MAX_SHOWN]
         ]
-        blocks.append([f"{word}: {with_article(what)} of {', '.join(shown)}{more}", *text])
+        blocks.append([f"{word}: {with_article(noun)} of {', '.join(shown)}{more}", *text])
     return blocks
 
 
@@ -279,13 +281,13 @@ def _plain(text: str) -> str:
 
 def _others(word: str, shown: Iterable[str]) -> list[str]:
     """Return concepts and words that have all words of `word` in one of their names."""
-    wanted = set(_plain(word).split())
+    words = set(_plain(word).split())
     concepts = [
         topic.name
         for topic in topics()
-        if any(wanted <= set(_plain(name).split()) for name in (topic.name, *topic.names))
+        if any(words <= set(_plain(name).split()) for name in (topic.name, *topic.names))
     ]
-    names = [name for name in _words() if wanted <= set(_plain(name).split())]
+    names = [name for name in _words() if words <= set(_plain(name).split())]
     return [name for name in dict.fromkeys([*concepts, *names]) if name not in shown][:_MAX_SHOWN]
 
 
@@ -367,13 +369,13 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
     yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
-    needed, others = (
-        [key for key, required in keys.items() if required is wanted] for wanted in (True, False)
+    required_keys, optional_keys = (
+        [key for key, required in keys.items() if required is is_required] for is_required in (True, False)
     )
-    if needed:
-        yield f"Required keys: {', '.join(needed)}."
-    if others:
-        yield f"Optional keys: {', '.join(others)}."
+    if required_keys:
+        yield f"Required keys: {', '.join(required_keys)}."
+    if optional_keys:
+        yield f"Optional keys: {', '.join(optional_keys)}."
 
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:

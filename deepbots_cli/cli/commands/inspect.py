@@ -92,7 +92,7 @@ def command(
         root = with_settings_at(root, ("evaluation", "cases", case))
     elif stage is not None:
         root = with_settings_at(
-            root, ("curriculum", [named.name for named in side.program.curriculum].index(stage))
+            root, ("curriculum", [entry.name for entry in side.program.curriculum].index(stage))
         )
     tables = inspection.scenario_tables(program, root, side.run, side.learner)
     if full or as_json:

@@ -224,8 +224,8 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], l
             except DeepbotsError:
                 files = set()
             terminal.note(f"{time.strftime('%H:%M:%S')}: watching {len(files)} files; Ctrl-C ends it")
-            seen = state(files)
-            while state(files) == seen:
+            last_state = state(files)
+            while state(files) == last_state:
                 time.sleep(_WATCH_INTERVAL_S)
 
 
@@ -357,8 +357,8 @@ def _sum_up(
     """Print the number of findings, and of those with a fix."""
     if not findings:
         called = names[0] if len(names) == 1 else f"{len(names)} scenarios"
-        asked = "" if selection.selects_all else " among the selected rules"
-        terminal.print_result(f"{called}: no findings{asked}{look.included}")
+        scope = "" if selection.selects_all else " among the selected rules"
+        terminal.print_result(f"{called}: no findings{scope}{look.included}")
         return
     terminal.print_result(summary(findings))
     if fixable and any(finding.fix for finding in findings):
@@ -506,8 +506,8 @@ def findings_of(names: Sequence[str], look: LintOptions, jobs: int = 1) -> list[
     """Return the findings of the scenarios in their order. Findings in shared files are reported once."""
     look_at = partial(_look_at, look)
     jobs = min(jobs, len(names))
-    each = _in_processes(look_at, names, jobs) if jobs > 1 else map(look_at, names)
-    return list({finding.sort_key: finding for findings in each for finding in findings}.values())
+    results = _in_processes(look_at, names, jobs) if jobs > 1 else map(look_at, names)
+    return list({finding.sort_key: finding for findings in results for finding in findings}.values())
 
 
 def _look_at(look: LintOptions, name: str) -> list[Finding]:
@@ -526,7 +526,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
     import signal
     from concurrent.futures import ProcessPoolExecutor
 
-    others = [name for name in names if name != STDIN]
+    files = [name for name in names if name != STDIN]
     # Ctrl-C reaches every process; only this one handles it.
     with (
         safe_path(),
@@ -535,7 +535,7 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
         ) as pool,
     ):
         results = dict(
-            zip(others, pool.map(look_at, others, chunksize=max(1, len(others) // (4 * jobs))), strict=True)
+            zip(files, pool.map(look_at, files, chunksize=max(1, len(files) // (4 * jobs))), strict=True)
         )
     return [results[name] if name in results else look_at(name) for name in names]
 

@@ -159,10 +159,10 @@ def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
     Raises:
         UsageError: There is none, there are several, or --protos stands without --webots.
     """
-    chosen = [option for option, value in starts.items() if value]
-    if len(chosen) > 1:
-        raise UsageError(f"{' and '.join(chosen)} cannot be combined; choose one of them")
-    if not chosen:
+    options = [option for option, value in starts.items() if value]
+    if len(options) > 1:
+        raise UsageError(f"{' and '.join(options)} cannot be combined; choose one of them")
+    if not options:
         raise UsageError(
             f"choose what to start from: --template {'|'.join(Template)}, --from SCENARIO, --urdf ROBOT,"
             " or --webots WORLD.wbt"
@@ -326,12 +326,12 @@ def from_shipped(shipped_name: str, name: str) -> Files:
     if first is None:
         names = shipped.scenario_names()
         if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
-            own = (
+            advice = (
                 f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends:"
                 f" {shipped_name}` in a new file"
             )
             raise UsageError(
-                f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {own}"
+                f"--from copies a scenario that comes with deepbots, and {shipped_name} is a file; {advice}"
             )
         raise UsageError(
             f"there is no shipped scenario '{shipped_name}'{did_you_mean(shipped_name, names)}; shipped"
@@ -445,27 +445,27 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder} is a file; name a folder (deepbots creates it if it does not exist)")
-    wanted = {folder / target: content for target, content in files.items()}
-    existing = {path for path in wanted if path.exists() or path.is_symlink()}
-    if in_the_way := [path for path in existing if not path.is_file() or path.read_bytes() != wanted[path]]:
+    contents = {folder / target: content for target, content in files.items()}
+    existing = {path for path in contents if path.exists() or path.is_symlink()}
+    if in_the_way := [path for path in existing if not path.is_file() or path.read_bytes() != contents[path]]:
         refuse_overwriting(*in_the_way, force=force)
     for path in in_the_way:
         check_writable(path)
     for path in in_the_way:
         with atomic_write(path) as draft:
-            draft.write_bytes(wanted[path])
+            draft.write_bytes(contents[path])
     begun: list[Path] = []
-    for path in wanted.keys() - existing:
+    for path in contents.keys() - existing:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with path.open("xb") as file:
                 begun.append(path)
-                file.write(wanted[path])
+                file.write(contents[path])
         except OSError as error:
             for other in begun:
                 other.unlink(missing_ok=True)
             raise UsageError(unwritable_message(path, error)) from error
-    return list(wanted)
+    return list(contents)
 
 
 def modeline(scenario: Path, schema: Path) -> str:

@@ -242,12 +242,12 @@ def command(
                 "--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and"
                 " --last"
             )
-        wanted = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
+        selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
     else:
-        wanted = _Episodes.of(ref, seed, episode or 0, episodes or 1)
+        selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
     files = [file]
     if episodes is not None and kind != RECORDING_SUFFIX:
-        files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in wanted.numbers]
+        files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in selection.numbers]
     for drawn in files:
         pictures.check_target(drawn, SUFFIXES, force=force)
     source = Showing(
@@ -258,13 +258,13 @@ def command(
         case,
         stage,
         start=start_values(start),
-        model=wanted.model,
-        deterministic=wanted.deterministic,
+        model=selection.model,
+        deterministic=selection.deterministic,
     )
     with closing_player(source, driver) as world:
-        ends = _draw_episodes(world, kind, files, wanted, shot, options)
+        ends = _draw_episodes(world, kind, files, selection, shot, options)
         have_rivals = world.program.has_rivals
-    rows = records.recorded_rows(zip(wanted.numbers, ends, strict=True), have_rivals=have_rivals)
+    rows = records.recorded_rows(zip(selection.numbers, ends, strict=True), have_rivals=have_rivals)
     _show_files(kind, files, rows, as_json=as_json)
 
 
@@ -332,20 +332,21 @@ class _Episodes:
                 f" --episode, or explain one: deepbots diagnose {quote(str(ref.run.path))} --episode failed"
                 " --agent NAME"
             )
-        _, kept = last_evaluation(ref)
-        numbers = kept.failed(ref.run.program)[:maximum]
+        _, evaluation = last_evaluation(ref)
+        numbers = evaluation.failed(ref.run.program)[:maximum]
         if not numbers:
             raise UsageError(
-                f"none of the {len(kept.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+                f"none of the {len(evaluation.outcomes):,} episodes of the last evaluation of {ref.run.path}"
+                " failed"
             )
-        return _Episodes(numbers=numbers, **kept.replay_options)
+        return _Episodes(numbers=numbers, **evaluation.replay_options)
 
 
 def _draw_episodes(
     world: Player,
     kind: str,
     files: Sequence[Path],
-    wanted: _Episodes,
+    selection: _Episodes,
     shot: Viewpoint,
     options: Mapping[str, Any],
 ) -> list[WorldFrame]:
@@ -354,10 +355,10 @@ def _draw_episodes(
 
     steps = options["--steps"]
     if kind == RECORDING_SUFFIX:
-        return _record(world, files[0], wanted, steps)
+        return _record(world, files[0], selection, steps)
     if kind == PICTURE:
         last = None if options["--path"] and not steps else steps or 0
-        trace = list(world.episode(wanted.seed, wanted.numbers[0], last))
+        trace = list(world.episode(selection.seed, selection.numbers[0], last))
         path = trace if options["--path"] else ()
         image = pictures.render_picture(
             world, shot, labels=options["--labels"], rays=options["--rays"], path=path
@@ -368,23 +369,23 @@ def _draw_episodes(
     with terminal.transient_line("running the episode ...") as show:
         play = partial(
             pictures.write_clip,
-            seed=wanted.seed,
+            seed=selection.seed,
             seconds=options["--seconds"],
             speed=options["--speed"] or 1.0,
             on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
         )
-        numbered = zip(wanted.numbers, files, strict=True)
+        numbered = zip(selection.numbers, files, strict=True)
         return [play(world, drawn, shot, episode=number) for number, drawn in numbered]
 
 
-def _record(world: Player, file: Path, wanted: _Episodes, steps: int | None) -> list[WorldFrame]:
+def _record(world: Player, file: Path, selection: _Episodes, steps: int | None) -> list[WorldFrame]:
     from deepbots_cli.view.recordings import record
 
-    count = len(wanted.numbers)
+    count = len(selection.numbers)
     with terminal.progress(always=False) as show:
         done = iter(range(1, count + 1))
         return record(
-            world, file, wanted.seed, wanted.numbers, lambda _: show(next(done), count), steps=steps
+            world, file, selection.seed, selection.numbers, lambda _: show(next(done), count), steps=steps
         )
 
 

@@ -103,8 +103,8 @@ def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> No
     read = opened.recording
     with closing(ReplayPlayer(opened)) as player:
         ends = [
-            (each.number, player.begin(0, each.number), player.seek(len(each.steps)))
-            for each in read.episodes
+            (episode.number, player.begin(0, episode.number), player.seek(len(episode.steps)))
+            for episode in read.episodes
         ]
         have_rivals = player.program.has_rivals
     rows = records.recorded_rows(((number, last) for number, _, last in ends), have_rivals=have_rivals)
@@ -132,7 +132,7 @@ def _verify(
     with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
         count = len(read.episodes)
         difference = verify(read, player, lambda done: show(done, count), tolerance=tolerance)
-    steps = sum(len(each.steps) - 1 for each in read.episodes)
+    steps = sum(len(episode.steps) - 1 for episode in read.episodes)
     how = f"within {tolerance:g}" if tolerance else "to the bit"
     text = f"{read.path}: {counted(count, 'episode')} and {steps} steps are the same {how}"
     if difference is not None:
@@ -158,20 +158,20 @@ def _list_log(path: Path, *, as_json: bool) -> None:
     episodes = logged_episodes(path, terminal.note)
     rows = [
         {
-            "episode": each.number,
-            "begun_s": f"{each.begun:.1f}",
-            "seconds": f"{each.seconds:.1f}",
-            "steps": each.steps,
-            "safe_steps": each.safe_steps,
-            "answer_ms": None if each.answer is None else f"{each.answer * 1e3:.2f}",
-            "events": len(each.events),
+            "episode": episode.number,
+            "begun_s": f"{episode.begun:.1f}",
+            "seconds": f"{episode.seconds:.1f}",
+            "steps": episode.steps,
+            "safe_steps": episode.safe_steps,
+            "answer_ms": None if episode.answer is None else f"{episode.answer * 1e3:.2f}",
+            "events": len(episode.events),
         }
-        for each in episodes
+        for episode in episodes
     ]
     data = {
         "log": path,
         "episodes": [
-            {**vars(each), "events": [event._asdict() for event in each.events]} for each in episodes
+            {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
         ],
     }
     after = [
@@ -201,7 +201,7 @@ def _elsewhere(
         raise UsageError(
             f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ)
         )
-    one, now = (
+    recorded_scenario, other_scenario = (
         WrittenScenario(program, parse(Source("resolved.yaml", text), Findings()))
         for program, text in (
             (opened.program, opened.checked().resolved),
@@ -210,29 +210,32 @@ def _elsewhere(
     )
     changes = [
         change
-        for change in scenario_changes(one, now)
+        for change in scenario_changes(recorded_scenario, other_scenario)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
-    return other, [line for change in changes for line in _told(change, one, now)]
+    return other, [line for change in changes for line in _told(change, recorded_scenario, other_scenario)]
 
 
-def _told(change: Change, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
+def _told(change: Change, recorded: WrittenScenario, present: WrittenScenario) -> Iterator[str]:
     """Yield the setting that differs and its values on both sides; for a section, the keys in it that
     differ."""
     if change.through:
         yield f"{change.path}: {change.by}"
-    elif (change.one, change.other) == (one.text_at(change.path), other.text_at(change.path)):
-        yield from _differing(change.path, one, other)
+    elif (change.one, change.other) == (recorded.text_at(change.path), present.text_at(change.path)):
+        yield from _differing(change.path, recorded, present)
     else:
         yield (
             f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
         )
 
 
-def _differing(path: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[str]:
-    texts, names = (one.text_at(path), other.text_at(path)), (one.keys_at(path), other.keys_at(path))
+def _differing(path: str, recorded: WrittenScenario, present: WrittenScenario) -> Iterator[str]:
+    texts, names = (
+        (recorded.text_at(path), present.text_at(path)),
+        (recorded.keys_at(path), present.keys_at(path)),
+    )
     if all(names):
         for name in dict.fromkeys((*names[0], *names[1])):
-            yield from _differing(f"{path}.{name}", one, other)
+            yield from _differing(f"{path}.{name}", recorded, present)
     elif texts[0] != texts[1]:
         yield f"{path}: recorded {texts[0] or '(not written)'}, now {texts[1] or '(not written)'}"

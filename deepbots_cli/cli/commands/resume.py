@@ -121,7 +121,7 @@ def resume(
     trainings.finish(result, **shown)
 
 
-def _refuse_others(what: str, options: dict[str, Any], *allowed: str) -> None:
+def _refuse_others(subject: str, options: dict[str, Any], *allowed: str) -> None:
     """Refuse options that do not apply to the resumed object.
 
     Raises:
@@ -130,7 +130,8 @@ def _refuse_others(what: str, options: dict[str, Any], *allowed: str) -> None:
     for name, value in options.items():
         if value is not None and name not in allowed:
             raise UsageError(
-                f"{name} does not go with {what}; it takes: {', '.join((*allowed, '--workers', '--cluster'))}"
+                f"{name} does not go with {subject}; it takes:"
+                f" {', '.join((*allowed, '--workers', '--cluster'))}"
             )
 
 

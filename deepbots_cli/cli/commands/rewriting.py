@@ -160,7 +160,7 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
             " the copy: mine.yaml"
         )
     before = after = files.read(file)
-    wanted = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
+    expected = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
     for path, text in values.items():
         document = opened.document(drafts={file: after})
         root, source = document.root, document.files[file]
@@ -171,7 +171,7 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
             raise UsageError(f"{file} cannot be changed by `deepbots apply`; write {path}: {text} yourself")
         after = (BOM_UTF8 if before.startswith(BOM_UTF8) else b"") + changed.encode()
     written = opened.document(drafts={file: after})
-    if wanted.root is None or written.root is None or to_data(wanted.root) != to_data(written.root):
+    if expected.root is None or written.root is None or to_data(expected.root) != to_data(written.root):
         listed = ", ".join(f"{path}: {text}" for path, text in values.items())
         raise UsageError(f"{file} cannot be changed by `deepbots apply`; write the values yourself: {listed}")
     with atomic_write(file) as draft:

@@ -58,11 +58,11 @@ def command(
         return
     if not folder.is_dir() and folder != Path("runs"):
         raise UsageError(f"there is no folder {folder}")
-    wanted = "" if scenario is None else scenario.lower().replace("_", "")
+    name_part = "" if scenario is None else scenario.lower().replace("_", "")
     runs = [
         run
         for run in sort_runs(list_runs(folder), sort.value)
-        if wanted in run.scenario.lower().replace("_", "")
+        if name_part in run.scenario.lower().replace("_", "")
         and (run.solved or not solved)
         and (run.state == "training" or not live)
     ]
@@ -103,12 +103,12 @@ def _own_notes(run: ListedRun) -> Iterator[str]:
         yield run.problem
     if chosen_by_return := list(_chosen_by_return(run)):
         count = len(chosen_by_return)
-        which = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
-        which = f"the best model of {count} of its runs" if count > 1 else which
+        models = "its best model" if chosen_by_return == [run.path] else "the best model of one of its runs"
+        models = f"the best model of {count} of its runs" if count > 1 else models
         choices = [path for path in chosen_by_return if _has_other_models(path)]
         again = "for each, choose again with" if len(choices) > 1 else "choose again with"
         command = f"; {again}: deepbots eval {quote(str(choices[0]))} --keep" if choices else ""
-        yield f"an earlier version chose {which} by return{command}"
+        yield f"an earlier version chose {models} by return{command}"
     if run.decline is not None:
         yield run.decline.text
 
@@ -172,30 +172,30 @@ def _seeds(seeds: tuple[int, ...]) -> str:
 
 def _show_run(folder: Path, *, as_json: bool) -> None:
     """Show a run, and its evaluations."""
-    run, kept = read_listed(folder), evaluations(folder)
+    run, entries = read_listed(folder), evaluations(folder)
     data = [
-        {"number": number, **({"problem": one} if isinstance(one, str) else one.model_dump())}
-        for number, one in kept
+        {"number": number, **({"problem": entry} if isinstance(entry, str) else entry.model_dump())}
+        for number, entry in entries
     ]
-    rows = [_evaluation(folder, number, one) for number, one in kept if not isinstance(one, str)]
+    rows = [_evaluation(folder, number, entry) for number, entry in entries if not isinstance(entry, str)]
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = list(_own_notes(run))
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
-    notes += [f"evaluation {number}: {one}" for number, one in kept if isinstance(one, str)]
+    notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
     for note in () if as_json else notes:
         terminal.note(note)
 
 
-def _evaluation(folder: Path, number: int, kept: EvaluationRecord) -> Row:
+def _evaluation(folder: Path, number: int, record: EvaluationRecord) -> Row:
     return {
         "number": number,
-        "evaluated": kept.evaluated[:16].replace("T", " "),
-        "model": records.shown_model(folder, kept.model),
-        "after_steps": kept.model_steps,
-        "remarks": "; ".join(kept.remarks) or kept.elsewhere or records.case_label(kept),
-        "episodes": kept.episodes,
-        "seed": str(kept.seed),
-        **records.scores(kept),
-        "solved": kept.solved,
+        "evaluated": record.evaluated[:16].replace("T", " "),
+        "model": records.shown_model(folder, record.model),
+        "after_steps": record.model_steps,
+        "remarks": "; ".join(record.remarks) or record.elsewhere or records.case_label(record),
+        "episodes": record.episodes,
+        "seed": str(record.seed),
+        **records.scores(record),
+        "solved": record.solved,
     }

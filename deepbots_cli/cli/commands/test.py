@@ -179,15 +179,18 @@ def _acting_options(test: ScenarioTest) -> list[str]:
 
 
 def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
-    every = [result for tested in done for result in tested.results]
-    failed, broken = sum(not result.passed for result in every), sum(bool(tested.findings) for tested in done)
+    test_results = [result for tested in done for result in tested.results]
+    failed, broken = (
+        sum(not result.passed for result in test_results),
+        sum(bool(tested.findings) for tested in done),
+    )
     untested = [tested.scenario for tested in done if not tested.results and not tested.findings]
     if untested:
         terminal.note(
             f"no tests in {', '.join(untested[:5])}"
             + (f" and {len(untested) - 5} more" if len(untested) > 5 else "")
         )
-    words = [f"{len(every) - failed} passed"]
+    words = [f"{len(test_results) - failed} passed"]
     if failed:
         words.append(f"{failed} failed")
     if broken:

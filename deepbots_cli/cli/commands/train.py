@@ -209,10 +209,10 @@ def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None
         UsageError: `--retry` cannot be combined with these options.
     """
     if retry is not None and (seeds is not None or to_view):
-        other = "--view" if seeds is None else "--seeds"
+        alternative = "--view" if seeds is None else "--seeds"
         raise UsageError(
-            f"--retry follows the causes of one training; leave out {other}, and use it with the values that"
-            " --retry finds"
+            f"--retry follows the causes of one training; leave out {alternative}, and use it with the values"
+            " that --retry finds"
         )
 
 
@@ -295,10 +295,10 @@ def _with_fastest_shards(
             folder=folder,
             on_measured=show,
         )
-    chosen = scaling.choose(timings)
-    terminal.note(scaling.described(timings, chosen))
+    fastest = scaling.choose(timings)
+    terminal.note(scaling.described(timings, fastest))
     return api.compile(
-        scenario, overrides=[*overrides, f"train.shards={chosen.shards}"], permissions=permissions
+        scenario, overrides=[*overrides, f"train.shards={fastest.shards}"], permissions=permissions
     )
 
 

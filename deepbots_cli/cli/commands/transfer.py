@@ -131,11 +131,13 @@ def command(
     for ref in opened:
         run = ref.run
         judged = _other_scenario(run, scenario, overrides or (), permissions)
-        other = engine or (run.record.engine if judged is not None else _other_engine(run.record.engine))
-        if judged is None and other == run.record.engine:
+        other_engine = engine or (
+            run.record.engine if judged is not None else _other_engine(run.record.engine)
+        )
+        if judged is None and other_engine == run.record.engine:
             raise UsageError(
-                f"{run.path} was trained in {other}; name the other engine with --engine, or another world"
-                " with --scenario or --set"
+                f"{run.path} was trained in {other_engine}; name the other engine with --engine, or another"
+                " world with --scenario or --set"
             )
         with (
             processes.executor(workers, address) as executor,
@@ -145,7 +147,7 @@ def command(
                 transfer(
                     run,
                     model=ref.name,
-                    engine=other,
+                    engine=other_engine,
                     scenario=judged,
                     min_success=min_success,
                     min_return=min_return,
@@ -159,14 +161,16 @@ def command(
                 )
             )
     terminal.show(
-        [_data(each) for each in transfers], *("\n".join(_lines(each)) for each in transfers), as_json=as_json
+        [_data(result) for result in transfers],
+        *("\n".join(_lines(result)) for result in transfers),
+        as_json=as_json,
     )
-    if any(not each.passed for each in transfers):
+    if any(not result.passed for result in transfers):
         raise typer.Exit(FAILED)
 
 
 def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
-    if len(refs) > 1 or any(other is not None for other in others):
+    if len(refs) > 1 or any(value is not None for value in others):
         raise UsageError(
             "--log compares a log with the simulation of one run; leave out other runs, worlds and"
             " requirements"
@@ -176,17 +180,17 @@ def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others:
     (ref,) = refs
     with terminal.transient_line("simulating ..."):
         comparisons = compare_log(ref.run, path, model=ref.name, note=terminal.note)
-    different = [each for each in comparisons if each.is_different]
+    different = [comparison for comparison in comparisons if comparison.is_different]
     rows = [
         {
-            "value": f"{each.name} ({each.unit})" if each.unit else each.name,
-            "robot": f"{number(each.robot[0])} ± {number(each.robot[1])}",
-            "simulation": f"{number(each.simulated[0])} ± {number(each.simulated[1])}",
-            "distance": f"{each.distance:.2f}",
-            "chance": f"{each.chance:.2f}",
-            "outside_since": "" if each.since is None else f"{each.since:.1f} s",
+            "value": f"{comparison.name} ({comparison.unit})" if comparison.unit else comparison.name,
+            "robot": f"{number(comparison.robot[0])} ± {number(comparison.robot[1])}",
+            "simulation": f"{number(comparison.simulated[0])} ± {number(comparison.simulated[1])}",
+            "distance": f"{comparison.distance:.2f}",
+            "chance": f"{comparison.chance:.2f}",
+            "outside_since": "" if comparison.since is None else f"{comparison.since:.1f} s",
         }
-        for each in comparisons
+        for comparison in comparisons
     ]
     lines = [
         f"{path} beside the simulation of {ref.run.path}: mean ± standard deviation of each input of the"
@@ -197,11 +201,11 @@ def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others:
         "distance: Kolmogorov-Smirnov, from 0 for equal distributions to 1; chance: that of a part of the"
         " simulation of this length"
     )
-    names = ", ".join(each.name for each in different)
+    names = ", ".join(comparison.name for comparison in different)
     lines.append(f"different: {names}" if different else "no value differs by more than chance explains")
-    advice = list(dict.fromkeys(each.advice for each in different if each.advice))
+    advice = list(dict.fromkeys(comparison.advice for comparison in different if comparison.advice))
     lines += ["", "so that the simulation draws it:", *(f"  {line}" for line in advice)] if advice else []
-    terminal.show([each._asdict() for each in comparisons], *lines, as_json=as_json)
+    terminal.show([comparison._asdict() for comparison in comparisons], *lines, as_json=as_json)
 
 
 def _other_scenario(
@@ -241,7 +245,7 @@ def _lines(transfer: Transfer) -> list[str]:
     ]
     if transfer.robustness is not None:
         lines += ["", records.robustness_text(transfer.robustness)]
-    lines += [f"{'passed' if each.met else 'failed'}: {each.text}" for each in transfer.gates]
+    lines += [f"{'passed' if gate.met else 'failed'}: {gate.text}" for gate in transfer.gates]
     return lines
 
 
@@ -252,13 +256,13 @@ def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[
         return [f"\nthe same actions give the same values in both worlds ({size})"]
     rows = [
         {
-            "value": each.name,
-            "step": each.step,
-            here: f"{number(each.here)} {each.unit}".strip(),
-            there: f"{number(each.there)} {each.unit}".strip(),
-            "difference": percent(each.share),
+            "value": difference.name,
+            "step": difference.step,
+            here: f"{number(difference.here)} {difference.unit}".strip(),
+            there: f"{number(difference.there)} {difference.unit}".strip(),
+            "difference": percent(difference.share),
         }
-        for each in compared.differences
+        for difference in compared.differences
     ]
     return [
         f"\nthe same actions in both worlds ({size}): what differs, and from which step on",
@@ -292,11 +296,11 @@ def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
 def _verdict(compared: Transfer) -> list[str]:
     """Return a line with the success rates, and whether the policy works in both worlds; and the meaning of
     working."""
-    one, other = compared.works
-    is_lower = bool(one and other) and compared.is_much_lower
+    works_here, works_there = compared.works
+    is_lower = bool(works_here and works_there) and compared.is_much_lower
     is_rate = compared.here.success_defined and not is_lower
     worlds = [*zip(compared.names, (compared.here, compared.there), strict=True)][
-        :: -1 if other and not one else 1
+        :: -1 if works_there and not works_here else 1
     ]
     names = [name for name, _ in worlds]
     scores = [
@@ -310,16 +314,16 @@ def _verdict(compared: Transfer) -> list[str]:
         f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {compared.here.episodes}"
         " episodes"
     )
-    if one is None or other is None:
+    if works_here is None or works_there is None:
         return [
             f"in {names[0]} and {names[1]}: {shown}",
             "whether it works is not defined: add --min-success RATE, or `solved` to the scenario",
         ]
     if is_lower:
         verdict = f"works in both worlds, but with a much lower mean return in {names[1]}"
-    elif one and other:
+    elif works_here and works_there:
         verdict = "works in both worlds"
-    elif one or other:
+    elif works_here or works_there:
         verdict = f"works in {names[0]}, but not in {names[1]}"
     else:
         verdict = f"works neither in {names[0]} nor in {names[1]}"
@@ -333,11 +337,11 @@ def _data(compared: Transfer) -> dict[str, Any]:
             {"name": name, **result.model_dump()}
             for name, result in zip(compared.names, (compared.here, compared.there), strict=True)
         ],
-        "differences": [each._asdict() for each in compared.comparison.differences],
-        "causes": [each._asdict() for each in compared.comparison.causes],
+        "differences": [difference._asdict() for difference in compared.comparison.differences],
+        "causes": [cause._asdict() for cause in compared.comparison.causes],
         "tried": compared.comparison.tried,
         "robustness": None if compared.robustness is None else records.robustness_json(compared.robustness),
-        "gates": [each.as_json() for each in compared.gates],
+        "gates": [gate.as_json() for gate in compared.gates],
         "works": dict(zip(compared.names, compared.works, strict=True)),
         "passed": compared.passed,
     }

@@ -102,15 +102,17 @@ class Limb:
         for _ in range(_MAX_ITERATIONS):
             before = missing
             for joint in reversed(used):
-                placed = self.frames(positions)
-                (pivot, turn), tip = placed[joint.name], placed[self.path[-1].name][0]
+                poses = self.frames(positions)
+                (pivot, turn), tip = poses[joint.name], poses[self.path[-1].name][0]
                 axis = frames.rotate(turn, joint.axis)
                 if joint.type == "prismatic":
                     change = frames.dot(frames.subtract(target, tip), axis)
                 else:
-                    arm, wanted = frames.subtract(tip, pivot), frames.subtract(target, pivot)
+                    arm, target_arm = frames.subtract(tip, pivot), frames.subtract(target, pivot)
                     level = frames.subtract(arm, frames.scaled(axis, frames.dot(arm, axis)))
-                    change = atan2(frames.dot(frames.cross(axis, level), wanted), frames.dot(level, wanted))
+                    change = atan2(
+                        frames.dot(frames.cross(axis, level), target_arm), frames.dot(level, target_arm)
+                    )
                 positions[joint.name] = _clamped(joint, positions[joint.name] + change)
             missing = dist(self.frames(positions)[self.path[-1].name][0], target)
             if missing < 1e-4 or before - missing < _LEAST_PROGRESS * missing:
@@ -171,8 +173,8 @@ class Build:
     def height(self, positions: Positions, tilt: Quaternion = IDENTITY_ROTATION) -> float:
         """Height of the root above the ground when the lowest point touches it."""
         tilted = ((0.0, 0.0, 0.0), tilt)
-        placed = link_frames(self.model, positions)
-        boxes = [_box(link, frames.compose(tilted, placed[link.name])) for link in self.model.links]
+        poses = link_frames(self.model, positions)
+        boxes = [_box(link, frames.compose(tilted, poses[link.name])) for link in self.model.links]
         return 0.0 - min((box[0][2] for box in boxes if box), default=0.0)
 
     def depth(self, link: str, positions: Positions, down: Triple) -> float:
@@ -216,8 +218,10 @@ class Build:
         """The joints that a motor may move: those with an effort, or all if the file names no effort; locked
         joints never."""
         free = [joint for joint in self._free if joint.name not in self.model.followers]
-        named = any(joint.limit.effort for joint in free)
-        return [joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not named)]
+        has_efforts = any(joint.limit.effort for joint in free)
+        return [
+            joint for joint in free if joint.limit.effort or (joint.limit.effort is None and not has_efforts)
+        ]
 
     @property
     def idle(self) -> list[Joint]:
@@ -284,8 +288,8 @@ class Build:
     @property
     def forward(self) -> Triple:
         """The direction in which the robot rolls: along x or y rather than against it."""
-        way = frames.cross(self.wheels[0].axle, (0.0, 0.0, 1.0))
-        return way if way[0] + 0.1 * way[1] > 0 else frames.scaled(way, -1.0)
+        direction = frames.cross(self.wheels[0].axle, (0.0, 0.0, 1.0))
+        return direction if direction[0] + 0.1 * direction[1] > 0 else frames.scaled(direction, -1.0)
 
     @property
     def steering(self) -> list[Joint]:
@@ -313,9 +317,9 @@ class Build:
     @cached_property
     def rotors(self) -> list[str]:
         """The links named after rotors whose z axis is upright: three at least, or none."""
-        named = [link.name for link in self.model.links if _ROTOR.search(link.name)]
+        names = [link.name for link in self.model.links if _ROTOR.search(link.name)]
         upright = [
-            name for name in named if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z
+            name for name in names if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z
         ]
         return upright if len(upright) > 2 else []
 

@@ -84,10 +84,12 @@ class Draft:
 
     def hold(self, joints: Sequence[Joint]) -> None:
         """Add motors that keep joints where they start."""
-        for kind, _, some in by_unit(joints):
-            group = self.group(f"held_{kind}", some)
-            pose = self.start(group, f"rest_{kind}", {joint.name: neutral(joint) for joint in some}, some)
-            self.motor(f"hold_{kind}", "position_motor", group, some, pose)
+        for kind, _, unit_joints in by_unit(joints):
+            group = self.group(f"held_{kind}", unit_joints)
+            pose = self.start(
+                group, f"rest_{kind}", {joint.name: neutral(joint) for joint in unit_joints}, unit_joints
+            )
+            self.motor(f"hold_{kind}", "position_motor", group, unit_joints, pose)
 
     @property
     def height(self) -> float:
@@ -130,7 +132,7 @@ def _with_unit(joint: Joint, value: float) -> str:
 
 
 def _unused(name: str, used: Iterable[str]) -> str:
-    taken = set(used)
+    names = set(used)
     return next(
-        free for free in (name, *(f"{name}_{n}" for n in range(2, len(taken) + 3))) if free not in taken
+        free for free in (name, *(f"{name}_{n}" for n in range(2, len(names) + 3))) if free not in names
     )

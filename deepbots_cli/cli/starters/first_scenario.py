@@ -71,7 +71,7 @@ def _found(draft: Draft) -> list[str]:
     }
     parts = [
         f"{len(model.moving_joints)} of {len(model.joints)} joints move",
-        *(f"{n} {what}" for what, n in counts.items() if n),
+        *(f"{n} {noun}" for noun, n in counts.items() if n),
     ]
     base = "taken to be fixed to the ground" if draft.fixed else "free"
     lines = [

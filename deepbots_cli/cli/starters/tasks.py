@@ -138,7 +138,9 @@ def reach(draft: Draft) -> dict[str, object] | None:
         joint.type != "continuous" and joint.limit.lower is not None and joint.limit.upper is not None
         for joint in joints
     )
-    plane = "".join(name for name, one, other in zip("xyz", low, high, strict=True) if one < other)
+    plane = "".join(
+        name for name, minimum, maximum in zip("xyz", low, high, strict=True) if minimum < maximum
+    )
     values = {
         "arm": group,
         "low": ends[0],
@@ -258,14 +260,14 @@ def roam(draft: Draft) -> dict[str, object]:
                 endless,
                 f"spin_{kind} * {short_number(top)} {unit}/s",
             )
-        if others := [joint for joint in joints if joint not in endless]:
-            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", others)
-            rest, swing = _middle(draft, group, f"rest_{kind}", others)
+        if bending_joints := [joint for joint in joints if joint not in endless]:
+            actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", bending_joints)
+            rest, swing = _middle(draft, group, f"rest_{kind}", bending_joints)
             draft.motor(
                 f"bend_{kind}",
                 "position_motor",
                 group,
-                others,
+                bending_joints,
                 f"{rest} + {short_number(swing)} {unit} * bend_{kind}",
             )
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
@@ -364,11 +366,11 @@ def _others(build: Build) -> list[Joint]:
     return [joint for joint in build.driven if joint not in busy]
 
 
-def _wheel_speed(build: Build, wanted: float) -> float:
-    """Return the speed of the wheels in rad/s for `wanted` m/s, at most 1.5 m/s, within the limits of the
+def _wheel_speed(build: Build, speed: float) -> float:
+    """Return the speed of the wheels in rad/s for `speed` m/s, at most 1.5 m/s, within the limits of the
     file."""
     limits = [wheel.joint.limit.velocity for wheel in build.wheels if wheel.joint.limit.velocity]
-    return min(min(wanted, 1.5) / max(wheel.radius for wheel in build.wheels), *limits, 60.0)
+    return min(min(speed, 1.5) / max(wheel.radius for wheel in build.wheels), *limits, 60.0)
 
 
 # Limbs
@@ -460,12 +462,12 @@ def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float],
     leg = frames.subtract(build.frames[limb.tip][0], hip)
     axis = _bending_axis(build, limb)
     level = frames.subtract(axis, frames.scaled(down, frames.dot(axis, down)))
-    kept = frames.scaled(level, frames.dot(leg, level))
-    if hypot(*kept) > _LARGEST_FOOT_SHIFT * limb.reach:
-        kept = (0.0, 0.0, 0.0)
+    shift = frames.scaled(level, frames.dot(leg, level))
+    if hypot(*shift) > _LARGEST_FOOT_SHIFT * limb.reach:
+        shift = (0.0, 0.0, 0.0)
     solutions = []
     for share in _STANDING_LEG_SHARES:
-        foot = frames.add(hip, frames.add(kept, frames.scaled(down, share * limb.reach)))
+        foot = frames.add(hip, frames.add(shift, frames.scaled(down, share * limb.reach)))
         positions, missing = limb.positions_for(foot)
         solutions.append((missing, positions))
         if missing < _TIP_TOLERANCE * limb.reach:

@@ -47,9 +47,9 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
         UsageError: A file cannot be read, no robot has a motor, or no valid scenario came out.
     """
     draft = read_project(world, library)
-    robots = {PurePosixPath(_robot_file(name, one)): one.urdf().encode() for one in draft.robots}
+    robots = {PurePosixPath(_robot_file(name, robot)): robot.urdf().encode() for robot in draft.robots}
     meshes = {
-        PurePosixPath(path): content for one in draft.robots for path, content in one.built.meshes.items()
+        PurePosixPath(path): content for robot in draft.robots for path, content in robot.built.meshes.items()
     }
     further = {**robots, **meshes}
     further |= {PurePosixPath(path): content for path, content in draft.surroundings.pictures.items()}
@@ -84,11 +84,13 @@ def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> 
         scenario = Path(folder, f"{name}.yaml")
         for _ in range(_MAX_PASSES):
             scenario.write_text("\n".join(lines) + "\n", encoding="utf-8")
-            errors = [one for one in api.lint(scenario) if one.severity == "error"]
+            errors = [finding for finding in api.lint(scenario) if finding.severity == "error"]
             if not errors:
                 return lines
             numbers = {
-                one.span.start_position.line for one in errors if one.span.source.name.endswith(scenario.name)
+                error.span.start_position.line
+                for error in errors
+                if error.span.source.name.endswith(scenario.name)
             }
             numbers = {number for number in numbers if _is_entry(lines, number)}
             if not numbers:
@@ -160,7 +162,7 @@ def _lines(draft: Draft, name: str, title: str) -> list[str]:
 
 def _position(value: float, joint: str, draft: Draft) -> str:
     robot_name, _, joint_name = joint.partition(".")
-    robot = next(one for one in draft.robots if one.name == robot_name)
+    robot = next(candidate for candidate in draft.robots if candidate.name == robot_name)
     unit = "m" if robot.model.joint(joint_name).type == "prismatic" else "rad"
     return f"{value:.9g} {unit}"
 
@@ -192,12 +194,12 @@ def _robot(robot: DraftRobot, draft: Draft, name: str) -> list[str]:
 
 def _emit(task: Task) -> list[str]:
     emit = task.emit
-    entries = [one for one in emit if isinstance(one, Entry)]
+    entries = [item for item in emit if isinstance(item, Entry)]
     lines = _comments(emit, "    ")
-    if entries and all(one.key == one.value for one in entries):
-        return [*lines, f"    emit: [{', '.join(one.key for one in entries)}]"]
+    if entries and all(entry.key == entry.value for entry in entries):
+        return [*lines, f"    emit: [{', '.join(entry.key for entry in entries)}]"]
     if entries:
-        return [*lines, "    emit:", *(f"      {one.key}: {one.value}" for one in entries)]
+        return [*lines, "    emit:", *(f"      {entry.key}: {entry.value}" for entry in entries)]
     return lines
 
 
@@ -207,15 +209,15 @@ def _section(key: str, items: Sequence[Item]) -> list[str]:
 
 def _items(items: Sequence[Item], indent: str) -> list[str]:
     lines = []
-    for one in items:
-        if isinstance(one, Entry):
-            note = f"    # {one.note}" if one.note else ""
-            if one.value.startswith("{choices: ") and len(one.value) > _LONGEST // 2:
-                lines += _choices(one, indent)
+    for item in items:
+        if isinstance(item, Entry):
+            note = f"    # {item.note}" if item.note else ""
+            if item.value.startswith("{choices: ") and len(item.value) > _LONGEST // 2:
+                lines += _choices(item, indent)
                 continue
-            lines.append(aligned(f"{indent}{one.key}: {one.value}{note}"))
+            lines.append(aligned(f"{indent}{item.key}: {item.value}{note}"))
         else:
-            lines += _comments([one], indent)
+            lines += _comments([item], indent)
     return lines
 
 
@@ -228,12 +230,12 @@ def _choices(entry: Entry, indent: str) -> list[str]:
 
 def _comments(items: Sequence[Item], indent: str) -> list[str]:
     lines = []
-    for one in items:
-        if not isinstance(one, Entry):
-            about = f"{one.about}, " if one.about else ""
-            where = f"from {one.place}" if one.place.line else f"of {one.place.python}"
+    for item in items:
+        if not isinstance(item, Entry):
+            about = f"{item.about}, " if item.about else ""
+            where = f"from {item.place}" if item.place.line else f"of {item.place.python}"
             lines.append(f"{indent}{TODO}: {about}{_one_line(where)}")
-            lines += [f"{indent}#     {_visible(line)}" for line in one.python]
+            lines += [f"{indent}#     {_visible(line)}" for line in item.python]
     return lines
 
 
@@ -252,8 +254,8 @@ def _endings(draft: Draft) -> list[str]:
 
 def _solved(draft: Draft) -> list[str]:
     lines = [""]
-    for one in draft.task.solved:
-        lines += [f"solved: {one.value}"] if isinstance(one, Entry) else _comments([one], "")
+    for item in draft.task.solved:
+        lines += [f"solved: {item.value}"] if isinstance(item, Entry) else _comments([item], "")
     return lines if len(lines) > 1 else []
 
 

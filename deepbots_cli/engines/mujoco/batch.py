@@ -73,9 +73,9 @@ class BatchMember(EngineProxy):
     def bound(self, read: Callable[P, R]) -> Callable[P, R]:
         attach, index = self._batch.attach, self._index
 
-        def read_attached(*given: P.args, **named: P.kwargs) -> R:
+        def read_attached(*args: P.args, **kwargs: P.kwargs) -> R:
             attach(index)
-            return read(*given, **named)
+            return read(*args, **kwargs)
 
         return read_attached
 
@@ -134,8 +134,8 @@ class BatchMember(EngineProxy):
 
         return push
 
-    def _of_columns(self, method: str, *given: Any, **options: Any) -> Callable[[], Any]:
-        read, index = getattr(self._batch, method)(*given, **options), self._index
+    def _of_columns(self, method: str, *args: Any, **options: Any) -> Callable[[], Any]:
+        read, index = getattr(self._batch, method)(*args, **options), self._index
         return lambda: read()[..., index].tolist()
 
     contact = partialmethod(_of_columns, "contact")
@@ -144,8 +144,8 @@ class BatchMember(EngineProxy):
     joint_torques = partialmethod(_of_columns, "joint_torques")
     joint_wrench = partialmethod(_of_columns, "joint_wrench")
 
-    def _motor(self, kind: str, *given: Any, **curve: Any) -> MotorWriter:
-        return self._batch.motor(kind, *given, **curve, world=self._index).writer(self._index)
+    def _motor(self, kind: str, *args: Any, **curve: Any) -> MotorWriter:
+        return self._batch.motor(kind, *args, **curve, world=self._index).writer(self._index)
 
     velocity_motor = partialmethod(_motor, "velocity")
     position_motor = partialmethod(_motor, "position")
@@ -264,7 +264,7 @@ class MuJoCoBatch:
         if len(self._touch_columns):
             self.touched[goes] = False
         waits = [part.waits for parts in (self.motors.values(), self._pushes) for part in parts]
-        if not (self.acts_in_substeps or any(one.any() for one in waits)):
+        if not (self.acts_in_substeps or any(column.any() for column in waits)):
             self._advance(goes, substeps)
             return
         for _ in range(substeps):
@@ -305,13 +305,13 @@ class MuJoCoBatch:
             worlds = np.flatnonzero(pushes.waits & goes)
             if len(worlds):
                 links = pushes.links[worlds]
-                turned = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
+                rotations = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
                 centers = (
                     self.rows["body_ipos"][worlds, links]
                     if "body_ipos" in self.rows
                     else self.nominal.body_ipos[links]
                 )
-                applied[worlds, links] += pushes.take(worlds, turned, centers.T)
+                applied[worlds, links] += pushes.take(worlds, rotations, centers.T)
         return applied
 
     def take_commands(self) -> None:
@@ -490,7 +490,7 @@ class MuJoCoBatch:
         """See `Engine.joint_wrench`."""
         link = _link(self.single._pool(part[0]).current, part[1])
         force, torque = (
-            self._sensor(Sensor((link, False), None, what)) for what in ("joint_force", "joint_torque")
+            self._sensor(Sensor((link, False), None, kind)) for kind in ("joint_force", "joint_torque")
         )
         return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
 
@@ -593,8 +593,8 @@ class MuJoCoBatch:
                     raise EngineError(
                         f"{where}, but a batch supports at most {FORCE_SLOTS}; simplify its collision shapes"
                     )
-                for force, held in zip(forces, counts > 0.0, strict=True):
-                    total += np.where(held, force, 0.0)
+                for force, is_present in zip(forces, counts > 0.0, strict=True):
+                    total += np.where(is_present, force, 0.0)
             return total
 
         return read
@@ -656,8 +656,8 @@ class MuJoCoBatch:
             return self._read_each(lambda member: member.rays(part, rays, reach, upright=upright))
         form, link = place
         starts = np.array([origin for origin, _ in rays])
-        ways = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in rays])
-        own = form.geoms_of(None)
+        ways = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in rays])
+        geoms = form.geoms_of(None)
 
         def read() -> Column:
             """Cast the rays of all worlds in one call, which takes a quarter of the time of a call for each
@@ -666,7 +666,7 @@ class MuJoCoBatch:
             axes = level_axes(matrix[:, 0, 0], matrix[:, 1, 0]) if upright else matrix
             axes = axes.transpose(0, 2, 1)
             position = self._observed("xpos", link).T
-            free = self._observer.cast(position[:, None] + starts @ axes, ways @ axes, own)
+            free = self._observer.cast(position[:, None] + starts @ axes, ways @ axes, geoms)
             return np.where((free < 0.0) | (free > reach), reach, free).T
 
         return read

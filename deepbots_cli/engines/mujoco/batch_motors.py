@@ -121,8 +121,8 @@ class BatchMotor:
         rows = np.empty(self._targets.shape)
         for number, target in enumerate(targets):
             rows[:, number] = target
-        chosen = self._batch.write_mask
-        worlds: Any = slice(None) if chosen is None else np.flatnonzero(chosen)
+        mask = self._batch.write_mask
+        worlds: Any = slice(None) if mask is None else np.flatnonzero(mask)
         self.write(rows[worlds], worlds)
 
     def command(self) -> None:
@@ -140,12 +140,12 @@ class BatchMotor:
 
     def _exert(self, targets: Column, worlds: Any) -> None:
         limits = self._limits[worlds]
-        wanted = (
+        forces = (
             self._stiffness[worlds] * targets
             if self._is_spring
             else np.minimum(np.maximum(targets, -limits), limits)
         )
-        self._batch.ctrl[cells(worlds, self._acts)] = wanted
+        self._batch.ctrl[cells(worlds, self._acts)] = forces
 
     def _activate(self, worlds: Column) -> None:
         """Drive the joints in these worlds; see `motors.Motor`."""
@@ -236,9 +236,12 @@ class TrackingMotor(BatchMotor):
     def _aim(self, worlds: Any) -> Column:
         """Return the gains, which are renewed."""
         batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
-        wanted = (targets - batch.qpos[cells(worlds, self._places)]) * self._rate if self._rate else targets
+        target_velocities = (
+            (targets - batch.qpos[cells(worlds, self._places)]) * self._rate if self._rate else targets
+        )
         off = np.maximum(
-            np.abs(wanted - batch.qvel[cells(worlds, self._dofs)]), motors.MIN_ERROR_SHARE * np.abs(wanted)
+            np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),
+            motors.MIN_ERROR_SHARE * np.abs(target_velocities),
         )
         near = limits / self._stiffest
         gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)

@@ -102,7 +102,7 @@ class Observer:
 
     def distances(self, pairs: Sequence[tuple[int, int]]) -> list[int]:
         """Return the places in `sensordata` of the distances between geoms."""
-        sensors = [Sensor((one, False), (other, False), "distance") for one, other in pairs]
+        sensors = [Sensor((first, False), (second, False), "distance") for first, second in pairs]
         return [self._distances.setdefault(sensor, len(self._distances)) for sensor in sensors]
 
     def read(self, name: str) -> Column:
@@ -129,8 +129,8 @@ class Observer:
     def cast(self, starts: Column, ways: Column, own: Sequence[int]) -> Column:
         """Return the free distance of rays, -1 if they meet nothing; geoms of `own` are not seen."""
         groups = self._views.expand("geom_group")
-        kept = groups[:, own]
+        saved_groups = groups[:, own]
         groups[:, own] = HIDDEN_GROUP
         free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
-        groups[:, own] = kept
+        groups[:, own] = saved_groups
         return free

@@ -105,10 +105,14 @@ class WorldRenderer:
     def render_camera(
         self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float
     ) -> CameraImage:
-        eye, turned = frames.compose(pose(), mount)
+        eye, rotation = frames.compose(pose(), mount)
         renderer = self._renderer_of_size(width, height)
         self._aim(
-            renderer, eye, frames.rotate(turned, (1.0, 0.0, 0.0)), frames.rotate(turned, (0.0, 0.0, 1.0)), fov
+            renderer,
+            eye,
+            frames.rotate(rotation, (1.0, 0.0, 0.0)),
+            frames.rotate(rotation, (0.0, 0.0, 1.0)),
+            fov,
         )
         colors = self._brightened(renderer.render().copy())
         renderer.enable_segmentation_rendering()

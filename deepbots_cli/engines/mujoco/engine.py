@@ -148,16 +148,16 @@ class MuJoCoEngine:
         velocity: Triple = ZERO_VECTOR,
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        data, placed = self._world.data, self._pool(body).activate()
-        self._world.show(placed)
-        turned = x, y, z, w = frames.normalized(orientation)
-        if placed.mocap_index >= 0:
-            data.mocap_pos[placed.mocap_index], data.mocap_quat[placed.mocap_index] = position, (w, x, y, z)
-        elif placed.position_index >= 0:
-            data.qpos[placed.position_index : placed.position_index + 7] = (*position, w, x, y, z)
-            data.qvel[placed.velocity_index : placed.velocity_index + 6] = (
+        data, form = self._world.data, self._pool(body).activate()
+        self._world.show(form)
+        rotation = x, y, z, w = frames.normalized(orientation)
+        if form.mocap_index >= 0:
+            data.mocap_pos[form.mocap_index], data.mocap_quat[form.mocap_index] = position, (w, x, y, z)
+        elif form.position_index >= 0:
+            data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
+            data.qvel[form.velocity_index : form.velocity_index + 6] = (
                 *velocity,
-                *frames.rotate_back(turned, angular_velocity),
+                *frames.rotate_back(rotation, angular_velocity),
             )
         self._world.invalidate()
 
@@ -287,7 +287,7 @@ class MuJoCoEngine:
 
             return read_free
         at_rest = link == body.root_id and body.mocap_index >= 0
-        place, turned = (
+        place, rotation = (
             (data.mocap_pos[body.mocap_index], data.mocap_quat[body.mocap_index])
             if at_rest
             else (data.xpos[link], data.xquat[link])
@@ -296,7 +296,7 @@ class MuJoCoEngine:
         def read() -> Frame:
             if not (at_rest or world.has_positions):
                 world.update_positions()
-            w, x, y, z = turned.tolist()
+            w, x, y, z = rotation.tolist()
             return tuple(place.tolist()), (x, y, z, w)
 
         return read
@@ -304,12 +304,12 @@ class MuJoCoEngine:
     def _velocity(self, body: Body, link: int) -> VelocityReader:
         world, model, data = self._world, self._world.model, self._world.data
         if link == body.root_id and body.position_index >= 0:
-            turned = data.qpos[body.position_index + 3 : body.position_index + 7]
+            rotation = data.qpos[body.position_index + 3 : body.position_index + 7]
             numbers = data.qvel[body.velocity_index : body.velocity_index + 6]
 
             def read_free() -> tuple[Triple, Triple]:
                 vx, vy, vz, wx, wy, wz = numbers.tolist()
-                w, x, y, z = turned.tolist()
+                w, x, y, z = rotation.tolist()
                 return (vx, vy, vz), frames.rotate((x, y, z, w), (wx, wy, wz))
 
             return read_free
@@ -335,13 +335,13 @@ class MuJoCoEngine:
     def contact(
         self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
     ) -> ContactReader:
-        own = self._geoms(one)
+        geoms = self._geoms(one)
         if others is None:
             others = self.others(one[0], ground=ground)
         met = [geom for part in others for geom in self._geoms(part)]
         if self._contact_monitor is None:
             self._contact_monitor = surfaces.ContactMonitor(self._world)
-        return self._contact_monitor.reader(own, met)
+        return self._contact_monitor.reader(geoms, met)
 
     def others(self, body: str, *, ground: bool) -> list[Part]:
         """Return the bodies that a body may touch: a robot with `self_collision` is one of its own."""
@@ -365,7 +365,9 @@ class MuJoCoEngine:
                 )
         read = near.bind_current(
             lambda body: far.bind_current(
-                lambda its: surfaces.clearance(self._world, body.geoms_of(one[1]), its.geoms_of(other[1]))
+                lambda far_body: surfaces.clearance(
+                    self._world, body.geoms_of(one[1]), far_body.geoms_of(other[1])
+                )
             )
         )
         return lambda: read() if near.present and far.present else inf
@@ -381,8 +383,8 @@ class MuJoCoEngine:
         far = self._pool(other[0])
         read = self._pool(part[0]).bind_current(
             lambda body: far.bind_current(
-                lambda its: surfaces.line_of_sight(
-                    self._world, body, _link(body, part[1]), its, _link(its, other[1]), point
+                lambda far_body: surfaces.line_of_sight(
+                    self._world, body, _link(body, part[1]), far_body, _link(far_body, other[1]), point
                 )
             )
         )
@@ -397,9 +399,9 @@ class MuJoCoEngine:
             for geom in geoms
         }
         deepest: dict[tuple[str, str], Overlap] = {}
-        for one, other, depth in surfaces.penetrations(self._world):
-            if one in owners and other in owners:
-                overlap = Overlap(owners[one], owners[other], depth)
+        for first, second, depth in surfaces.penetrations(self._world):
+            if first in owners and second in owners:
+                overlap = Overlap(owners[first], owners[second], depth)
                 deepest_here = deepest.get((overlap.one[0], overlap.other[0]))
                 deepest[overlap.one[0], overlap.other[0]] = (
                     overlap if deepest_here is None or deepest_here.depth < depth else deepest_here

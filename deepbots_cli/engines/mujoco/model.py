@@ -313,7 +313,7 @@ class ModelBuilder:
         half, thin = line.width / 2, 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
             long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
-            turned = frames.wxyz(frames.quaternion(0.0, 0.0, yaw))
+            rotation = frames.wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
                 self._geom(
@@ -321,7 +321,7 @@ class ModelBuilder:
                     type=mj.mjtGeom.mjGEOM_BOX,
                     size=size,
                     pos=middle,
-                    quat=turned,
+                    quat=rotation,
                     rgba=line.color,
                 )
             for x, y in ((x0, y0), (x1, y1)):
@@ -361,13 +361,13 @@ class ModelBuilder:
         order = [model.root]
         for place, name in enumerate(order):
             link, above = model.link(name), joint_of.get(name)
-            position, turned = body.initial_pose if above is None else frames.frame(above.origin)
+            position, rotation = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
             self._elements += 1
             self._links.append((self._elements, body.name, name))
             weightless = float(pooled and not body.fixed)
             links[name] = body_element = parent.add_body(
-                name=f"b{self._elements}", pos=position, quat=frames.wxyz(turned), gravcomp=weightless
+                name=f"b{self._elements}", pos=position, quat=frames.wxyz(rotation), gravcomp=weightless
             )
             if above is None:
                 body_element.mocap = body.fixed
@@ -480,11 +480,11 @@ class ModelBuilder:
         )
 
     def _surface(self, element: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
-        position, turned = frames.frame(piece.origin)
+        position, rotation = frames.frame(piece.origin)
         color = piece.color or LINK_COLORS[place % len(LINK_COLORS)]
         about: dict[str, Any] = {
             "pos": position,
-            "quat": frames.wxyz(turned),
+            "quat": frames.wxyz(rotation),
             "rgba": color if self._for_rendering else (1, 1, 1, 1),
         }
         group = HIDDEN_GROUP if pooled and not self._for_rendering else SOLID_GROUP
@@ -568,11 +568,13 @@ class ModelBuilder:
         """
         staying: list[tuple[MjObject, Frame]] = []
         for body, _, _, geoms in self._made:
-            for link, made in geoms.items() if body.name != GROUND else ():
+            for link, elements in geoms.items() if body.name != GROUND else ():
                 if body.fixed and link == body.model.root:
-                    staying += [(geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in made]
+                    staying += [
+                        (geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in elements
+                    ]
                 else:
-                    _part([(geom, _frame_of(geom)) for geom in made])
+                    _part([(geom, _frame_of(geom)) for geom in elements])
         _part(staying)
 
     # Pairs
@@ -581,9 +583,9 @@ class ModelBuilder:
         """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves, or of
         two links of a robot with `self_collision`."""
         surfaces = [list(self._surfaces(pool)) for pool in self.pools]
-        for one, other in combinations(surfaces, 2):
-            for first, stays in one:
-                for second, stays_too in other:
+        for first_surfaces, second_surfaces in combinations(surfaces, 2):
+            for first, stays in first_surfaces:
+                for second, stays_too in second_surfaces:
                     if not (stays and stays_too):
                         self._add_pair(first, second)
         for body, _, _, geoms in self._made:
@@ -619,10 +621,10 @@ class ModelBuilder:
                     yield from ((geom, link in body.static_links) for geom in element)
 
 
-def _part(placed: Sequence[tuple[MjObject, Frame]]) -> None:
+def _part(surfaces: Sequence[tuple[MjObject, Frame]]) -> None:
     """Make surfaces larger by a step for each earlier surface in front of which they have to be."""
     planes: dict[tuple[int, ...], list[tuple[Triple, float, int]]] = {}
-    for geom, frame in placed:
+    for geom, frame in surfaces:
         faces = list(_faces(geom, frame))
         levels = [
             level + 1
@@ -687,8 +689,8 @@ def _is_wheel(shape: Cylinder, at: Frame, axle: Joint) -> bool:
     """Return whether a cylinder turns about its own axis on a joint, and is no wider than its radius."""
     if axle.type not in ("continuous", "revolute") or shape.length > shape.radius:
         return False
-    position, turned = at
-    axis = frames.rotate(turned, (0.0, 0.0, 1.0))
+    position, rotation = at
+    axis = frames.rotate(rotation, (0.0, 0.0, 1.0))
     off = np.linalg.norm(np.cross(axis, axle.axis)) / np.linalg.norm(axle.axis)
     return bool(
         off < AXLE_TOLERANCE and np.linalg.norm(np.cross(axis, position)) < AXLE_TOLERANCE * shape.radius

@@ -109,9 +109,9 @@ class WrenchMonitor:
             tx, ty, tz, fx, fy, fz = data.cfrc_int[link].tolist()  # at the center of mass of the tree
             arm = (data.subtree_com[model.body_rootid[link]] - data.xpos[link]).tolist()
             w, x, y, z = data.xquat[link].tolist()
-            force, turned = (fx, fy, fz), (x, y, z, w)
+            force, rotation = (fx, fy, fz), (x, y, z, w)
             torque = frames.add((tx, ty, tz), frames.cross(arm, force))
-            self._wrenches[place] = frames.rotate_back(turned, force), frames.rotate_back(turned, torque)
+            self._wrenches[place] = frames.rotate_back(rotation, force), frames.rotate_back(rotation, torque)
 
     def reader(self, link: int) -> WrenchReader:
         place, wrenches = len(self._links), self._wrenches
@@ -237,10 +237,12 @@ class Motor:
         by_joint = list(zip(acts, [width * act for act in acts], dofs, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
-            wanted = targets
+            target_velocities = targets
             if rate:
-                wanted = [(target - now) * rate for target, now in zip(targets, position(), strict=True)]
-            gains = velocity_gains(wanted, velocity(), bounds)
+                target_velocities = [
+                    (target - now) * rate for target, now in zip(targets, position(), strict=True)
+                ]
+            gains = velocity_gains(target_velocities, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
                 return
@@ -248,10 +250,10 @@ class Motor:
                 if not self.gains:  # the motor begins, perhaps in an episode with another armature
                     usual[:] = self._world.armature[self._dof_index].tolist()
                 self.gains = gains
-                for gain, own, (_, place, dof, inertia) in zip(gains, usual, by_joint, strict=True):
+                for gain, base, (_, place, dof, inertia) in zip(gains, usual, by_joint, strict=True):
                     added = gain * step
                     bias[place + 2] = -gain
-                    armature[dof] = own + added
+                    armature[dof] = base + added
                     inverses[dof] = 1.0 / (inertia + added)
                     if rate:
                         bias[place + 1] = -gain * rate
@@ -315,7 +317,7 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
     """Return a function that pushes a link; MuJoCo's forces act at the center of mass, in the axes of the
     world."""
     model, data = world.model, world.data
-    applied, turned = data.xfrc_applied[link], data.xquat[link]
+    applied, rotation = data.xfrc_applied[link], data.xquat[link]
     varies, place = link in world.varying_centers, model.body_ipos[link]
     center = tuple(place.tolist())
     centered = center == ZERO_VECTOR and not varies
@@ -326,7 +328,7 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
             center = tuple(place.tolist())
         if frame == "link" or not centered:
             world.update_positions()
-            w, x, y, z = turned.tolist()
+            w, x, y, z = rotation.tolist()
             if frame == "link":
                 force, torque = frames.rotate((x, y, z, w), force), frames.rotate((x, y, z, w), torque)
             if not centered:

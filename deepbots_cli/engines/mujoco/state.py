@@ -185,7 +185,7 @@ class MujocoWorld:
             contact, exerted = self.data.contact, self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
             self._forces = [
-                (one, other, exerted[place] if place >= 0 else 0.0) for (one, other), place in pairs
+                (first, second, exerted[place] if place >= 0 else 0.0) for (first, second), place in pairs
             ]
         return self._forces
 
@@ -273,15 +273,15 @@ class MujocoWorld:
     def remember(self, memory: tuple[Any, ...]) -> None:
         pools, colors, self.light = memory
         self.colors = dict(colors)
-        for pool, (present, chosen) in zip(self.pools.values(), pools, strict=True):
-            pool.present, pool.current = present, chosen
+        for pool, (present, current) in zip(self.pools.values(), pools, strict=True):
+            pool.present, pool.current = present, current
 
     def _copy_values(self) -> tuple[list[Any], float]:
         return [np.array(values) for values in self._varied_arrays], self.model.stat.meaninertia
 
     def _restore_values(self, varied: list[Any], mean_inertia: float) -> None:
-        for values, kept in zip(self._varied_arrays, varied, strict=True):
-            values[...] = kept
+        for values, saved in zip(self._varied_arrays, varied, strict=True):
+            values[...] = saved
         self.model.stat.meaninertia = mean_inertia
         self._mass_changed = self._friction_changed = False
         self.is_stale = self.closed
@@ -373,8 +373,10 @@ class MujocoWorld:
         self._update_inertia(link)
 
     def _update_inertia(self, link: int) -> None:
-        of_mass, own = self._inertia_factors[link].tolist()
-        self.model.body_inertia[link] = self._nominal_values("body_inertia")[link] * of_mass * own
+        mass_factor, inertia_factor = self._inertia_factors[link].tolist()
+        self.model.body_inertia[link] = (
+            self._nominal_values("body_inertia")[link] * mass_factor * inertia_factor
+        )
         self._mass_changed = True
 
     def _move_center(self, body: Body, link: int, offset: Sequence[float]) -> None:
@@ -397,10 +399,10 @@ class MujocoWorld:
         friction of the other. This is how PyBullet combines them.
         """
         model = self.model
-        one, other = self.surfaces[model.pair_geom1].T, self.surfaces[model.pair_geom2].T
-        sliding = one[LATERAL] * other[LATERAL]
+        first, second = self.surfaces[model.pair_geom1].T, self.surfaces[model.pair_geom2].T
+        sliding = first[LATERAL] * second[LATERAL]
         spinning, rolling = (
-            one[kind] * other[LATERAL] + other[kind] * one[LATERAL] for kind in (SPINNING, ROLLING)
+            first[kind] * second[LATERAL] + second[kind] * first[LATERAL] for kind in (SPINNING, ROLLING)
         )
         model.pair_friction[:] = np.stack([sliding, sliding, spinning, rolling, rolling], axis=1)
         model.pair_dim[:] = np.where(
@@ -408,7 +410,7 @@ class MujocoWorld:
         )
         model.pair_solref[:] = self._nominal_values("pair_solref")
         model.pair_solimp[:] = self._nominal_values("pair_solimp")
-        bounces = one[RESTITUTION] * other[RESTITUTION]
+        bounces = first[RESTITUTION] * second[RESTITUTION]
         for place in np.flatnonzero(bounces > 0.0):
             model.pair_solref[place] = bounce_spring(float(bounces[place]), model.opt.timestep)
             model.pair_solimp[place] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
@@ -435,9 +437,9 @@ class MujocoWorld:
                 pose = data.qpos[body.position_index : body.position_index + 7]
                 speed = data.qvel[body.velocity_index : body.velocity_index + 6]
                 states = (("pose", pose), ("pose", speed), *states)
-            for what, values in states:
+            for quantity, values in states:
                 if not np.isfinite(values).all():
-                    raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
+                    raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
 
 
 def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
@@ -446,10 +448,10 @@ def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
         contact, force = world.data.contact, np.zeros(6)
         world.force_vectors = vectors = []
         pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
-        for place, ((one, other), axes) in enumerate(pairs):
+        for place, ((first, second), axes) in enumerate(pairs):
             mj.mj_contactForce(world.model, world.data, place, force)
             x, y, z = (force[:3] @ axes).tolist()
-            vectors.append((one, other, (x, y, z)))
+            vectors.append((first, second, (x, y, z)))
     return world.force_vectors
 
 
@@ -491,9 +493,9 @@ def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
     low, high = 0.0, 1.0 - 1e-9
     for _ in range(60):
         ratio = (low + high) / 2
-        rest = sqrt(1.0 - ratio * ratio)
-        kept = exp(-ratio / rest * (pi - atan2(2 * ratio * rest, rest * rest - ratio * ratio)))
-        low, high = (ratio, high) if kept > restitution else (low, ratio)
+        root = sqrt(1.0 - ratio * ratio)
+        rebound = exp(-ratio / root * (pi - atan2(2 * ratio * root, root * root - ratio * ratio)))
+        low, high = (ratio, high) if rebound > restitution else (low, ratio)
     duration = min(max(BOUNCE_TIME, BOUNCE_STEPS[0] * step), BOUNCE_STEPS[1] * step)
     rate = pi / (duration * max(sqrt(1.0 - low * low), 0.5))
     return -rate * rate, -2.0 * low * rate

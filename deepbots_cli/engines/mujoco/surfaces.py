@@ -64,7 +64,11 @@ class ContactMonitor:
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
             if pairs != self._ignored_pairs:
-                met = [place for one, other in pairs for place in self._readers_by_pair.get((one, other), ())]
+                met = [
+                    place
+                    for first, second in pairs
+                    for place in self._readers_by_pair.get((first, second), ())
+                ]
                 for place in met:
                     self._touched[place] = True
                 self._ignored_pairs = pairs if not met else []
@@ -72,10 +76,10 @@ class ContactMonitor:
     def reader(self, own: Iterable[int], others: Iterable[int]) -> ContactReader:
         place, touched, others = len(self._touched), self._touched, tuple(others)
         self._ignored_pairs = []
-        for one in own:
-            for other in others:
-                self._readers_by_pair.setdefault((one, other), []).append(place)
-                self._readers_by_pair.setdefault((other, one), []).append(place)
+        for geom in own:
+            for other_geom in others:
+                self._readers_by_pair.setdefault((geom, other_geom), []).append(place)
+                self._readers_by_pair.setdefault((other_geom, geom), []).append(place)
         touched.append(False)
         self._all_false.append(False)
         return lambda: touched[place]
@@ -83,19 +87,21 @@ class ContactMonitor:
 
 def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
     """Return the sum of normal forces on geoms."""
-    own = frozenset(geoms)
-    return lambda: float(sum(force for one, other, force in world.forces if one in own or other in own))
+    geom_set = frozenset(geoms)
+    return lambda: float(
+        sum(force for first, second, force in world.forces if first in geom_set or second in geom_set)
+    )
 
 
 def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
     """Return the sum of the forces of other geoms on geoms (N, world frame)."""
-    own = frozenset(geoms)
+    geom_set = frozenset(geoms)
 
     def read() -> Triple:
         total = ZERO_VECTOR
-        for one, other, force in force_vectors(world):
-            if (one in own) != (other in own):
-                total = (frames.add if other in own else frames.subtract)(total, force)
+        for first, second, force in force_vectors(world):
+            if (first in geom_set) != (second in geom_set):
+                total = (frames.add if second in geom_set else frames.subtract)(total, force)
         return total
 
     return read
@@ -105,10 +111,10 @@ def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) ->
     """Return a reader of the distance between geoms, without tires, which are within their wheels."""
     model, data = world.model, world.data
     pairs = [
-        (one, other)
-        for one in ones
-        for other in others
-        if ELLIPSOID not in (model.geom_type[one], model.geom_type[other])
+        (first, second)
+        for first in ones
+        for second in others
+        if ELLIPSOID not in (model.geom_type[first], model.geom_type[second])
     ]
 
     between = mj.mj_geomDistance
@@ -116,8 +122,8 @@ def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) ->
     def distance() -> float:
         world.update_positions()
         smallest = MAX_CLEARANCE_M
-        for one, other in pairs:
-            apart = between(model, data, one, other, smallest, None)
+        for first, second in pairs:
+            apart = between(model, data, first, second, smallest, None)
             if apart < smallest:
                 smallest = apart
         return max(0.0, smallest) if smallest < MAX_CLEARANCE_M else inf
@@ -134,9 +140,11 @@ def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
     mj.mj_kinematics(model, spare)
     mj.mj_comPos(model, spare)
     mj.mj_collision(model, spare)
-    for (one, other), distance in zip(spare.contact.geom.tolist(), spare.contact.dist.tolist(), strict=True):
+    for (first, second), distance in zip(
+        spare.contact.geom.tolist(), spare.contact.dist.tolist(), strict=True
+    ):
         if distance < 0.0:
-            yield one, other, -distance
+            yield first, second, -distance
 
 
 # Rays
@@ -188,32 +196,35 @@ def rays(
 ) -> RayReader:
     """Return a reader of rays. Rays whose lines meet in a point are cast from there in one call, which costs
     a quarter of a call for each."""
-    own, groups = body.geoms_of(None), world.model.geom_group
+    geoms, groups = body.geoms_of(None), world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
-    directions = np.array([frames.rotate(turned, (1.0, 0.0, 0.0)) for _, turned in ray_frames])
-    own_groups = groups[min(own) : max(own) + 1] if own else groups[:0]
+    directions = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in ray_frames])
+    own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
     cast = _Rays(link, own_groups, starts, directions, reach, upright)
     center = _meeting_point(starts, directions)
     return _separate_rays(world, cast) if center is None else _rays_from_point(world, cast, center)
 
 
 def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
-    model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    model, data, ray, seen_groups = world.model, world.data, mj.mj_ray, SEEN_GROUPS
     link, groups, starts, directions, reach, _ = rays
     position = data.xpos[link]
     origins, ways = np.empty_like(starts), np.empty_like(directions)
-    each = list(zip(origins, ways, strict=True))  # views of arrays that keep their memory
+    ray_views = list(zip(origins, ways, strict=True))  # views of arrays that keep their memory
 
     def read() -> list[float]:
         world.update_positions()
-        kept = groups.copy()
+        saved = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        turned = rays.axes(world).T
-        np.matmul(starts, turned, origins)
+        axes = rays.axes(world).T
+        np.matmul(starts, axes, origins)
         np.add(origins, position, origins)
-        np.matmul(directions, turned, ways)
-        lengths = [ray(model, data, origin, way, seen, True, -1, None, None) for origin, way in each]
-        groups[:] = kept
+        np.matmul(directions, axes, ways)
+        lengths = [
+            ray(model, data, origin, direction, seen_groups, True, -1, None, None)
+            for origin, direction in ray_views
+        ]
+        groups[:] = saved
         return [reach if length < 0.0 or length > reach else length for length in lengths]
 
     return read
@@ -221,7 +232,7 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
 
 def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> RayReader:
     """Return a reader of rays from one point; `center` is in the frame of the link."""
-    model, data, ray, seen = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    model, data, ray, seen_groups = world.model, world.data, mj.mj_ray, SEEN_GROUPS
     link, groups, starts, directions, reach, _ = rays
     position = data.xpos[link]
     aside = np.ascontiguousarray(directions.T)
@@ -230,11 +241,11 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
 
     def read() -> list[float]:
         world.update_positions()
-        kept = groups.copy()
+        saved = groups.copy()
         groups.fill(HIDDEN_GROUP)
         axes = rays.axes(world)
         origin, ways = position + axes @ center, (axes @ aside).T.ravel()
-        mj.mj_multiRay(model, data, origin, ways, seen, True, -1, geoms, met, None, count, far)
+        mj.mj_multiRay(model, data, origin, ways, seen_groups, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
         free = [
             reach if length < 0.0 else min(length - start, reach)
@@ -242,10 +253,10 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         ]
         for place, length in enumerate(free):
             if length < 0.0:  # something is between the center and the start
-                origin, way = position + axes @ starts[place], axes @ directions[place]
-                hit = ray(model, data, origin, way, seen, True, -1, None, None)
+                origin, direction = position + axes @ starts[place], axes @ directions[place]
+                hit = ray(model, data, origin, direction, seen_groups, True, -1, None, None)
                 free[place] = reach if hit < 0.0 or hit > reach else hit
-        groups[:] = kept
+        groups[:] = saved
         return free
 
     return read
@@ -257,19 +268,19 @@ def line_of_sight(
     """Return a reader of whether nothing is between a point on a link and the origin of another link, but for
     their bodies."""
     model, data = world.model, world.data
-    own, groups = body.geoms_of(None), model.geom_group
-    own_groups = groups[min(own) : max(own) + 1] if own else groups[:0]
+    geoms, groups = body.geoms_of(None), model.geom_group
+    own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
     met, its_own, offset = np.zeros(1, np.int32), frozenset(other.geoms_of(None)), np.array(point)
 
     def is_free() -> bool:
         world.update_positions()
         start = data.xpos[link] + data.xmat[link].reshape(3, 3) @ offset
-        way = data.xpos[other_link] - start
-        length = float(np.linalg.norm(way))
-        kept = own_groups.copy()
+        direction = data.xpos[other_link] - start
+        length = float(np.linalg.norm(direction))
+        saved = own_groups.copy()
         own_groups.fill(HIDDEN_GROUP)
-        free = mj.mj_ray(model, data, start, way / (length or 1.0), SEEN_GROUPS, True, -1, met, None)
-        own_groups[:] = kept
+        free = mj.mj_ray(model, data, start, direction / (length or 1.0), SEEN_GROUPS, True, -1, met, None)
+        own_groups[:] = saved
         return free < 0.0 or free > length - SIGHT_TOLERANCE_M or int(met[0]) in its_own
 
     return is_free

@@ -40,12 +40,12 @@ def capture_native_output() -> Iterator[Callable[[], str]]:
     it."""
     _flush()
     with tempfile.TemporaryFile() as caught:
-        kept: list[tuple[int, int]] = []
+        copies: list[tuple[int, int]] = []
         for fd in (1, 2):
             with suppress(OSError):  # a program may have closed its own
-                kept.append((fd, os.dup(fd)))
+                copies.append((fd, os.dup(fd)))
         try:
-            for fd, _ in kept:
+            for fd, _ in copies:
                 os.dup2(caught.fileno(), fd)
 
             def said() -> str:
@@ -56,7 +56,7 @@ def capture_native_output() -> Iterator[Callable[[], str]]:
             yield said
         finally:
             _flush()
-            for fd, copy in kept:
+            for fd, copy in copies:
                 os.dup2(copy, fd)
                 os.close(copy)
 

@@ -277,8 +277,8 @@ class Camera:
     ) -> CameraImage:
         """Return the whole picture; `places` are the indices of PyBullet's numbers among `names`, `ground` is
         that of the floor."""
-        seen, buffer, numbers = self._rendered(aim)
-        colors, bare, rays = seen.copy(), numbers < 0, self._world_rays(aim)
+        picture, buffer, numbers = self._rendered(aim)
+        colors, bare, rays = picture.copy(), numbers < 0, self._world_rays(aim)
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
             CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer
         ) + np.float32(EYE_OFFSET_M)

@@ -130,9 +130,9 @@ class PyBulletEngine:
                 pool.name: pool for pool in loading.bodies(self._client, world)
             }
             self._parameters = Parameters(self._client, world, self._pools, self._floor)
-            every = [body for pool in self._pools.values() for body in pool]
-            self._moving = [body for body in every if not body.fixed or body.brakes]
-            self._fixed = [body for body in every if body.fixed and not body.brakes]
+            bodies = [body for pool in self._pools.values() for body in pool]
+            self._moving = [body for body in bodies if not body.fixed or body.brakes]
+            self._fixed = [body for body in bodies if body.fixed and not body.brakes]
             self._ground = [body.number for body in self._pools.get(GROUND, ())]
             loading.join_islands(self._client, self._pools.values())
             self.reset()
@@ -184,11 +184,11 @@ class PyBulletEngine:
         velocity: Triple = ZERO_VECTOR,
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        placed = self._pool(body).activate()
-        pose = placed.center_pose(position, frames.normalized(orientation))
-        p.resetBasePositionAndOrientation(placed.number, *pose, self._client)
+        form = self._pool(body).activate()
+        pose = form.center_pose(position, frames.normalized(orientation))
+        p.resetBasePositionAndOrientation(form.number, *pose, self._client)
         of_center = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
-        p.resetBaseVelocity(placed.number, of_center, angular_velocity, self._client)
+        p.resetBaseVelocity(form.number, of_center, angular_velocity, self._client)
         self._cache.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
@@ -261,7 +261,9 @@ class PyBulletEngine:
             near = (body.number, link)
             return self._bound(
                 other,
-                lambda its, its_link: surfaces.clearance(self._client, near, (its.number, its_link)),
+                lambda far_body, far_link: surfaces.clearance(
+                    self._client, near, (far_body.number, far_link)
+                ),
                 surfaces.ANY_LINK,
             )
 
@@ -279,7 +281,7 @@ class PyBulletEngine:
         read = self._bound(
             part,
             lambda body, link: self._bound(
-                other, lambda its, its_link: cast.line_of_sight(body, link, its, its_link, point)
+                other, lambda far_body, far_link: cast.line_of_sight(body, link, far_body, far_link, point)
             ),
         )
         return lambda: far.present and read()
@@ -302,9 +304,11 @@ class PyBulletEngine:
             for body in (pool.current,)
         }
         deepest: dict[tuple[str, str], Overlap] = {}
-        for ((one, link), (other, other_link)), depth in surfaces.penetrations(self._client).items():
-            if one in bodies and other in bodies:
-                (a, first), (b, second) = bodies[one], bodies[other]
+        for ((number, link), (other_number, other_link)), depth in surfaces.penetrations(
+            self._client
+        ).items():
+            if number in bodies and other_number in bodies:
+                (a, first), (b, second) = bodies[number], bodies[other_number]
                 overlap = Overlap((a, first.link(link).name), (b, second.link(other_link).name), depth)
                 deepest_here = deepest.get((a, b))
                 deepest[a, b] = (
@@ -324,12 +328,12 @@ class PyBulletEngine:
         # Robots come before objects, which get values that are not finite from them.
         for body in reversed(self._require_open()._moving):
             joints = p.getJointStates(body.number, tuple(body.brakes), client) if body.brakes else ()
-            for what, values in (
+            for quantity, values in (
                 ("pose", p.getBasePositionAndOrientation(body.number, client)),
                 ("joints", (j[:2] for j in joints)),
             ):
                 if not isfinite(sum(map(sum, values))):
-                    raise EngineError(f"the {what} of '{body.name}' became infinite or NaN")
+                    raise EngineError(f"the {quantity} of '{body.name}' became infinite or NaN")
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
         return state.joints(self._client, *self._joints(robot, joints), self._cache)
@@ -397,17 +401,17 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        curve, of = torque_curve(stall_torque, no_load_speed), (self._client, body, indices)
+        curve, arguments = torque_curve(stall_torque, no_load_speed), (self._client, body, indices)
         read = self.joint_states(robot, joints)
         if curve is None:
-            return self._drive(motors.Springs(*of, read, max_torque, stiffness, damping), body)
-        return self._drive(motors.CurvedMotor(*of, read, max_torque, curve, stiffness, damping), body)
+            return self._drive(motors.Springs(*arguments, read, max_torque, stiffness, damping), body)
+        return self._drive(motors.CurvedMotor(*arguments, read, max_torque, curve, stiffness, damping), body)
 
     def _drive(self, springs: motors.Springs, body: int) -> MotorWriter:
         """Let springs renew their torques in every engine step, in place of earlier ones on the same
         joints."""
         self._springs[body, springs.indices] = springs
-        self._substeps.drives[:] = [each.apply for each in self._springs.values()]
+        self._substeps.drives[:] = [drive.apply for drive in self._springs.values()]
         return springs.set_targets
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
@@ -431,9 +435,9 @@ class PyBulletEngine:
         fine = replace(view, width=view.width * view.samples, height=view.height * view.samples)
         camera = cameras.Camera(self._client, fine.width, fine.height, fine.fov, self._floor)
         aim = cameras.pose_of_view(view)
-        seen = (fine, self._floor.tiles if self._floor else None)
-        if self._backdrop is None or self._backdrop[0] != seen:
-            self._backdrop = (seen, camera.background(aim))
+        key = (fine, self._floor.tiles if self._floor else None)
+        if self._backdrop is None or self._backdrop[0] != key:
+            self._backdrop = (key, camera.background(aim))
         return brightened(
             downsampled(camera.render(aim, self._backdrop[1]), view.samples), self._parameters.light
         )

@@ -114,7 +114,7 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     """Yield all bodies, in the order of the world model."""
     for pool in _loaded(client, world):
         for body, link in [
-            (each, link) for each in pool for link in each.model.links if world.terrain is None
+            (form, link) for form in pool for link in form.model.links if world.terrain is None
         ]:
             if not link.friction.restitution:
                 p.changeDynamics(
@@ -207,11 +207,11 @@ def _load(
     file.write_text(to_urdf(for_loader(model, file.parent)), encoding="utf-8")
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     flags |= p.URDF_USE_SELF_COLLISION if self_collision else 0
-    with capture_native_output() as said:
+    with capture_native_output() as output:
         try:
             number = p.loadURDF(str(file), useFixedBase=int(fixed), flags=flags, physicsClientId=client)
         except p.error as error:
-            raise EngineError(f"PyBullet cannot load '{name}': {said() or error}") from error
+            raise EngineError(f"PyBullet cannot load '{name}': {output() or error}") from error
     body = Body(name, number, model, fixed, client)
     _make_contact(client, body)
     if self_collision:
@@ -232,9 +232,9 @@ def _collide_with_itself(client: int, body: Body) -> None:
     """Let links touch each other that no joint joins."""
     body.self_collision = True
     pairs = set(self_collision_pairs(body.model))
-    for one, other in combinations((link.name for link in body.model.links), 2):
-        numbers = (body.number, body.number, body.links[one], body.links[other])
-        p.setCollisionFilterPair(*numbers, int((one, other) in pairs), client)
+    for first, second in combinations((link.name for link in body.model.links), 2):
+        numbers = (body.number, body.number, body.links[first], body.links[second])
+        p.setCollisionFilterPair(*numbers, int((first, second) in pairs), client)
 
 
 def _follow(client: int, number: int, follower: int, leader: int, mimic: Mimic) -> None:
@@ -263,8 +263,8 @@ def _make_contact(client: int, body: Body) -> None:
         parameters = contact_parameters(link.friction)
         if parameters["restitution"] > 0.0:
             parameters["contactProcessingThreshold"] = 0.0
-        for what, value in parameters.items():
-            p.changeDynamics(body.number, body.links[link.name], **{what: value}, physicsClientId=client)
+        for key, value in parameters.items():
+            p.changeDynamics(body.number, body.links[link.name], **{key: value}, physicsClientId=client)
 
 
 def _plane(client: int, ground: Ground) -> Body:
@@ -356,8 +356,8 @@ def for_loader(model: RobotModel, folder: Path) -> RobotModel:
                 read_verified(geometry.shape)
         color = LINK_COLORS[index % len(LINK_COLORS)]
         visuals = tuple(
-            replace(seen, color=seen.color or color, shape=_seen_shape(seen.shape, folder))
-            for seen in link.visuals or link.collisions
+            replace(visual, color=visual.color or color, shape=_seen_shape(visual.shape, folder))
+            for visual in link.visuals or link.collisions
         )
         links.append(replace(link, visuals=visuals))
     return replace(

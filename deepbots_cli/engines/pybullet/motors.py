@@ -156,15 +156,15 @@ class CurvedMotor(Springs):
         if targets is None:
             return
         states, (stiffness, damping, _, limits) = self._read(), self._columns
-        wanted = targets
+        efforts = targets
         if self._is_spring:
-            wanted = [
+            efforts = [
                 k * (target - state[0]) - d * state[1]
                 for k, d, target, state in zip(stiffness, damping, targets, states, strict=True)
             ]
         bounds = self._curve.bounds([state[1] for state in states], limits)
         self.torques = [
-            min(max(torque, low), high) for torque, (low, high) in zip(wanted, bounds, strict=True)
+            min(max(torque, low), high) for torque, (low, high) in zip(efforts, bounds, strict=True)
         ]
         self._exert(self.torques)
 
@@ -196,18 +196,18 @@ def torques(
 
     def read_torques() -> list[float]:
         exerted = [state[3] for state in read()]
-        for (driven, _), some in springs.items():
+        for (driven, _), drive in springs.items():
             if driven == body:
-                if some.indices == own:
-                    exerted = list(map(add, exerted, some.torques))
+                if drive.indices == joint_indices:
+                    exerted = list(map(add, exerted, drive.torques))
                     continue
-                for index, torque in zip(some.indices, some.torques, strict=True):
+                for index, torque in zip(drive.indices, drive.torques, strict=True):
                     if index in places:
                         exerted[places[index]] += torque
         return exerted
 
-    own = tuple(indices)
-    places = {index: place for place, index in enumerate(own)}
+    joint_indices = tuple(indices)
+    places = {index: place for place, index in enumerate(joint_indices)}
     return read_torques
 
 

@@ -92,7 +92,7 @@ class Body:
         return self._dynamics[index]
 
     def link(self, index: int) -> Link:
-        return self.model.link(next(name for name, its in self.links.items() if its == index))
+        return self.model.link(next(name for name, number in self.links.items() if number == index))
 
     def scale_mass(self, index: int, factor: float) -> None:
         """Multiply the mass with which a link was loaded by a factor, and its inertia."""
@@ -150,8 +150,8 @@ class Body:
 
     def origin_pose(self, position: Triple, orientation: Quaternion) -> Frame:
         """Return the pose of the root link, from that of the inertia."""
-        turned = orientation if self._parallel else frames.multiply(orientation, self._back)
-        return frames.subtract(position, frames.rotate(turned, self.center)), turned
+        rotation = orientation if self._parallel else frames.multiply(orientation, self._back)
+        return frames.subtract(position, frames.rotate(rotation, self.center)), rotation
 
 
 # Readings
@@ -208,8 +208,8 @@ def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseRea
         return read_cache.cached(key, lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
     if owner.is_centered:
         return partial(p.getBasePositionAndOrientation, number, client)
-    placed = _root_frames(client, owner, read_cache)
-    return lambda: placed()[1]
+    root_frames = _root_frames(client, owner, read_cache)
+    return lambda: root_frames()[1]
 
 
 def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> VelocityReader:
@@ -226,8 +226,8 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
         read_link = partial(p.getLinkState, number, index, 1, 1, client)
 
         def of_link() -> Motion:
-            center, _, _, _, origin, turned, linear, angular = read_link()
-            return (origin, turned), (
+            center, _, _, _, origin, rotation, linear, angular = read_link()
+            return (origin, rotation), (
                 frames.add(linear, frames.cross(angular, frames.subtract(origin, center))),
                 angular,
             )
@@ -237,10 +237,10 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
     if owner.is_centered:
         read_pose = partial(p.getBasePositionAndOrientation, number, client)
         return read_cache.cached(("motion", number, index), lambda: (read_pose(), read_velocity()))
-    placed = _root_frames(client, owner, read_cache)
+    root_frames = _root_frames(client, owner, read_cache)
 
     def of_origin() -> Motion:
-        center, pose = placed()
+        center, pose = root_frames()
         linear, angular = read_velocity()
         return pose, (frames.add(linear, frames.cross(angular, frames.subtract(pose[0], center))), angular)
 
@@ -255,18 +255,18 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
     base_mass = root.mass if owner.fixed and root is not None else None
 
     def read() -> Triple:
-        base, turned = p.getBasePositionAndOrientation(number, client)
+        base, rotation = p.getBasePositionAndOrientation(number, client)
         states = p.getLinkStates(number, below, 1, 1, client) if below else ()
         motions = [
-            (base, turned, *p.getBaseVelocity(number, client)),
+            (base, rotation, *p.getBaseVelocity(number, client)),
             *((*link[:2], *link[6:8]) for link in states),
         ]
         total, momentum, first, flow = 0.0, ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR
-        for index, (place, turned, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
+        for index, (place, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
-            arm, (x, y, z) = frames.subtract(place, base), frames.rotate_back(turned, turning)
-            spin = frames.rotate(turned, (ix * x, iy * y, iz * z))
+            arm, (x, y, z) = frames.subtract(place, base), frames.rotate_back(rotation, turning)
+            spin = frames.rotate(rotation, (ix * x, iy * y, iz * z))
             momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
             first = frames.add(first, frames.scaled(arm, mass))
             flow = frames.add(flow, frames.scaled(speed, mass))
@@ -281,8 +281,8 @@ def _root_frames(client: int, owner: Body, read_cache: ReadCache) -> Callable[[]
     read = partial(p.getBasePositionAndOrientation, owner.number, client)
 
     def placed() -> tuple[Triple, Frame]:
-        center, turned = read()
-        return center, owner.origin_pose(center, turned)
+        center, rotation = read()
+        return center, owner.origin_pose(center, rotation)
 
     return read_cache.cached(("placed", owner.number), placed)
 

@@ -81,9 +81,9 @@ class ContactMonitor:
         for query in self._queries:
             for point in query():
                 if point[9] > 0.0 or point[8] <= 0.0:
-                    other, own, other_link = point[2:5]
+                    other, link, other_link = point[2:5]
                     for mark in self._open_flags:
-                        if (mark.link == own or mark.link == ANY_LINK) and mark.is_other(other, other_link):
+                        if (mark.link == link or mark.link == ANY_LINK) and mark.is_other(other, other_link):
                             mark.touched = learned = True
         if learned:
             self._open_flags = [mark for mark in self._open_flags if not mark.touched]
@@ -104,9 +104,9 @@ class ContactMonitor:
 
     def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
         """Return whether the link touched one of `others`."""
-        wanted = frozenset(others)
+        keys = frozenset(others)
         return self._flag(
-            link, lambda other, other_link: (other, other_link) in wanted or (other, ANY_LINK) in wanted
+            link, lambda other, other_link: (other, other_link) in keys or (other, ANY_LINK) in keys
         )
 
     def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
@@ -121,8 +121,8 @@ def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
     p.performCollisionDetection(client)
     depths: dict[tuple[LinkKey, LinkKey], float] = {}
     for point in p.getContactPoints(physicsClientId=client):
-        _, one, other, link, other_link = point[:5]
-        pair = ((one, link), (other, other_link))
+        _, body, other_body, link, other_link = point[:5]
+        pair = ((body, link), (other_body, other_link))
         if point[8] < 0.0:
             depths[pair] = max(depths.get(pair, 0.0), -point[8])
     return depths
@@ -139,10 +139,10 @@ def _contact_points(client: int, body: Body, link: int) -> ContactQuery:
 
 
 def _from_other_side(point: Any) -> tuple[Any, ...]:
-    flag, one, other, link, other_link, place, other_place, normal, distance, force = point[:10]
+    flag, body, other_body, link, other_link, place, other_place, normal, distance, force = point[:10]
     first, along, second, across = point[10:14]
     normal, along, across = (frames.scaled(axis, -1.0) for axis in (normal, along, across))
-    ends = (other, one, other_link, link, other_place, place)
+    ends = (other_body, body, other_link, link, other_place, place)
     return (flag, *ends, normal, distance, force, first, along, second, across)
 
 
@@ -210,10 +210,10 @@ class Rays:
             return self._level_reader(body, index, rays, reach)
         center, principal = body.dynamics(index).inertia_frame
         back = frames.inverse(principal)
-        ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
+        ends = [frames.add(origin, frames.rotate(rotation, (reach, 0.0, 0.0))) for origin, rotation in rays]
         points = ([origin for origin, _ in rays], ends)
         starts, ends = (
-            [frames.rotate(back, frames.subtract(point, center)) for point in each] for each in points
+            [frames.rotate(back, frames.subtract(point, center)) for point in group] for group in points
         )
         cast = partial(
             p.rayTestBatch,
@@ -248,16 +248,16 @@ class Rays:
 
     def _level_reader(self, body: Body, index: int, rays: Sequence[Frame], reach: float) -> RayReader:
         """Return a reader of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
-        ends = [frames.add(origin, frames.rotate(turned, (reach, 0.0, 0.0))) for origin, turned in rays]
+        ends = [frames.add(origin, frames.rotate(rotation, (reach, 0.0, 0.0))) for origin, rotation in rays]
         points = [origin for origin, _ in rays], ends
         pose, mask = state.pose(self._client, body, index, self._cache), ~self._collision_group_bit(body)
 
         def read() -> list[float]:
-            position, turned = pose()
-            level = (position, frames.leveled(turned))
+            position, rotation = pose()
+            level = (position, frames.leveled(rotation))
             starts, stops = (
-                [frames.compose(level, (point, frames.IDENTITY_ROTATION))[0] for point in each]
-                for each in points
+                [frames.compose(level, (point, frames.IDENTITY_ROTATION))[0] for point in group]
+                for group in points
             )
             hits = p.rayTestBatch(
                 starts, stops, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client
@@ -294,8 +294,8 @@ class Rays:
         surface = self._round_surfaces.get(hit[:2])
         if surface is None:
             return float(hit[2] * reach)
-        way = frames.scaled(frames.subtract(stop, start), 1.0 / reach)
-        return surface.hit_distance(start, way, hit[2] * reach)
+        direction = frames.scaled(frames.subtract(stop, start), 1.0 / reach)
+        return surface.hit_distance(start, direction, hit[2] * reach)
 
     def _collision_group_bit(self, body: Body) -> int:
         """Return the bit of a body's own group; its collisions stay the same."""
@@ -325,8 +325,8 @@ class RoundSurface:
     def hit_distance(self, start: Triple, direction: Triple, near: float) -> float:
         """Return the distance (m) along a unit direction at which the surface is met, if that is close to the
         answer `near`."""
-        center, turned = frames.compose(self.pose(), self.origin)
-        back = frames.inverse(turned)
+        center, rotation = frames.compose(self.pose(), self.origin)
+        back = frames.inverse(rotation)
         s, d = frames.rotate(back, frames.subtract(start, center)), frames.rotate(back, direction)
         r = self.shape.radius
         if isinstance(self.shape, Sphere):

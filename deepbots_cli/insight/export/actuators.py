@@ -99,8 +99,8 @@ def _limits(actuator: Actuator, kind: str, joints: Sequence[Joint], count: int) 
     return [(-math.inf, math.inf)] * count
 
 
-def _or(number: float | None, other: float) -> float:
-    return other if number is None else number
+def _or(number: float | None, default: float) -> float:
+    return default if number is None else number
 
 
 def _within(command: Command, limits: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -162,9 +162,11 @@ def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] |
 def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
     """Return the targets of each combination of options, the last choice changing first: (combinations,
     targets); None if they need more."""
-    chosen = [*product(*(part.options for part in program.agent.choices))]
+    combinations = [*product(*(part.options for part in program.agent.choices))]
     variables = [name for part in program.agent.choices for name in part.variables]
-    rows = np.array([[value for option in options for value in option.values] for options in chosen], float)
+    rows = np.array(
+        [[value for option in options for value in option.values] for options in combinations], float
+    )
     return _evaluated(targets, {Name(name): column for name, column in zip(variables, rows.T, strict=True)})
 
 

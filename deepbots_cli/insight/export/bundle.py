@@ -203,12 +203,12 @@ def _places(info: BundleInfo) -> dict[str, str]:
                 part_of(field, Topic(ros_place.topic, ros_place.type, ros_place.part))
             ]
             if part.by_joint:
-                of = f"of {', '.join(field.joints)}, by `name`"
+                order = f"of {', '.join(field.joints)}, by `name`"
             elif part.count is None:
-                of = "in the order of the table"
+                order = "in the order of the table"
             else:
-                of = ""
-            places[entry.name] = f"`{part.path}` {of}".strip()
+                order = ""
+            places[entry.name] = f"`{part.path}` {order}".strip()
     return places
 
 

@@ -96,10 +96,10 @@ class ControlStep:
     def _decide(self, learner: Learner) -> dict[str, Value]:
         """Return the action variables, and the action as the agent gave it."""
         agent, graph = self.agent, self.graph
-        seen: dict[str, str] = {}
+        inputs: dict[str, str] = {}
         if agent.numbers or not agent.images:
-            seen["observation"] = self._seen()
-        seen |= {image.key: self._seen_image(image) for image in agent.images}
+            inputs["observation"] = self._seen()
+        inputs |= {image.key: self._seen_image(image) for image in agent.images}
         if agent.goal is not None:
             for key, trees in (
                 ("achieved_goal", agent.goal.achieved.scalars),
@@ -110,17 +110,17 @@ class ControlStep:
                     "Sub", self._names.printer.vector(trees), self._math.constant(middle)
                 )
                 value = self._clipped(self._math.binary("Div", value, self._math.constant(half)))
-                seen[key] = graph.cast(self._math.spread(value, len(middle)).name, np.float32)
+                inputs[key] = graph.cast(self._math.spread(value, len(middle)).name, np.float32)
         space = observation_space(agent)
-        order = space.spaces if isinstance(space, spaces.Dict) else seen
-        seen = {key: graph.reshape(seen[key], 1, *self._shapes.get(key, (-1,))) for key in order}
+        order = space.spaces if isinstance(space, spaces.Dict) else inputs
+        inputs = {key: graph.reshape(inputs[key], 1, *self._shapes.get(key, (-1,))) for key in order}
         policy = learner.network()
         states = []
         if policy.memory is not None:
             sides = (policy.memory.num_layers, policy.memory.hidden_size)
             tensors = [self._kept.tensor(name, np.float32, *sides) for name in network.LSTM_STATES]
             states = [graph.add("Unsqueeze", tensor, graph.constant([1], np.int64)) for tensor in tensors]
-        self._decision = network.decide(graph, policy, self.program, seen, states, self._mask(learner))
+        self._decision = network.decide(graph, policy, self.program, inputs, states, self._mask(learner))
         for name, after in zip(network.LSTM_STATES, self._decision.after, strict=False):
             squeezed = graph.add("Squeeze", after, graph.constant([1], np.int64))
             self._kept.keep_tensor(name, self._kept.tensor_if_acting(squeezed, f"memory.{name}"))
@@ -162,9 +162,9 @@ class ControlStep:
                 )
                 place += size
             return decoded | {"previous_action": whole}
-        taken = []
+        parts = []
         for choice, option in zip(agent.choices, decision.options, strict=True):
-            table = graph.constant([each.values for each in choice.options], np.float64)
+            table = graph.constant([entry.values for entry in choice.options], np.float64)
             row = Value(graph.reshape(graph.add("Gather", table, option, axis=0), -1), len(choice.variables))
             decoded |= {
                 name: self._math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)
@@ -173,8 +173,8 @@ class ControlStep:
             hot = graph.reshape(
                 graph.add("Gather", graph.constant(np.eye(size), np.float64), option, axis=0), -1
             )
-            taken.append(self._math.binary("Greater", Value(hot, size), self._math.constant([0.5])))
-        return decoded | {"previous_action": self._math.joined(taken)}
+            parts.append(self._math.binary("Greater", Value(hot, size), self._math.constant([0.5])))
+        return decoded | {"previous_action": self._math.joined(parts)}
 
     def _seen(self) -> str:
         """Return the vector of numbers, in [-1, 1]: the newest frame and older ones."""
@@ -205,7 +205,7 @@ class ControlStep:
         if not (first.is_truth or as_given):
             middle, half = _mapping(entry.low, entry.high)
             value = self._math.binary("Sub", value, self._math.constant(middle))
-            value = self._math.binary("Mul", value, self._math.constant([1 / each for each in half]))
+            value = self._math.binary("Mul", value, self._math.constant([1 / number for number in half]))
             value = self._clipped(value) if entry.clip else value
         return self.graph.cast(self._math.spread(value, size).name, np.float32)
 
@@ -228,7 +228,9 @@ class ControlStep:
         robot, entry = self._names.definitions.fields.get(image.name, (None, None))
         sensor = None
         if robot is not None and entry is not None:
-            sensor = next((each for each in robot.sensors if entry.scalars == (Name(each.name),)), None)
+            sensor = next(
+                (candidate for candidate in robot.sensors if entry.scalars == (Name(candidate.name),)), None
+            )
         if robot is None or sensor is None:
             raise UsageError(
                 f"the image '{image.name}' is not that of a camera as it is, which cannot be exported"
@@ -240,10 +242,10 @@ class ControlStep:
             return picture
         newest = graph.add("Unsqueeze", picture, graph.constant([0], np.int64))
         frames = self._kept.frames(image.key, newest, depth, np.uint8, *image.shape)
-        taken = graph.add(
+        stack = graph.add(
             "Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0
         )
-        return graph.reshape(graph.add("Transpose", taken, perm=[1, 2, 0, 3]), *self._shapes[image.key])
+        return graph.reshape(graph.add("Transpose", stack, perm=[1, 2, 0, 3]), *self._shapes[image.key])
 
     # Messages and commands
 
@@ -268,14 +270,14 @@ class ControlStep:
     def _command(self, action: dict[str, Value]) -> None:
         """The commands of the robots that the action commands."""
         zeros = {name: self._math.constant([0.0]) for name in action}
-        names, kept = self._names, self._kept
-        at_reset = TreePrinter(self._math, Sent(names, zeros, 0), kept.at_reset)
-        sent = TreePrinter(self._math, Sent(names, action, 1), partial(kept.per_message, reset=at_reset))
+        names, memories = self._names, self._kept
+        at_reset = TreePrinter(self._math, Sent(names, zeros, 0), memories.at_reset)
+        sent = TreePrinter(self._math, Sent(names, action, 1), partial(memories.per_message, reset=at_reset))
         for robot in self.program.robots:
             if robot.name not in self.agent.robots:
                 continue
-            first = TreePrinter(self._math, Applied(names, robot, None), kept.at_reset)
-            per_message = partial(kept.per_message, reset=first, begun=robot.begun_by_message)
+            first = TreePrinter(self._math, Applied(names, robot, None), memories.at_reset)
+            per_message = partial(memories.per_message, reset=first, begun=robot.begun_by_message)
             applied = TreePrinter(self._math, Applied(names, robot, sent), per_message)
             for command in robot.commands:
                 info = actuators.output(self.program, robot, command)
@@ -283,8 +285,8 @@ class ControlStep:
                 low, high = (self._bounds(ends, sign) for ends, sign in zip(info.range, (-1, 1), strict=True))
                 value = self._math.call("min", [self._math.call("max", [value, low]), high])
                 if self.repeat > 1:
-                    value = kept.if_acting(value, kept.memory(f"command.{info.name}", info.shape[0]))
-                    kept.keep(f"command.{info.name}", value)
+                    value = memories.if_acting(value, memories.memory(f"command.{info.name}", info.shape[0]))
+                    memories.keep(f"command.{info.name}", value)
                 self.outputs.append(info)
                 self.graph.output(info.name, value.name, np.float64, *info.shape)
 

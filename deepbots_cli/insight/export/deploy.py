@@ -171,34 +171,34 @@ def _term_name(entry: Observation, robot: Robot, motor: Motor, offset: Sequence[
         for leaf, _ in pairs
         if leaf is not None and leaf.name in sensors
     }
-    own = entry.name.replace(".", "_")
+    plain_name = entry.name.replace(".", "_")
     if len(sensors_read) != 1 or any(leaf is None for leaf, _ in pairs):
-        return own
+        return plain_name
     ((_, sensor),) = sensors_read.items()
     shifts = [shift for _, shift in pairs]
     if [leaf.component for leaf, _ in pairs if leaf is not None] != [
         *sensor.components
     ] or sensor.kind not in _TERMS:
-        return own
+        return plain_name
     if sensor.kind.startswith("joint"):
-        return _of_joints(sensor, shifts, motor, offset, own)
+        return _of_joints(sensor, shifts, motor, offset, plain_name)
     if any(shifts):
-        return own
+        return plain_name
     return _TERMS[sensor.kind]
 
 
 def _of_joints(
-    sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], own: str
+    sensor: Sensor, shifts: Sequence[float], motor: Motor, offset: Sequence[float], plain_name: str
 ) -> str:
     if sensor.subjects != motor.joints:
-        return own
+        return plain_name
     if (
         sensor.kind == "joint_position"
         and np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING)
         and any(shifts)
     ):
         return "joint_pos_rel"
-    return own if any(shifts) else _TERMS[sensor.kind]
+    return plain_name if any(shifts) else _TERMS[sensor.kind]
 
 
 def _sensed(tree: Scalar) -> tuple[Name | None, float]:

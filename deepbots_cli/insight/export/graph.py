@@ -137,10 +137,10 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
     constants = {weight.name: numpy_helper.to_array(weight) for weight in graph.initializer}
     needed: dict[str, set[int] | None] = {entry.name: None for entry in graph.output}  # None is all
     for node in reversed(graph.node):
-        wanted = [needed[name] for name in node.output if name in needed]
-        if not wanted:
+        needs = [needed[name] for name in node.output if name in needed]
+        if not needs:
             continue
-        for name, places in _read_for(node, wanted[0] if len(node.output) == 1 else None, shapes, constants):
+        for name, places in _read_for(node, needs[0] if len(node.output) == 1 else None, shapes, constants):
             before = needed.get(name, set())
             needed[name] = None if before is None or places is None else before | places
     numbers = {}
@@ -151,25 +151,25 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
 
 
 def _read_for(
-    node: Any, wanted: set[int] | None, shapes: Mapping[str, Sequence[int]], constants: Mapping[str, Any]
+    node: Any, needs: set[int] | None, shapes: Mapping[str, Sequence[int]], constants: Mapping[str, Any]
 ) -> Iterator[tuple[str, set[int] | None]]:
-    """Yield the places of each input from which the `wanted` places of the result of a node come; None is
+    """Yield the places of each input from which the places `needs` of the result of a node come; None is
     all."""
     of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
     if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
         places = constants[node.input[1]]
         yield (
             node.input[0],
-            {int(places[place]) for place in (range(len(places)) if wanted is None else wanted)},
+            {int(places[place]) for place in (range(len(places)) if needs is None else needs)},
         )
-    elif node.op_type == "Concat" and of_vectors and wanted is not None:
+    elif node.op_type == "Concat" and of_vectors and needs is not None:
         first = 0
         for name in node.input:
             (size,) = shapes[name]
-            yield name, {place - first for place in wanted if first <= place < first + size}
+            yield name, {place - first for place in needs if first <= place < first + size}
             first += size
     else:
         for name in filter(None, node.input):
-            has_shapes = all(each in shapes for each in (name, node.output[0]))
+            has_shapes = all(tensor in shapes for tensor in (name, node.output[0]))
             alike = has_shapes and prod(shapes[name]) == prod(shapes[node.output[0]])
-            yield name, wanted if alike and node.op_type in _NUMBER_BY_NUMBER else None
+            yield name, needs if alike and node.op_type in _NUMBER_BY_NUMBER else None

@@ -29,7 +29,7 @@ def isaac_files(program: Program, learner: Learner) -> dict[PurePosixPath, bytes
     # This compares the networks with those of the learner.
     policy_graph(learner, program)
     graph = Graph()
-    seen = graph.input("obs", np.float32, 1, len(program.agent.inputs))
-    decision = decide(graph, learner.network(), program, {"observation": seen})
+    observation = graph.input("obs", np.float32, 1, len(program.agent.inputs))
+    decision = decide(graph, learner.network(), program, {"observation": observation})
     graph.output("actions", decision.action, np.float32, 1, len(program.agent.range_names))
     return {DEPLOY_NAME: text.encode(), GRAPH_NAME: graph.model(program.name)}

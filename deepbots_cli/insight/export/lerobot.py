@@ -58,9 +58,9 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
             f"a processor of LeRobot scales ranges, and a command of {program.name} has no limit{_INSTEAD}"
         )
     graph = Graph()
-    seen = graph.input(STATE, np.float32, 1, len(agent.inputs))
+    observation = graph.input(STATE, np.float32, 1, len(agent.inputs))
     clips = [number.clip and not number.is_truth for number in numbers]
-    decision = decide(graph, learner.network(), program, {"observation": _clipped(graph, seen, clips)})
+    decision = decide(graph, learner.network(), program, {"observation": _clipped(graph, observation, clips)})
     targets = _targets(
         graph, program, decision, [tree for _, command in commands for tree in command.scalars], low, high
     )
@@ -134,15 +134,15 @@ def _check(program: Program, learner: Learner) -> None:
     if learner.network().memory is not None:
         raise UsageError(f"processors of LeRobot pass on no memory of a recurrent policy{_INSTEAD}")
     if remembering or agent.frame_stack > 1:
-        named = f"the observation of {remembering[0]}" if remembering else "`agent.frame_stack`"
-        raise UsageError(f"processors of LeRobot remember no step before, which {named} needs{_INSTEAD}")
+        subject = f"the observation of {remembering[0]}" if remembering else "`agent.frame_stack`"
+        raise UsageError(f"processors of LeRobot remember no step before, which {subject} needs{_INSTEAD}")
 
 
-def _clipped(graph: Graph, value: str, which: Sequence[bool]) -> str:
+def _clipped(graph: Graph, value: str, mask: Sequence[bool]) -> str:
     """Return a vector [1, n] of which these numbers are clipped to [-1, 1]."""
-    if not any(which):
+    if not any(mask):
         return value
-    ends = np.where(which, 1.0, np.finfo(np.float32).max)[None]
+    ends = np.where(mask, 1.0, np.finfo(np.float32).max)[None]
     return str(graph.add("Min", graph.add("Max", value, graph.constant(-ends)), graph.constant(ends)))
 
 

@@ -134,10 +134,10 @@ class StepMemories:
         args = _columns(printer, states)
         begun, first = self._formulas.begin(function, args)
         name = self._slot(states[0])
-        kept, value = self._formulas.proceed(
+        memory, value = self._formulas.proceed(
             function, self.memory(name, len(states), truth=begun.truth), args
         )
-        self.keep(name, self._math.where(self.started, kept, begun))
+        self.keep(name, self._math.where(self.started, memory, begun))
         return self._math.where(self.started, value, first)
 
     def at_reset(self, states: Sequence[State], printer: TreePrinter) -> Value:
@@ -164,19 +164,19 @@ class StepMemories:
         )
         name = self._slot(states[0])
         before = self._math.where(self.started, self.memory(name, len(states), truth=start.truth), start)
-        kept, value = self._formulas.proceed(function, before, args)
-        self.keep(name, self.if_acting(kept, before))
+        memory, value = self._formulas.proceed(function, before, args)
+        self.keep(name, self.if_acting(memory, before))
         return value
 
     def _slot(self, state: State) -> str:
         """Return a name for the memory of a stateful call, which no other memory has."""
         item, occurrence = state.call
         names = {memory.name for memory in self.entries}
-        wanted = [
+        candidates = [
             item if occurrence == "0" else f"{item}.{occurrence}",
             *(f"{item}.{occurrence}.{number}" for number in range(1, 10_000)),
         ]
-        return next(name for name in wanted if f"memory.{name}" not in names)
+        return next(name for name in candidates if f"memory.{name}" not in names)
 
 
 def _columns(printer: TreePrinter, states: Sequence[State]) -> list[Value]:

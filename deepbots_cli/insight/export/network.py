@@ -117,7 +117,7 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
     graph, network, agent = Graph(), learner.network(), program.agent
     space = observation_space(agent)
     parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
-    seen = {name: graph.input(name, part.dtype, "batch", *part.shape) for name, part in parts.items()}
+    inputs = {name: graph.input(name, part.dtype, "batch", *part.shape) for name, part in parts.items()}
     states: list[str] = []
     lstm = network.memory
     if lstm is not None:
@@ -129,7 +129,7 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
         if takes_masks(learner, program)
         else None
     )
-    decision = decide(graph, network, program, seen, states, mask)
+    decision = decide(graph, network, program, inputs, states, mask)
     if lstm is not None:
         for name, after in zip(LSTM_STATES, decision.after, strict=True):
             graph.output(f"next_{name}", after, np.float32, lstm.num_layers, "batch", lstm.hidden_size)
@@ -216,7 +216,7 @@ def _features(graph: Graph, network: PolicyNetwork, name: str, value: str, *, is
 
 def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> tuple[str, list[str]]:
     """Add the layers of an LSTM, and return its results and states; zeros begin an episode."""
-    units, kept = lstm.hidden_size, []
+    units, layer_states = lstm.hidden_size, []
     value = graph.add("Unsqueeze", value, graph.constant([0], np.int64))
     for layer in range(lstm.num_layers):
         before = [
@@ -228,9 +228,10 @@ def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> t
         inputs = [value, *map(graph.constant, weights), graph.constant(bias), "", *before]
         out, *after = graph.add("LSTM", *inputs, outputs=3, hidden_size=units)
         value = graph.add("Squeeze", out, graph.constant([1], np.int64))
-        kept.append(after)
+        layer_states.append(after)
     states_after = [
-        graph.add("Concat", *(after[number] for after in kept), axis=0) for number in range(len(states))
+        graph.add("Concat", *(after[number] for after in layer_states), axis=0)
+        for number in range(len(states))
     ]
     return str(graph.add("Squeeze", value, graph.constant([0], np.int64))), states_after
 
@@ -288,6 +289,7 @@ def largest_difference(
     differences = [np.abs(results["action"].astype(np.float64) - actions).max()]
     if lstm is not None and after is not None:
         differences += [
-            np.abs(results[f"next_{name}"] - one).max() for name, one in zip(LSTM_STATES, after, strict=True)
+            np.abs(results[f"next_{name}"] - memory).max()
+            for name, memory in zip(LSTM_STATES, after, strict=True)
         ]
     return float(max(differences))

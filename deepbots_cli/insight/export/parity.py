@@ -80,11 +80,11 @@ class Comparison:
         if self._parted:  # the memory of one of the two holds another action
             return commands
         for output in self._info.outputs:
-            wanted = clipped(step.commands[output.name], output)
-            apart = float(np.max(np.abs(commands[output.name] - wanted) / self._spans[output.name]))
+            expected = clipped(step.commands[output.name], output)
+            apart = float(np.max(np.abs(commands[output.name] - expected) / self._spans[output.name]))
             self.worst = max(self.worst, apart)
             if not apart <= TOLERANCE:  # also where it is no number
-                numbers = f"{commands[output.name].tolist()} instead of {wanted.tolist()}"
+                numbers = f"{commands[output.name].tolist()} instead of {expected.tolist()}"
                 raise UsageError(
                     f"the exported policy commands '{output.name}' otherwise than the scenario: {numbers};"
                     " please report this"
@@ -121,8 +121,8 @@ def recorded_parity(bundle: Bundle, step: ControlStep, learner: Learner, *, engi
     """
     rows, comparison = _Rows(bundle), Comparison(bundle)
     recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world), engine=engine)
-    for number, each in enumerate(recorded):
-        rows.add(each.first, each.inputs, comparison.add(each))
+    for number, recorded_step in enumerate(recorded):
+        rows.add(recorded_step.first, recorded_step.inputs, comparison.add(recorded_step))
         if rows.count == min(RECORDED, most_steps(bundle) // 2) or number == _TRIES * RECORDED:
             break
     recorded.close()
@@ -183,7 +183,7 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
     """Add steps with inputs in and around the range of the recorded ones, and far beyond."""
     random, policy, input_rows = np.random.default_rng(0), bundle.start(), rows.inputs
-    wanted = rows.count + min(RANDOM, most_steps(bundle) // 2)
+    total = rows.count + min(RANDOM, most_steps(bundle) // 2)
     for number in range(_TRIES * RANDOM):
         first = number % _RANDOM_EPISODE == 0
         if first:
@@ -197,7 +197,7 @@ def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
             # `apply` need not be defined far beyond the values of an episode, so commands may be infinite
             # there.
             rows.cut()
-        if rows.count == wanted:
+        if rows.count == total:
             break
 
 

@@ -105,7 +105,7 @@ class Readings:
         name = self.deployment.name(read)
         interval = function.interval() if function is not None and read.function == "orientation" else None
         robot = read.subjects[0].partition(".")[0]
-        robots = {each.name for each in self._program.robots}
+        robots = {entry.name for entry in self._program.robots}
         info = self._input(
             name,
             robot=robot if robot in robots else None,
@@ -169,7 +169,7 @@ class Readings:
         period: float | None = None,
         latency: float = 0.0,
         components: Sequence[str] = (),
-        **known: object,
+        **fields: object,
     ) -> Input:
         step = self._timestep
         values: dict[str, object] = {
@@ -184,7 +184,7 @@ class Readings:
             "latency_s": latency,
             "max_age_s": round(latency + _AGES_WITHIN * max(period or step, step), 9),
         }
-        return Input(name=name, components=tuple(components), **{**values, **known})  # type: ignore[arg-type]
+        return Input(name=name, components=tuple(components), **{**values, **fields})  # type: ignore[arg-type]
 
 
 def _field(robot: Robot, sensor: Sensor) -> str:
@@ -209,7 +209,9 @@ def _sensor_range(
 
 def _ends(intervals: Sequence[Interval]) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
     """Return the lower and the upper ends, None where there is none."""
-    return tuple(finite(each.low) for each in intervals), tuple(finite(each.high) for each in intervals)
+    return tuple(finite(interval.low) for interval in intervals), tuple(
+        finite(interval.high) for interval in intervals
+    )
 
 
 def finite(number: float | None) -> float | None:

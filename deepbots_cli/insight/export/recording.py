@@ -68,9 +68,9 @@ def recorded_steps(
                 if recorded.number:
                     action = recorded.action if agent is world else recorded.action[0]
                     between = observed[:-1] if step.repeat > 1 else []
-                    for place, each in enumerate([inputs, *between]):
+                    for place, step_inputs in enumerate([inputs, *between]):
                         yield RecordedStep(
-                            recorded.number == 1 and place == 0, each, watch.commands(), action
+                            recorded.number == 1 and place == 0, step_inputs, watch.commands(), action
                         )
                 inputs = observed[-1]
             number += 1
@@ -147,7 +147,7 @@ class Watch:
             self.drives.append(drive)
         for robot in {output.robot for output in outputs}:
             if not agent.scenario.is_direct(
-                next(each for each in agent.scenario.robots if each.name == robot), "to_robot"
+                next(entry for entry in agent.scenario.robots if entry.name == robot), "to_robot"
             ):
                 self._apply_when_sent(agent, robot)
 

@@ -52,8 +52,8 @@ class Arithmetic:
     def constant(self, values: Sequence[float | bool]) -> Value:
         truth = all(isinstance(value, bool) for value in values)
         single = len({(value, math.copysign(1.0, value)) for value in values}) == 1
-        kept = values[:1] if single else values
-        return Value(self.graph.constant([*kept], np.bool_ if truth else np.float64), len(kept), truth)
+        numbers = values[:1] if single else values
+        return Value(self.graph.constant([*numbers], np.bool_ if truth else np.float64), len(numbers), truth)
 
     def picked(self, items: Sequence[Item]) -> Value:
         """Return a vector of numbers of tensors."""
@@ -63,7 +63,7 @@ class Arithmetic:
             if item is not None and (not run or item.whole == run[0].whole):
                 run.append(item)
                 continue
-            parts.append(self._of_one([each.place for each in run], run[0].whole))
+            parts.append(self._of_one([entry.place for entry in run], run[0].whole))
             run = [item] if item is not None else []
         return self.joined(parts)
 
@@ -72,18 +72,18 @@ class Arithmetic:
             return whole
         if whole.size == 1:
             return self.spread(whole, len(indices))
-        taken = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
-        return Value(taken, len(indices), whole.truth)
+        part = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
+        return Value(part, len(indices), whole.truth)
 
     def joined(self, parts: Sequence[Value]) -> Value:
         """Return the values of several vectors in a row; truth values among numbers are 0 and 1."""
         if len(parts) == 1:
             return parts[0]
         truth = all(part.truth for part in parts)
-        same = [part if truth else self.number(part) for part in parts]
+        values = [part if truth else self.number(part) for part in parts]
         return Value(
-            self.graph.add("Concat", *(part.name for part in same), axis=0),
-            sum(part.size for part in same),
+            self.graph.add("Concat", *(part.name for part in values), axis=0),
+            sum(part.size for part in values),
             truth,
         )
 
@@ -170,10 +170,10 @@ class Arithmetic:
     def remainder(self, a: Value, b: Value) -> Value:
         """Return `a % b` as in Python, with the sign of b."""
         rest = self._node("Mod", a, b, fmod=1)
-        other = self.both(
+        has_other_sign = self.both(
             self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b))
         )
-        return self.where(other, self.binary("Add", rest, b), rest)
+        return self.where(has_other_sign, self.binary("Add", rest, b), rest)
 
     def _unequal(self, a: Value, b: Value) -> Value:
         return self.negated(self.binary("Equal", a, b))
@@ -223,8 +223,8 @@ class Arithmetic:
             self.graph.cast(self.graph.add("Atan", self.graph.cast(slope.name, np.float32)), np.float64),
             slope.size,
         )
-        turned = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
-        angle = self.where(left, turned, coarse)
+        opposite = self._node("Add", coarse, self.where(below, self.constant([-math.pi]), pi))
+        angle = self.where(left, opposite, coarse)
         sine, cosine = self._node("Sin", angle), self.cosine(angle)
         across = self.binary("Sub", self.binary("Mul", y, cosine), self.binary("Mul", x, sine))
         along = self.binary("Add", self.binary("Mul", x, cosine), self.binary("Mul", y, sine))
@@ -341,14 +341,14 @@ class TreePrinter:
                 [self._leaf(tree) for tree in trees if isinstance(tree, (Name, EngineRead))]
             )
         if isinstance(first, State):
-            same = [
+            states = [
                 tree
                 for tree in trees
                 if isinstance(tree, State)
                 and (tree.function, len(tree.args)) == (first.function, len(first.args))
             ]
-            if len(same) == len(trees):
-                return self._states(same, self)
+            if len(states) == len(trees):
+                return self._states(states, self)
         if isinstance(first, Op):
             alike = [
                 tree
@@ -406,11 +406,11 @@ class TreePrinter:
             case ast.BoolOp(op=sign, values=parts):
                 joined = self._code(parts[0], args)
                 for part in parts[1:]:
-                    other = self._code(part, args)
+                    operand = self._code(part, args)
                     joined = (
-                        arithmetic.both(joined, other)
+                        arithmetic.both(joined, operand)
                         if isinstance(sign, ast.And)
-                        else arithmetic.either(joined, other)
+                        else arithmetic.either(joined, operand)
                     )
                 return joined
             case ast.UnaryOp(op=ast.USub(), operand=inner):

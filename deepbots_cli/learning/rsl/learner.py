@@ -303,7 +303,7 @@ def _algorithm(setup: Setup, settings: dict[str, Any], rows: int, steps: int) ->
     training = setup.training
     (width,) = setup.observation_space.shape or ()
     own_width = width if setup.policy_columns is None else len(setup.policy_columns)
-    seen = _grouped(torch.zeros(rows, own_width), torch.zeros(rows, width))
+    example = _grouped(torch.zeros(rows, own_width), torch.zeros(rows, width))
     (actions,) = setup.action_space.shape or ()
     networks = {
         "hidden_dims": list(training.network.hidden),
@@ -312,9 +312,9 @@ def _algorithm(setup: Setup, settings: dict[str, Any], rows: int, steps: int) ->
     }
     distribution = {name: settings.pop(name) for name in _DISTRIBUTION}
     distribution["class_name"] = "GaussianDistribution"
-    actor = MLPModel(seen, _GROUPS, "actor", actions, distribution_cfg=distribution, **networks)
-    critic = MLPModel(seen, _GROUPS, "critic", 1, **networks)
-    return PPO(actor, critic, RolloutStorage("rl", rows, steps, seen, [actions]), **settings)
+    actor = MLPModel(example, _GROUPS, "actor", actions, distribution_cfg=distribution, **networks)
+    critic = MLPModel(example, _GROUPS, "critic", 1, **networks)
+    return PPO(actor, critic, RolloutStorage("rl", rows, steps, example, [actions]), **settings)
 
 
 def _fill_optimizer(optimizer: torch.optim.Optimizer) -> None:
@@ -354,8 +354,8 @@ def _normalizing(layer: nn.Linear, normalizer: Any) -> nn.Linear:
     return combined
 
 
-def _grouped(own: torch.Tensor, whole: torch.Tensor) -> TensorDict:
-    return TensorDict({"policy": own, "critic": whole}, batch_size=whole.shape[:1])
+def _grouped(part: torch.Tensor, whole: torch.Tensor) -> TensorDict:
+    return TensorDict({"policy": part, "critic": whole}, batch_size=whole.shape[:1])
 
 
 def _tensor(array: Array) -> torch.Tensor:

@@ -77,11 +77,11 @@ def create(
     kind = training.action_noise or settings.pop("action_noise", None)
     settings.pop("action_noise", None)
     if settings.pop("replay", None) is not None and training.replay is not None:
-        chosen = {
+        buffer_options = {
             "n_sampled_goal": training.replay.goals,
             "goal_selection_strategy": training.replay.strategy,
         }
-        settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": chosen}
+        settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": buffer_options}
     settings |= {h.name: _value(h) for h in training.hyperparameters}
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(env.action_space, gym.spaces.Box):
@@ -207,13 +207,13 @@ def _no_torch(algorithm: type[Model], reason: str) -> str:
     )
 
 
-def _device(wanted: str, *, to_learn: bool) -> str:
+def _device(device: str, *, to_learn: bool) -> str:
     """Return `cpu` or `cuda`. A policy that was trained on a GPU acts on the CPU if there is no GPU."""
-    if wanted == "cuda" and to_learn and not torch.cuda.is_available():
+    if device == "cuda" and to_learn and not torch.cuda.is_available():
         raise UsageError(
             "`train.device` is cuda, but torch finds no CUDA device; write `device: auto` to use the CPU"
         )
-    return "cuda" if wanted != "cpu" and torch.cuda.is_available() else "cpu"
+    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
 def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
@@ -276,7 +276,7 @@ def check_size(hidden: Sequence[int]) -> None:
     """
     if len(hidden) > _MOST_LAYERS:
         raise UsageError(f"a policy has at most {_MOST_LAYERS} hidden layers")
-    if sum(one * other for one, other in pairwise(hidden)) > _MOST_WEIGHTS:
+    if sum(inputs * outputs for inputs, outputs in pairwise(hidden)) > _MOST_WEIGHTS:
         raise UsageError(
             f"a policy with hidden layers of {', '.join(map(str, hidden))} units has more than"
             f" {_MOST_WEIGHTS:,} weights"
@@ -322,12 +322,12 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
     _require_memory(f"{steps:,} remembered steps need", needed, memory, "; give 'buffer_size' under 'train'")
 
 
-def _require_memory(what: str, needed: int, memory: int | None, hint: str = "") -> None:
+def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "") -> None:
     if memory is None and hasattr(os, "sysconf"):  # not on Windows
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if memory is not None and needed > memory:
         raise UsageError(
-            f"{what} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}"
+            f"{subject} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}"
         )
 
 
@@ -338,15 +338,15 @@ def _entry(name: str) -> type[Model]:
     return ALGORITHMS[name]
 
 
-def _value(given: Hyperparameter) -> object:
-    if given.name == "train_freq" and isinstance(given.value, str):
-        count, _, unit = given.value.partition(" ")
+def _value(hyperparameter: Hyperparameter) -> object:
+    if hyperparameter.name == "train_freq" and isinstance(hyperparameter.value, str):
+        count, _, unit = hyperparameter.value.partition(" ")
         return int(count), unit.rstrip("s")
-    if isinstance(given.value, AdaptiveRate):
-        return DivergenceRate(given.value)
-    if not isinstance(given.value, Schedule):
-        return given.value
-    start, end = given.value.start, given.value.end
+    if isinstance(hyperparameter.value, AdaptiveRate):
+        return DivergenceRate(hyperparameter.value)
+    if not isinstance(hyperparameter.value, Schedule):
+        return hyperparameter.value
+    start, end = hyperparameter.value.start, hyperparameter.value.end
     return lambda remaining: end + (start - end) * remaining
 
 

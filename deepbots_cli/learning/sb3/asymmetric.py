@@ -40,12 +40,16 @@ class PolicyColumns(BaseFeaturesExtractor):
     columns: torch.Tensor
 
     def __init__(self, space: gym.Space[Any], columns: Sequence[int]) -> None:
-        own = policy_space(space, columns)
+        inner_space = policy_space(space, columns)
         inner: BaseFeaturesExtractor
-        inner = CombinedExtractor(own) if isinstance(own, spaces.Dict) else FlattenExtractor(own)
+        inner = (
+            CombinedExtractor(inner_space)
+            if isinstance(inner_space, spaces.Dict)
+            else FlattenExtractor(inner_space)
+        )
         super().__init__(space, inner.features_dim)
         self.inner = inner
-        self.space = own
+        self.space = inner_space
         self.register_buffer("columns", torch.tensor(list(columns)), persistent=False)
 
     def forward(self, observations: Any) -> torch.Tensor:
@@ -67,19 +71,19 @@ def policy_space(space: gym.Space[Any], columns: Sequence[int]) -> gym.Space[Any
     """Return the space of the observation of the policy, within that of a training."""
     numbers = space[_NUMBERS] if isinstance(space, spaces.Dict) else space
     assert isinstance(numbers, spaces.Box)
-    own = spaces.Box(numbers.low[list(columns)], numbers.high[list(columns)], dtype=np.float32)
+    box = spaces.Box(numbers.low[list(columns)], numbers.high[list(columns)], dtype=np.float32)
     if not isinstance(space, spaces.Dict):
-        return own
+        return box
     parts = {name: part for name, part in space.spaces.items() if name != _NUMBERS}
-    return spaces.Dict(parts | {_NUMBERS: own} if columns else parts)
+    return spaces.Dict(parts | {_NUMBERS: box} if columns else parts)
 
 
 def widened(space: gym.Space[Any], columns: Sequence[int], observation: Any) -> Any:
     """Return an observation of the policy, or rows of them, in the space of a training; the values of the
     critic are 0. An observation that is in this space already stays as it is."""
     if isinstance(space, spaces.Dict):
-        some = next(name for name in space.spaces if name != _NUMBERS)
-        rows = observation[some].shape[: observation[some].ndim - len(space[some].shape or ())]
+        image = next(name for name in space.spaces if name != _NUMBERS)
+        rows = observation[image].shape[: observation[image].ndim - len(space[image].shape or ())]
         numbers = observation.get(_NUMBERS, np.zeros((*rows, 0), np.float32))
         return {**observation, _NUMBERS: _padded(space[_NUMBERS], columns, numbers)}
     return _padded(space, columns, np.asarray(observation))
@@ -122,8 +126,8 @@ class _Recurrent(_OnPolicy):
         super().__init__(space, actions, lr_schedule, *arguments, **settings)
         policy: Any = self
         size, layers = policy.lstm_actor.hidden_size, policy.lstm_actor.num_layers
-        own = policy.pi_features_extractor.features_dim
-        policy.lstm_actor = nn.LSTM(own, size, num_layers=layers, **policy.lstm_kwargs).to(policy.device)
+        width = policy.pi_features_extractor.features_dim
+        policy.lstm_actor = nn.LSTM(width, size, num_layers=layers, **policy.lstm_kwargs).to(policy.device)
         policy.optimizer = policy.optimizer_class(
             policy.parameters(), lr=lr_schedule(1), **policy.optimizer_kwargs
         )

@@ -63,8 +63,8 @@ def check_critic(model: Any) -> CriticCheck | None:
     steps, copies = np.nonzero(unknown <= _UNKNOWN)
     if len(steps) < _MIN_SAMPLES:
         return None
-    chosen = np.linspace(0, len(steps) - 1, min(_SAMPLES, len(steps))).round().astype(int)
-    steps, copies = steps[chosen], copies[chosen]
+    samples = np.linspace(0, len(steps) - 1, min(_SAMPLES, len(steps))).round().astype(int)
+    steps, copies = steps[samples], copies[samples]
     places = rows[steps], copies
     values = _values(model, buffer, places)
     return CriticCheck(float(values.mean()), float(followed[steps, copies].mean()))
@@ -85,15 +85,19 @@ def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> 
 
 def _values(model: Any, buffer: Any, places: tuple[Array, Array]) -> Array:
     """Return the critic's values of stored steps, the smaller one of two critics."""
-    seen: Any = buffer.observations
-    stored = {key: part[places] for key, part in seen.items()} if isinstance(seen, dict) else seen[places]
+    contents: Any = buffer.observations
+    stored = (
+        {key: part[places] for key, part in contents.items()}
+        if isinstance(contents, dict)
+        else contents[places]
+    )
     # The columns behind the actions are labels of a teacher.
     actions = buffer.actions[places][:, : get_action_dim(model.action_space)]
     with torch.no_grad():
         observations, _ = model.policy.obs_to_tensor(stored)
         if hasattr(model, "q_net"):
-            taken = torch.as_tensor(actions, device=model.device).long().reshape(-1, 1)
-            predictions = model.q_net(observations).gather(1, taken)
+            action_columns = torch.as_tensor(actions, device=model.device).long().reshape(-1, 1)
+            predictions = model.q_net(observations).gather(1, action_columns)
         else:
             values = model.critic(observations, torch.as_tensor(actions, device=model.device).float())
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.

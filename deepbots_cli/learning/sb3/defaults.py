@@ -156,8 +156,10 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
     """Return the values of our defaults; `environments` of the training counts every copy that the policy
     acts for."""
-    own = DEFAULTS.get(ALGORITHMS[training.algorithm].base(), {})
-    return {name: default.value(training, total_timesteps, longest_episode) for name, default in own.items()}
+    defaults = DEFAULTS.get(ALGORITHMS[training.algorithm].base(), {})
+    return {
+        name: default.value(training, total_timesteps, longest_episode) for name, default in defaults.items()
+    }
 
 
 def longest_episode(scenario: Program) -> int:
@@ -181,7 +183,9 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
         if value is not None
     }
     rows = training.environments * (scenario.agent.copies.count if scenario.agent.copies else 1)
-    own = default_values(replace(training, environments=rows), total_timesteps, longest_episode(scenario))
+    defaults = default_values(
+        replace(training, environments=rows), total_timesteps, longest_episode(scenario)
+    )
     base = ALGORITHMS[training.algorithm].base()
     library = library_defaults(base)
     title = "library default" if library is None else library_of(base)
@@ -189,8 +193,8 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
         if name in written:
             effective.append(EffectiveHyperparameter(name, written[name], "scenario"))
-        elif name in own:
-            effective.append(EffectiveHyperparameter(name, own[name], "deepbots"))
+        elif name in defaults:
+            effective.append(EffectiveHyperparameter(name, defaults[name], "deepbots"))
         else:
             effective.append(EffectiveHyperparameter(name, (library or {}).get(name), title))
     return effective
@@ -205,13 +209,13 @@ def _of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperp
     }
     first, *others = by_agent.values()
     common = [entry for entry in first if all(entry in other for other in others)]
-    own = [
+    per_agent = [
         entry._replace(name=f"{agent}.{entry.name}")
         for agent, entries in by_agent.items()
         for entry in entries
         if entry not in common
     ]
-    return common + own
+    return common + per_agent
 
 
 def library_of(algorithm: str) -> str:

@@ -76,15 +76,20 @@ class Lessons:
             self.buffer_size, self.pos, self.full = len(self.actions), 0, True
             return
         model.rollout_buffer.reset()  # an update has reordered it
-        seen = model.rollout_buffer.observations
-        width = sum(part[0].nbytes for part in (seen.values() if isinstance(seen, dict) else [seen]))
+        observations = model.rollout_buffer.observations
+        width = sum(
+            part[0].nbytes
+            for part in (observations.values() if isinstance(observations, dict) else [observations])
+        )
         self.buffer_size = max(model.n_steps, min(_MAX_ROWS // model.n_envs, _MAX_BYTES // width))
 
-        def empty(like: Array) -> Array:
-            return np.zeros((self.buffer_size, *like.shape[1:]), like.dtype)
+        def empty(array: Array) -> Array:
+            return np.zeros((self.buffer_size, *array.shape[1:]), array.dtype)
 
         self.observations = (
-            {key: empty(part) for key, part in seen.items()} if isinstance(seen, dict) else empty(seen)
+            {key: empty(part) for key, part in observations.items()}
+            if isinstance(observations, dict)
+            else empty(observations)
         )
         space = model.action_space
         self.actions = np.zeros((self.buffer_size, model.n_envs, *space.shape), space.dtype)
@@ -94,12 +99,12 @@ class Lessons:
     def add(self, taught: Array) -> None:
         """Add the states of the rollout buffer; `taught` has shape (steps, rows, ...)."""
         rows = (self.pos + np.arange(len(taught))) % self.buffer_size
-        seen = self._model.rollout_buffer.observations
+        observations = self._model.rollout_buffer.observations
         if isinstance(self.observations, dict):
             for key, part in self.observations.items():
-                part[rows] = seen[key]
+                part[rows] = observations[key]
         else:
-            self.observations[rows] = seen
+            self.observations[rows] = observations
         self.actions[rows] = taught
         self.full |= self.pos + len(taught) >= self.buffer_size
         self.pos = (self.pos + len(taught)) % self.buffer_size
@@ -126,10 +131,12 @@ class Lessons:
     def draw(self, count: int) -> tuple[Any, torch.Tensor]:
         """Return observations and actions of `count` random states."""
         width = self.actions.shape[1]
-        chosen = torch.randint((self.buffer_size if self.full else self.pos) * width, (count,)).numpy()
-        at = chosen // width, chosen % width
-        seen = self.observations
-        batch: Any = {key: part[at] for key, part in seen.items()} if isinstance(seen, dict) else seen[at]
+        numbers = torch.randint((self.buffer_size if self.full else self.pos) * width, (count,)).numpy()
+        at = numbers // width, numbers % width
+        stored = self.observations
+        batch: Any = (
+            {key: part[at] for key, part in stored.items()} if isinstance(stored, dict) else stored[at]
+        )
         observations, _ = self._model.policy.obs_to_tensor(batch)
         return observations, torch.as_tensor(self.actions[at], device=self._model.device)
 
@@ -145,15 +152,15 @@ def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterat
     """
     if taught is not None:
         lessons.add(taught)  # before the update, which reorders the rollout buffer
-    own = {name: getattr(model, name) for name in ("ent_coef", "target_kl") if hasattr(model, name)}
+    settings = {name: getattr(model, name) for name in ("ent_coef", "target_kl") if hasattr(model, name)}
     model.rollout_buffer.advantages[...] = 0.0
     model.ent_coef = 0.0
-    if "target_kl" in own:
+    if "target_kl" in settings:
         model.target_kl = None
     try:
         yield
     finally:
-        for name, value in own.items():
+        for name, value in settings.items():
             setattr(model, name, value)
     model.logger.record("teacher/loss", lessons.fit(model.n_steps * model.n_envs))
 
@@ -193,8 +200,8 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         if lessons is None:
             loss = _loss(model, policy.get_distribution(observations, **options), batch[0])
         else:
-            shown, wanted = lessons.draw(len(actions))
-            loss = _loss(model, policy.get_distribution(shown), wanted)
+            shown, targets = lessons.draw(len(actions))
+            loss = _loss(model, policy.get_distribution(shown), targets)
         losses.append(float(loss.detach().mean()))
         entropies.append(-float(entropy.detach().mean()))
         return values, log_prob, ent_coef * entropy - weight * loss
@@ -244,7 +251,8 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
     buffer = model.replay_buffer
     draw, device = buffer.sample, model.device
     shown, following = (
-        _tensors(seen, device) for seen in (demonstrations.observations, demonstrations.following)
+        _tensors(observations, device)
+        for observations in (demonstrations.observations, demonstrations.following)
     )
     count = len(demonstrations.actions)
     actions = torch.as_tensor(demonstrations.actions.reshape(count, -1), device=device)
@@ -262,8 +270,8 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
         }
         for name, part in drawn.items():
             getattr(samples, name)[: len(at)] = part
-        for mixed, own in ((samples.observations, shown), (samples.next_observations, following)):
-            for key, part in own.items() if isinstance(own, dict) else [(None, own)]:
+        for mixed, source in ((samples.observations, shown), (samples.next_observations, following)):
+            for key, part in source.items() if isinstance(source, dict) else [(None, source)]:
                 (mixed if key is None else mixed[key])[: len(at)] = part[at]
         if samples.discounts is not None:  # the samples span several steps, and demonstrations a single one
             samples.discounts[: len(at)] = model.gamma
@@ -274,11 +282,11 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
     buffer.sample = sample
 
 
-def _tensors(seen: Any, device: Any) -> Any:
+def _tensors(observations: Any, device: Any) -> Any:
     return (
-        {key: _tensors(part, device) for key, part in seen.items()}
-        if isinstance(seen, dict)
-        else torch.as_tensor(seen, device=device)
+        {key: _tensors(part, device) for key, part in observations.items()}
+        if isinstance(observations, dict)
+        else torch.as_tensor(observations, device=device)
     )
 
 
@@ -338,8 +346,8 @@ def _fit_actor(model: Any, steps: int) -> None:
     for group in actor.optimizer.param_groups:  # the update of the library sets its own rate again
         group["lr"] = _LEARNING_RATE
     for _ in range(steps):
-        seen = buffer.sample(_BATCH_SIZE, env=model.get_vec_normalize_env()).observations
-        loss = _distance(model.policy(seen, deterministic=True), buffer.labels)
+        observations = buffer.sample(_BATCH_SIZE, env=model.get_vec_normalize_env()).observations
+        loss = _distance(model.policy(observations, deterministic=True), buffer.labels)
         actor.optimizer.zero_grad()
         loss.mean().backward()  # type: ignore[no-untyped-call]  # of the library
         actor.optimizer.step()
@@ -359,25 +367,25 @@ def agreement(model: Any, observations: Any, taught: Array) -> float:
         observations: The observations, of shape (steps, rows, ...).
         taught: The teacher's actions in them, of the same shape.
     """
-    seen = observations
+    parts = observations
     flat: Any = (
-        {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()}
-        if isinstance(seen, dict)
-        else seen.reshape(-1, *seen.shape[2:])
+        {key: part.reshape(-1, *part.shape[2:]) for key, part in parts.items()}
+        if isinstance(parts, dict)
+        else parts.reshape(-1, *parts.shape[2:])
     )
     model.policy.set_training_mode(False)
     with torch.no_grad():
         batch = model.policy.obs_to_tensor(flat)[0]
         if hasattr(model, "rollout_buffer"):
-            chosen = model.policy.get_distribution(batch).mode().cpu().numpy()
+            actions = model.policy.get_distribution(batch).mode().cpu().numpy()
         else:
-            chosen = model.policy(batch, deterministic=True).cpu().numpy()
-    wanted = taught.reshape(chosen.shape)
+            actions = model.policy(batch, deterministic=True).cpu().numpy()
+    labels = taught.reshape(actions.shape)
     if isinstance(model.action_space, spaces.Box):
-        same = np.abs(np.clip(chosen, -1.0, 1.0) - np.clip(wanted, -1.0, 1.0)) <= _AGREES
+        agrees = np.abs(np.clip(actions, -1.0, 1.0) - np.clip(labels, -1.0, 1.0)) <= _AGREES
     else:
-        same = chosen == wanted
-    return float(same.reshape(len(same), -1).all(1).mean())
+        agrees = actions == labels
+    return float(agrees.reshape(len(agrees), -1).all(1).mean())
 
 
 def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:
@@ -395,5 +403,5 @@ def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:
             torch.where(is_beyond, taught, mean), taught, beta=_BETA, reduction="none"
         ).flatten(1)
         return loss.sum(1)
-    chosen: torch.Tensor = -distribution.log_prob(taught.long())
-    return chosen
+    log_loss: torch.Tensor = -distribution.log_prob(taught.long())
+    return log_loss

@@ -168,7 +168,7 @@ class StableLearner(Learner):
         if shown is None:
             return None
         observations, following = (
-            rollouts.prepared(self.model, seen) for seen in (shown.observations, shown.following)
+            rollouts.prepared(self.model, part) for part in (shown.observations, shown.following)
         )
         return replace(shown, observations=observations, following=following)
 
@@ -555,10 +555,10 @@ class OffPolicyLearner(StableLearner):
 
     def recent(self) -> tuple[Any, Array, Array | None]:
         """Return the newest experience of the replay buffer."""
-        seen, rows = self.model.replay_buffer.observations, self._recent_rows
+        stored, rows = self.model.replay_buffer.observations, self._recent_rows
         width = get_action_dim(self.model.action_space)
         observations = (
-            {key: rows(part) for key, part in seen.items()} if isinstance(seen, dict) else rows(seen)
+            {key: rows(part) for key, part in stored.items()} if isinstance(stored, dict) else rows(stored)
         )
         return observations, rows(self.model.replay_buffer.actions)[..., :width], None
 

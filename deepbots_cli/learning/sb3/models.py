@@ -114,9 +114,9 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     """
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    names, wanted = set(tensors), {*_parts(model), _VARIABLES}
-    if names != wanted:
-        _refuse(path, ", ".join(sorted(wanted - names)), ", ".join(sorted(names - wanted)))
+    names, expected = set(tensors), {*_parts(model), _VARIABLES}
+    if names != expected:
+        _refuse(path, ", ".join(sorted(expected - names)), ", ".join(sorted(names - expected)))
     for name in _parts(model):
         part = attrgetter(name)(model)
         if isinstance(part, torch.optim.Optimizer):
@@ -141,24 +141,24 @@ def initialize(path: Path, model: BaseAlgorithm) -> Initialization:
         RunError: The file is missing, damaged, or no model.
         UsageError: Nothing in it fits.
     """
-    theirs = _read(path, path.stat().st_size if path.is_file() else 0)["policy"]
-    ours = model.policy.state_dict()
-    others: dict[str, str] = {}
-    for name, tensor in ours.items():
-        other = theirs.get(name)
-        if not isinstance(other, torch.Tensor):
-            others[name] = "the other model does not have it"
-        elif other.shape != tensor.shape:
-            others[name] = f"{tuple(tensor.shape)} here, {tuple(other.shape)} there"
-        elif not torch.isfinite(other).all():
-            others[name] = "not finite there"
-    taken = tuple(name for name in ours if name not in others)
-    if not taken:
+    file_tensors = _read(path, path.stat().st_size if path.is_file() else 0)["policy"]
+    tensors = model.policy.state_dict()
+    reasons: dict[str, str] = {}
+    for name, tensor in tensors.items():
+        file_tensor = file_tensors.get(name)
+        if not isinstance(file_tensor, torch.Tensor):
+            reasons[name] = "the other model does not have it"
+        elif file_tensor.shape != tensor.shape:
+            reasons[name] = f"{tuple(tensor.shape)} here, {tuple(file_tensor.shape)} there"
+        elif not torch.isfinite(file_tensor).all():
+            reasons[name] = "not finite there"
+    copied = tuple(name for name in tensors if name not in reasons)
+    if not copied:
         raise UsageError(f"no tensor of {path} fits the policy of this scenario")
     model.policy.load_state_dict(
-        {name: theirs[name] if name in taken else tensor for name, tensor in ours.items()}
+        {name: file_tensors[name] if name in copied else tensor for name, tensor in tensors.items()}
     )
-    return Initialization(taken, others)
+    return Initialization(copied, reasons)
 
 
 def _parts(model: BaseAlgorithm) -> list[str]:
@@ -232,23 +232,23 @@ def _check_pickle(archive: zipfile.ZipFile) -> None:
 
 
 def _check_tensors(
-    path: Path, where: str, ours: Mapping[str, torch.Tensor], theirs: Mapping[Any, Any]
+    path: Path, where: str, tensors: Mapping[str, torch.Tensor], file_tensors: Mapping[Any, Any]
 ) -> None:
-    if set(ours) != set(theirs):
-        missing = sorted(set(ours) - set(theirs))
-        strange = sorted(str(name) for name in set(theirs) - set(ours))
+    if set(tensors) != set(file_tensors):
+        missing = sorted(set(tensors) - set(file_tensors))
+        strange = sorted(str(name) for name in set(file_tensors) - set(tensors))
         _refuse(path, f"{where}/{missing[0]}" if missing else "", f"{where}/{strange[0]}" if strange else "")
-    for name, tensor in ours.items():
-        _check_tensor(path, f"{where}/{name}", tensor.dtype, tuple(tensor.shape), theirs[name])
+    for name, tensor in tensors.items():
+        _check_tensor(path, f"{where}/{name}", tensor.dtype, tuple(tensor.shape), file_tensors[name])
 
 
 def _check_optimizer(
-    path: Path, where: str, optimizer: torch.optim.Optimizer, theirs: Mapping[str, Any]
+    path: Path, where: str, optimizer: torch.optim.Optimizer, file_state: Mapping[str, Any]
 ) -> None:
     """Check that an optimizer has moments of the right names and shapes for parameters that exist.
     `param_groups` is not taken over."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    moments, state = _moments(optimizer), theirs.get("state")
+    moments, state = _moments(optimizer), file_state.get("state")
     if not isinstance(state, dict):
         raise RunError(f"{path} lacks '{where}/state'")
     for index, memory in state.items():
@@ -272,22 +272,22 @@ def _check_tensor(path: Path, name: str, dtype: torch.dtype, shape: tuple[int, .
     if not isinstance(tensor, torch.Tensor):
         raise RunError(f"{path}: '{name}' is not a tensor")
     if tensor.dtype != dtype or tuple(tensor.shape) != shape or tensor.layout != torch.strided:
-        theirs = f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
+        description = f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
         raise RunError(
-            f"{path}: '{name}' is {theirs}, the scenario's policy needs {str(dtype).removeprefix('torch.')}"
-            f" of shape {shape}"
+            f"{path}: '{name}' is {description}, the scenario's policy needs"
+            f" {str(dtype).removeprefix('torch.')} of shape {shape}"
         )
     if not torch.isfinite(tensor).all():
         raise RunError(f"{path}: '{name}' contains infinite or NaN values")
 
 
 def _refuse(path: Path, missing: str, strange: str) -> None:
-    what = (
+    problem = (
         f"lacks '{missing}'"
         if missing
         else f"contains '{strange[:80]}', which the policy of this scenario does not have"
     )
-    raise RunError(f"{path} {what}")
+    raise RunError(f"{path} {problem}")
 
 
 def _moments(optimizer: torch.optim.Optimizer) -> list[str]:

@@ -41,8 +41,8 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
     if not is_rows:
         return None
     with torch.no_grad():
-        seen = torch.from_numpy(observations).to(policy.action_net.weight.device, torch.float32)
-        logits = policy.action_net(policy.mlp_extractor.policy_net(seen))
+        inputs = torch.from_numpy(observations).to(policy.action_net.weight.device, torch.float32)
+        logits = policy.action_net(policy.mlp_extractor.policy_net(inputs))
         if not logits.isfinite().all():
             return None
         if isinstance(space, spaces.Box):
@@ -65,8 +65,8 @@ def sampled_actions(
     if not _is_layers(policy) or seen.ndim != 2 or seen.dtype != torch.float32:
         return None
     layers, extractor = policy.mlp_extractor, policy.pi_features_extractor
-    own = extractor.own(seen) if isinstance(extractor, PolicyColumns) else seen
-    scores, values = policy.action_net(layers.policy_net(own)), policy.value_net(layers.value_net(seen))
+    inputs = extractor.own(seen) if isinstance(extractor, PolicyColumns) else seen
+    scores, values = policy.action_net(layers.policy_net(inputs)), policy.value_net(layers.value_net(seen))
     if not scores.isfinite().all():
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does
@@ -167,19 +167,19 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
         return None
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
     stacked = (
-        {key: np.stack([each[key] for each in observations]) for key in parts}
+        {key: np.stack([observation[key] for observation in observations]) for key in parts}
         if parts
         else np.stack(observations)
     )
     with torch.no_grad():
-        seen, _ = policy.obs_to_tensor(stacked)
+        inputs, _ = policy.obs_to_tensor(stacked)
         if base in ("PPO", "A2C", "MaskablePPO"):
-            values = policy.predict_values(seen).reshape(len(observations), -1)
+            values = policy.predict_values(inputs).reshape(len(observations), -1)
         elif base == "DQN":
-            values = policy.q_net(seen).max(dim=1, keepdim=True).values
+            values = policy.q_net(inputs).max(dim=1, keepdim=True).values
         else:
             # Without `deterministic`, the actor of SAC and TQC would sample.
-            predicted = policy.critic(seen, policy(seen, deterministic=True))
+            predicted = policy.critic(inputs, policy(inputs, deterministic=True))
             # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
             values = (
                 predicted.mean(dim=2) if isinstance(predicted, torch.Tensor) else torch.cat(predicted, dim=1)

@@ -76,7 +76,7 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
     Raises:
         UsageError: No package registers a name, or a name is given twice.
     """
-    for what, names, table in (("callback", callbacks, CALLBACKS), ("logger", loggers, LOGGERS)):
+    for noun, names, table in (("callback", callbacks, CALLBACKS), ("logger", loggers, LOGGERS)):
         for name in names:
             if name not in table:
                 registered = (
@@ -84,9 +84,9 @@ def check(callbacks: Sequence[str], loggers: Sequence[str]) -> None:
                     if table
                     else f"no installed package registers one under '{table.group}'"
                 )
-                raise UsageError(f"there is no {what} '{name}'; {registered}{did_you_mean(name, table)}")
+                raise UsageError(f"there is no {noun} '{name}'; {registered}{did_you_mean(name, table)}")
             if names.count(name) > 1:
-                raise UsageError(f"the {what} '{name}' is given twice")
+                raise UsageError(f"the {noun} '{name}' is given twice")
 
 
 class PluginCallback(BaseCallback):
@@ -147,12 +147,12 @@ class PluginLogger(KVWriter):
             self._writer.close()
 
 
-def _made(what: str, name: str, make: Callable[[], T], kind: type) -> T:
-    with _failure_explained(f"the {what} '{name}' cannot be made"):
+def _made(noun: str, name: str, make: Callable[[], T], kind: type) -> T:
+    with _failure_explained(f"the {noun} '{name}' cannot be made"):
         instance = make()
     if not isinstance(instance, kind):
         raise PluginError(
-            f"the {what} '{name}' is a {type(instance).__name__}, and not a {kind.__name__} of"
+            f"the {noun} '{name}' is a {type(instance).__name__}, and not a {kind.__name__} of"
             " Stable-Baselines3"
         )
     return instance

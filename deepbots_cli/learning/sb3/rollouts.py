@@ -53,34 +53,34 @@ class RolloutActor:
             policy.reset_noise(model.n_envs)
         self._step += 1
         with torch.no_grad():
-            seen = obs_as_tensor(prepared(model, observations), model.device)
+            inputs = obs_as_tensor(prepared(model, observations), model.device)
             if self._is_recurrent:
                 columns |= self.memory()
                 actions, values, log_probs, states = policy(
-                    seen, internals.memory(model), _floats(model, starts)
+                    inputs, internals.memory(model), _floats(model, starts)
                 )
                 internals.set_memory(model, states)
             else:
                 if masks is not None:
                     options["action_masks"] = columns["masks"] = masks
                 drawn = (
-                    networks.sampled_actions(policy, seen)
-                    if isinstance(seen, torch.Tensor) and masks is None
+                    networks.sampled_actions(policy, inputs)
+                    if isinstance(inputs, torch.Tensor) and masks is None
                     else None
                 )
-                actions, values, log_probs = policy(seen, **options) if drawn is None else drawn
-        taken = actions = actions.cpu().numpy()
+                actions, values, log_probs = policy(inputs, **options) if drawn is None else drawn
+        world_actions = actions = actions.cpu().numpy()
         if isinstance(model.action_space, spaces.Box):
             if policy.squash_output and not self._is_recurrent:
-                taken = policy.unscale_action(actions)
+                world_actions = policy.unscale_action(actions)
             else:
-                taken = np.clip(actions, model.action_space.low, model.action_space.high)
+                world_actions = np.clip(actions, model.action_space.low, model.action_space.high)
         columns |= {
             "action": actions,
             "values": values.cpu().numpy().flatten(),
             "log_probs": log_probs.cpu().numpy(),
         }
-        return Decision(taken, columns)
+        return Decision(world_actions, columns)
 
     def parameters(self) -> Mapping[str, Any]:
         return _weights(self._model)
@@ -196,13 +196,13 @@ def fill(model: Any, fragment: Fragment) -> None:
     buffer, columns = model.rollout_buffer, fragment.columns
     buffer.reset()
     rewards = _rewards(model, fragment)
-    seen = fragment.observations
-    if isinstance(seen, dict):
-        flat = prepared(model, {key: part.reshape(-1, *part.shape[2:]) for key, part in seen.items()})
+    observations = fragment.observations
+    if isinstance(observations, dict):
+        flat = prepared(model, {key: part.reshape(-1, *part.shape[2:]) for key, part in observations.items()})
         for key, part in flat.items():
             buffer.observations[key][...] = part.reshape(buffer.observations[key].shape)
     else:
-        buffer.observations[...] = prepared(model, seen.reshape(-1, *seen.shape[2:])).reshape(
+        buffer.observations[...] = prepared(model, observations.reshape(-1, *observations.shape[2:])).reshape(
             buffer.observations.shape
         )
     buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
@@ -238,10 +238,10 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
             normalizer.returns[dones] = 0
     for number, ending in fragment.endings:
         if ending.timed_out:
-            seen, _ = model.policy.obs_to_tensor(prepared(model, ending.observation))
+            inputs, _ = model.policy.obs_to_tensor(prepared(model, ending.observation))
             memory = _memory_after(model, fragment, number, ending.row)
             with torch.no_grad():
-                rewards[number, ending.row] += model.gamma * model.policy.predict_values(seen, *memory)[0]
+                rewards[number, ending.row] += model.gamma * model.policy.predict_values(inputs, *memory)[0]
     return rewards
 
 

@@ -117,9 +117,9 @@ class ReplayFiles:
         """
         size, self.offset = state.replay
         self.segments = list(state.segments)
-        same = size == buffer.buffer_size
+        has_same_size = size == buffer.buffer_size
         oldest = max(self.segments[0][0] if self.segments else 0, added - min(size, buffer.buffer_size))
-        if not same:
+        if not has_same_size:
             self.offset = oldest
         columns = _columns(buffer)
         whole = (
@@ -143,8 +143,8 @@ class ReplayFiles:
         buffer.pos = (added - self.offset) % buffer.buffer_size
         buffer.full = added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):
-            self._find_episodes(buffer, oldest, added, begin_anew=not same)
-            starts = starts if same and starts is not None else np.array(buffer.pos)
+            self._find_episodes(buffer, oldest, added, begin_anew=not has_same_size)
+            starts = starts if has_same_size and starts is not None else np.array(buffer.pos)
             if not ((starts >= 0) & (starts < buffer.buffer_size)).all():
                 raise ValueError("an episode of the replay buffer begins outside of it")
             episode_starts(buffer)[:] = starts

@@ -48,7 +48,7 @@ def mirrored_experience(model: Any, symmetry: Symmetry) -> Iterator[None]:
     A batch is twice as large, so that an update takes as many steps as without mirror images.
     """
     buffer = model.rollout_buffer
-    both = type(buffer)(
+    doubled_buffer = type(buffer)(
         buffer.buffer_size,
         buffer.observation_space,
         buffer.action_space,
@@ -58,14 +58,16 @@ def mirrored_experience(model: Any, symmetry: Symmetry) -> Iterator[None]:
         n_envs=2 * buffer.n_envs,
     )
     for name in _COPIED:
-        getattr(both, name)[...] = np.tile(getattr(buffer, name), 2)
-    both.observations[:, : buffer.n_envs] = buffer.observations
-    both.observations[:, buffer.n_envs :] = mirrored_observations(symmetry, buffer.observations)
-    both.actions[:, : buffer.n_envs] = buffer.actions
-    both.actions[:, buffer.n_envs :] = mirrored_actions(symmetry, model.action_space, buffer.actions)
-    both.pos, both.full = buffer.buffer_size, True
+        getattr(doubled_buffer, name)[...] = np.tile(getattr(buffer, name), 2)
+    doubled_buffer.observations[:, : buffer.n_envs] = buffer.observations
+    doubled_buffer.observations[:, buffer.n_envs :] = mirrored_observations(symmetry, buffer.observations)
+    doubled_buffer.actions[:, : buffer.n_envs] = buffer.actions
+    doubled_buffer.actions[:, buffer.n_envs :] = mirrored_actions(
+        symmetry, model.action_space, buffer.actions
+    )
+    doubled_buffer.pos, doubled_buffer.full = buffer.buffer_size, True
     batch_size = getattr(model, "batch_size", None)
-    model.rollout_buffer = both
+    model.rollout_buffer = doubled_buffer
     if batch_size is not None:
         model.batch_size = 2 * batch_size
     try:

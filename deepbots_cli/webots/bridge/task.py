@@ -49,9 +49,9 @@ class ReaderLog(EngineProxy):
         """The name, the arguments and the keywords of each call."""
         self.readers: list[Callable[[], Any]] = []
 
-    def _pass(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
-        self.calls.append((method, given, named))
-        return super()._pass(method, parts, *given, **named)
+    def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
+        self.calls.append((method, args, kwargs))
+        return super()._pass(method, parts, *args, **kwargs)
 
     def bound(self, read: Callable[..., Any]) -> Any:
         self.readers.append(read)

@@ -73,9 +73,9 @@ class Recorder(EngineProxy):
     def bound(self, read: Any) -> Any:
         return read
 
-    def _pass(self, method: str, parts: int, *given: Any, **named: Any) -> Any:
+    def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
         self.methods.add(method)
-        return super()._pass(method, parts, *given, **named)
+        return super()._pass(method, parts, *args, **kwargs)
 
     def pusher(self, part: Any, frame: Any = "world") -> Any:
         self.methods.add("pusher")
@@ -172,8 +172,8 @@ def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
             if isinstance(remote, RemoteRobot):
                 _gaps_of_calls(remote, gaps)
     for method in sorted(recorder.methods & _OF_SUPERVISOR):
-        what = _MISSING.get(method, "torques of motors that the supervisor reads")
-        gaps.miss(f"The supervisor of Webots cannot measure {what}.")
+        quantity = _MISSING.get(method, "torques of motors that the supervisor reads")
+        gaps.miss(f"The supervisor of Webots cannot measure {quantity}.")
     if "contact" in recorder.methods:
         gaps.differ("A contact counts if it lasts until the end of a timestep.")
     for seed in SEEDS:
@@ -191,8 +191,8 @@ def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
 
 
 def _gaps_of_calls(remote: RemoteRobot, gaps: Gaps) -> None:
-    for method, _, named in remote.log.calls:
+    for method, _, options in remote.log.calls:
         if method not in _OF_ROBOTS:
             gaps.miss(f"Robots in Webots do not have {_MISSING.get(method, method.replace('_', ' '))}.")
-        if named.get("upright"):
+        if options.get("upright"):
             gaps.miss("Rays that stay level when the robot tilts cannot be exported.")

@@ -81,6 +81,6 @@ def numbers(values: Sequence[float]) -> str:
 def world_text(nodes: Iterable[NodeText]) -> str:
     """Return the text of a world file."""
     lines = [HEADER, ""]
-    for one in nodes:
-        lines += [*one.lines(), ""]
+    for node_text in nodes:
+        lines += [*node_text.lines(), ""]
     return "\n".join(lines).rstrip() + "\n"

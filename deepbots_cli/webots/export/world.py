@@ -52,17 +52,17 @@ class RobotDevicesNeeded:
 def devices_needed(remote: RemoteRobot, model: RobotModel) -> RobotDevicesNeeded:
     """Return the devices that a controller binds, by the calls of its engine."""
     needed = RobotDevicesNeeded()
-    for method, arguments, named in remote.log.calls:
+    for method, arguments, options in remote.log.calls:
         if method == "joint_states":
             needed.joints |= set(arguments[1])
         elif method == "joint_torques":
             needed.motors |= {joint: needed.motors.get(joint, 0.0) for joint in arguments[1]}
         elif method.endswith("_motor"):
-            limits = arguments[2] if len(arguments) > 2 else named["max_torque"]
+            limits = arguments[2] if len(arguments) > 2 else options["max_torque"]
             for joint, limit in zip(arguments[1], limits, strict=True):
                 needed.motors[joint] = max(needed.motors.get(joint, 0.0), limit)
         elif method in ("pose", "velocity", "motion"):
-            needed.links.add((arguments[1] if len(arguments) > 1 else named.get("link")) or "")
+            needed.links.add((arguments[1] if len(arguments) > 1 else options.get("link")) or "")
         elif method == "rays":
             (_, link), rays, reach = arguments
             needed.rays += [(link or model.root, ray, reach) for ray in rays]
@@ -135,16 +135,18 @@ class WorldWriter:
         """Yield the properties of each pair of surfaces: products of friction and restitution, as engines of
         deepbots combine them."""
         surfaces = list(self._materials.items())
-        for at, (one, first) in enumerate(surfaces):
-            for other, second in surfaces[at:]:
-                spinning, rolling = (one[kind] * other[0] + other[kind] * one[0] for kind in (1, 2))
+        for at, (surface, first) in enumerate(surfaces):
+            for other_surface, second in surfaces[at:]:
+                spinning, rolling = (
+                    surface[kind] * other_surface[0] + other_surface[kind] * surface[0] for kind in (1, 2)
+                )
                 yield node(
                     "ContactProperties",
                     material1=first,
                     material2=second,
-                    coulombFriction=[one[0] * other[0]],
+                    coulombFriction=[surface[0] * other_surface[0]],
                     rollingFriction=(rolling, rolling, spinning),
-                    bounce=one[3] * other[3],
+                    bounce=surface[3] * other_surface[3],
                     bounceVelocity=BOUNCE_VELOCITY,
                 )
 
@@ -157,10 +159,10 @@ class WorldWriter:
     def _viewpoint(self) -> NodeText:
         """Return a view from behind and above, at the distance of the size of the world."""
         size = max(self._world.arena.size) if self._world.arena is not None else 4.0
-        turned = frames.quaternion(0.0, 0.6, 0.0)
+        orientation = frames.quaternion(0.0, 0.6, 0.0)
         return node(
             "Viewpoint",
-            orientation=tuple(axis_angle(turned)),
+            orientation=tuple(axis_angle(orientation)),
             position=(-1.6 * size, 0.0, 1.2 * size),
         )
 
@@ -370,10 +372,10 @@ def _divisor(period: int, step: float) -> int:
 
 def _placed(frame: Frame) -> dict[str, Any]:
     """Return the fields of a frame; those of no shift and no rotation are left out."""
-    place, turned = frame
+    place, orientation = frame
     return {
         "translation": place if any(place) else None,
-        "rotation": tuple(axis_angle(turned)) if turned != IDENTITY_ROTATION else None,
+        "rotation": tuple(axis_angle(orientation)) if orientation != IDENTITY_ROTATION else None,
     }
 
 
@@ -394,10 +396,10 @@ def _physics(link: Link) -> NodeText | None:
 
 
 def _bounding(shapes: Sequence[Geometry]) -> NodeText | None:
-    placed = [_in_place(_geometry(shape.shape), shape) for shape in shapes]
-    if len(placed) < 2:
-        return placed[0] if placed else None
-    return node("Group", children=placed)
+    nodes = [_in_place(_geometry(shape.shape), shape) for shape in shapes]
+    if len(nodes) < 2:
+        return nodes[0] if nodes else None
+    return node("Group", children=nodes)
 
 
 def _in_place(shape: NodeText, geometry: Geometry) -> NodeText:

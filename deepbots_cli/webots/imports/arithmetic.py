@@ -74,12 +74,12 @@ def _computed(op: ast.operator, left: float, right: float, place: Place) -> Valu
 def _sum(op: ast.operator, left: Value, right: Value, place: Place) -> Value:
     if isinstance(op, ast.Sub) and right == 0 and is_number(right):
         return left
-    one, other = amount(left, right), amount(right, left)
-    if one is None or other is None or one.unit != other.unit:
+    first, second = amount(left, right), amount(right, left)
+    if first is None or second is None or first.unit != second.unit:
         return Unknown(place)
     symbol = "+" if isinstance(op, ast.Add) else "-"
-    note = one.note or other.note
-    return short(Quantity(f"{one.operand} {symbol} {other.operand}", one.unit, False, note), place)
+    note = first.note or second.note
+    return short(Quantity(f"{first.operand} {symbol} {second.operand}", first.unit, False, note), place)
 
 
 def _product(op: ast.operator, left: Value, right: Value, place: Place) -> Value:

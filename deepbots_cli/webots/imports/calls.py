@@ -124,7 +124,7 @@ class Calls:
         if name == "getBasicTimeStep":
             return float(self.scene.basic_step)
         if name == "getFromDef" and isinstance(first, str):
-            node = next((one for one in walk(self.scene.nodes) if one.name == first), None)
+            node = next((candidate for candidate in walk(self.scene.nodes) if candidate.name == first), None)
             return None if node is None else WorldNode(node)
         if name in ("handle_receiver", "handleReceiver"):
             return Unknown(place) if self.message is None else list(self.message)
@@ -226,7 +226,7 @@ class Calls:
         reader: Reader,
         external: External,
         arguments: list[Value],
-        named: dict[str, Value],
+        keywords: dict[str, Value],
         frame: Frame,
         node: ast.Call,
     ) -> Value:
@@ -237,7 +237,7 @@ class Calls:
         if name in ("print",):
             return None
         if name in ("Discrete", "Box"):
-            return _space(name, arguments, named, place)
+            return _space(name, arguments, keywords, place)
         if name in _PASSING:
             return _converted(name, first, place)
         if name == "range":
@@ -246,11 +246,15 @@ class Calls:
             return len(first) if isinstance(first, list | dict | str) else Unknown(place)
         if name in ("isnan", "isinf"):
             return [False] * len(first) if isinstance(first, list) else False
-        if name in ("any", "all") and isinstance(first, list) and all(isinstance(one, bool) for one in first):
+        if (
+            name in ("any", "all")
+            and isinstance(first, list)
+            and all(isinstance(item, bool) for item in first)
+        ):
             return any(first) if name == "any" else all(first)
         if name == "enumerate" and isinstance(first, list):
             return [[index, item] for index, item in enumerate(first)]
-        if name == "zip" and all(isinstance(one, list) for one in arguments):
+        if name == "zip" and all(isinstance(argument, list) for argument in arguments):
             return [list(pair) for pair in zip(*arguments, strict=False)]
         if name in ("zeros", "ones") and isinstance(first, int) and 0 <= first <= 1000:
             return [0.0 if name == "zeros" else 1.0] * first
@@ -276,7 +280,7 @@ def _of_list(owner: list[Value], name: str, arguments: list[Value], place: Place
     return Unknown(place)
 
 
-def _normalized(arguments: list[Value], named: dict[str, Value], place: Place) -> Value:
+def _normalized(arguments: list[Value], keywords: dict[str, Value], place: Place) -> Value:
     """Return the call of `normalize_to_range(value, low, high, new_low, new_high, clip)`."""
     keys = (
         ("value",),
@@ -287,12 +291,12 @@ def _normalized(arguments: list[Value], named: dict[str, Value], place: Place) -
     )
     values = list(arguments[:6])
     for position in range(len(values), 5):
-        names = [name for name in keys[position] if name in named]
+        names = [name for name in keys[position] if name in keywords]
         if not names:
             return Unknown(place)
-        values.append(named[names[0]])
+        values.append(keywords[names[0]])
     value, *ends = values[:5]
-    clips = values[5] if len(values) > 5 else named.get("clip", False)
+    clips = values[5] if len(values) > 5 else keywords.get("clip", False)
     if not all(is_number(end) and math.isfinite(end) for end in ends) or ends[0] >= ends[1]:
         return Unknown(place)
     if is_number(value):
@@ -303,15 +307,15 @@ def _normalized(arguments: list[Value], named: dict[str, Value], place: Place) -
     return Normalized(value, low, high, new_low, new_high, clips is True, place)
 
 
-def _space(name: str, arguments: list[Value], named: dict[str, Value], place: Place) -> Value:
+def _space(name: str, arguments: list[Value], keywords: dict[str, Value], place: Place) -> Value:
     if name == "Discrete":
-        count = arguments[0] if arguments else named.get("n")
+        count = arguments[0] if arguments else keywords.get("n")
         return Space(choices=count) if isinstance(count, int) and 0 < count <= 1000 else Unknown(place)
     ends = [
-        named.get(key, arguments[at] if len(arguments) > at else None)
+        keywords.get(key, arguments[at] if len(arguments) > at else None)
         for at, key in enumerate(("low", "high"))
     ]
-    shape = named.get("shape", arguments[2] if len(arguments) > 2 else None)
+    shape = keywords.get("shape", arguments[2] if len(arguments) > 2 else None)
     size = shape[0] if isinstance(shape, list) and len(shape) == 1 else shape
     columns = []
     for end in ends:
@@ -327,7 +331,7 @@ def _space(name: str, arguments: list[Value], named: dict[str, Value], place: Pl
 
 
 def _range(arguments: list[Value], place: Place) -> Value:
-    if not arguments or not all(isinstance(one, int) for one in arguments) or len(arguments) > 3:
+    if not arguments or not all(isinstance(argument, int) for argument in arguments) or len(arguments) > 3:
         return Unknown(place)
     if len(arguments) == 3 and arguments[2] == 0:
         return Unknown(place)
@@ -380,14 +384,14 @@ def _calculated(name: str, arguments: list[Value], place: Place) -> Value:
         if not isinstance(digits, int):
             return Unknown(place)
         return Quantity(first.text, first.unit, first.is_simple, f"the project rounds to {digits} digits")
-    if arguments and all(is_number(one) for one in arguments):
+    if arguments and all(is_number(argument) for argument in arguments):
         return _number(name, arguments, place)
     if name == "clip" and isinstance(first, list):
-        return [_calculated(name, [one, *arguments[1:]], place) for one in first]
+        return [_calculated(name, [item, *arguments[1:]], place) for item in first]
     if isinstance(first, Quantity):
         return _of_quantity(name, first, arguments, place)
     if name in ("min", "max", "hypot") and all(
-        isinstance(one, Quantity) or is_number(one) for one in arguments
+        isinstance(argument, Quantity) or is_number(argument) for argument in arguments
     ):
         return _joined(name, arguments, place)
     if name == "norm" and isinstance(first, list):

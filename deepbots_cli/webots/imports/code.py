@@ -108,9 +108,9 @@ class Code:
         if name in module.classes:
             return module, module.classes[name]
         target = module.imported.get(name, "").rpartition(".")
-        other = self.modules.get(target[0].rpartition(".")[2])
-        if other is not None and target[2] in other.classes:
-            return other, other.classes[target[2]]
+        target_module = self.modules.get(target[0].rpartition(".")[2])
+        if target_module is not None and target[2] in target_module.classes:
+            return target_module, target_module.classes[target[2]]
         return None
 
 
@@ -130,8 +130,8 @@ def read_code(files: Files, path: Path, span: Span, findings: WorldFindings) -> 
             span, f"{folder.name} has more than {MAX_FILES} Python files; the others are not read"
         )
     modules: dict[str, ModuleCode] = {}
-    for one in paths[:MAX_FILES]:
-        module = _read(files, one, folder, span, findings)
+    for file in paths[:MAX_FILES]:
+        module = _read(files, file, folder, span, findings)
         if module is not None:
             modules.setdefault(module.name, module)
     return Code(modules)
@@ -140,11 +140,11 @@ def read_code(files: Files, path: Path, span: Span, findings: WorldFindings) -> 
 def _python_files(folder: Path) -> list[Path]:
     """Return the Python files of a folder and of those in it, at most a few more than are read."""
     result: list[Path] = []
-    for one in sorted(folder.iterdir()):
-        if one.suffix == ".py" and one.is_file():
-            result.append(one)
-        elif one.is_dir() and not one.is_symlink() and not one.name.startswith((".", "__")):
-            result += [inner for inner in sorted(one.iterdir()) if inner.suffix == ".py"][: MAX_FILES + 1]
+    for entry in sorted(folder.iterdir()):
+        if entry.suffix == ".py" and entry.is_file():
+            result.append(entry)
+        elif entry.is_dir() and not entry.is_symlink() and not entry.name.startswith((".", "__")):
+            result += [inner for inner in sorted(entry.iterdir()) if inner.suffix == ".py"][: MAX_FILES + 1]
         if len(result) > MAX_FILES:
             break
     return result
@@ -205,12 +205,12 @@ def _fill(module: ModuleCode, body: list[ast.stmt]) -> None:
             case ast.AnnAssign(target=ast.Name(id=name), value=value) if value is not None:
                 module.assigned[name] = value
             case ast.Import(names=names):
-                for one in names:
-                    module.imported[one.asname or one.name.partition(".")[0]] = (
-                        one.name if one.asname else one.name.partition(".")[0]
+                for alias in names:
+                    module.imported[alias.asname or alias.name.partition(".")[0]] = (
+                        alias.name if alias.asname else alias.name.partition(".")[0]
                     )
             case ast.ImportFrom(names=names, module=source):
-                for one in names:
-                    module.imported[one.asname or one.name] = f"{source or ''}.{one.name}"
+                for alias in names:
+                    module.imported[alias.asname or alias.name] = f"{source or ''}.{alias.name}"
             case ast.If(body=inner) | ast.Try(body=inner):
                 _fill(module, inner)

@@ -48,27 +48,27 @@ def merged(condition: Condition | Unknown, one: Value, other: Value, place: Plac
     )
 
 
-def _merged_unknown(condition: Unknown, one: Value, other: Value) -> Value:
+def _merged_unknown(condition: Unknown, then: Value, otherwise: Value) -> Value:
     """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
-    if one is True and isinstance(other, Condition):
-        return Condition((*other.parts, Part("", condition.place)))
-    if one is True and other is False:
+    if then is True and isinstance(otherwise, Condition):
+        return Condition((*otherwise.parts, Part("", condition.place)))
+    if then is True and otherwise is False:
         return Condition((Part("", condition.place),))
     return condition
 
 
-def _merged_truth(condition: Condition, one: Value, other: Value, place: Place) -> Value:
+def _merged_truth(condition: Condition, then: Value, otherwise: Value, place: Place) -> Value:
     """Return the same for truth values and conditions."""
-    if one is True:
-        return condition if other is False else several([condition, other], place, is_or=True)
-    if one is False:
+    if then is True:
+        return condition if otherwise is False else several([condition, otherwise], place, is_or=True)
+    if then is False:
         opposite = negated(condition, place)
-        return opposite if other is True else several([opposite, other], place, is_or=False)
-    both = several([condition, one], place, is_or=False)
-    if other is False:
-        return both
-    rest = [negated(condition, place)] if other is True else [negated(condition, place), other]
-    return several([both, several(rest, place, is_or=False)], place, is_or=True)
+        return opposite if otherwise is True else several([opposite, otherwise], place, is_or=False)
+    first_case = several([condition, then], place, is_or=False)
+    if otherwise is False:
+        return first_case
+    second_case = [negated(condition, place)] if otherwise is True else [negated(condition, place), otherwise]
+    return several([first_case, several(second_case, place, is_or=False)], place, is_or=True)
 
 
 def amount(value: Value, beside: Value) -> Quantity | None:
@@ -81,12 +81,12 @@ def amount(value: Value, beside: Value) -> Quantity | None:
     return Quantity(number_text(value, unit), unit)
 
 
-def _is_same(one: Value, other: Value) -> bool:
-    if one is other:
+def _is_same(first: Value, second: Value) -> bool:
+    if first is second:
         return True
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_is_same, one, other))
-    return type(one) is type(other) and not isinstance(one, dict) and one == other
+    if isinstance(first, list) and isinstance(second, list):
+        return len(first) == len(second) and all(map(_is_same, first, second))
+    return type(first) is type(second) and not isinstance(first, dict) and first == second
 
 
 def merged_names(
@@ -148,11 +148,11 @@ def compared(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | C
     if isinstance(left, bool | int | float | str) and isinstance(right, bool | int | float | str):
         return _compared_plain(op, left, right, place)
     symbol = _COMPARISONS[type(op)]
-    one, other = amount(left, right), amount(right, left)
-    if one is None or other is None or one.unit != other.unit:
+    first, second = amount(left, right), amount(right, left)
+    if first is None or second is None or first.unit != second.unit:
         return Unknown(place)
-    note = one.note or other.note
-    return _checked(Condition((Part(f"{one.operand} {symbol} {other.operand}", place, note),)), place)
+    note = first.note or second.note
+    return _checked(Condition((Part(f"{first.operand} {symbol} {second.operand}", place, note),)), place)
 
 
 def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:

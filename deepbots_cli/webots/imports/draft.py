@@ -135,9 +135,9 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
         shown = scene.bodies[root_index].robot
         robots.append(DraftRobot(part.name, part, shown, built, tasks.get(shown.index) if shown else None))
     world.findings.require_none()
-    agent = next(one for one in robots if one.robot is roles.robot)
-    for one in robots:
-        _add_sensors(one, task)
+    agent = next(candidate for candidate in robots if candidate.robot is roles.robot)
+    for draft_robot in robots:
+        _add_sensors(draft_robot, task)
     around = surroundings(world, scene, objects, used, scene.basic_step)
     return Draft(path.name, around, robots, agent, task, world.findings)
 
@@ -168,7 +168,7 @@ def _roles(scene: Scene, roots: dict[int, Body], codes: dict[int, Code | None], 
     with_motors = [
         robot
         for robot in scene.robots
-        if robot.index in roots and any(one.type.endswith("Motor") for one in robot.devices.values())
+        if robot.index in roots and any(device.type.endswith("Motor") for device in robot.devices.values())
     ]
     if not with_motors:
         raise UsageError(f"no robot of {path} has a motor, so a policy could not control it")
@@ -240,7 +240,7 @@ def _task(
         readings = (
             labels
             if roles.has_messages
-            else {device: f"{parts.name}.{one}" for device, one in labels.items()}
+            else {device: f"{parts.name}.{label}" for device, label in labels.items()}
         )
         calls = Calls(scene, roles.robot, expressions, entries, readings, scene.basic_step)
         acting = Controller(roles.acting_code, roles.acting, calls)
@@ -291,7 +291,7 @@ def _read_action(
         method = "use_message_data" if roles.has_messages else "apply_action"
         read_action(task, acting, method, space, parts, names)
         return
-    motors = [one for one in roles.robot.devices.values() if one.type.endswith("Motor")]
+    motors = [device for device in roles.robot.devices.values() if device.type.endswith("Motor")]
     add_placeholder(task, motors, parts, names)
 
 
@@ -316,12 +316,12 @@ def _add_sensors(robot: DraftRobot, task: Task) -> None:
     if robot.task is None:
         return
     texts = [
-        one.key + " " + one.value
+        item.key + " " + item.value
         for section in (task.augment, task.observation, task.reward, task.success, task.failure)
-        for one in section
-        if isinstance(one, Entry)
+        for item in section
+        if isinstance(item, Entry)
     ]
-    emitted = " ".join(one.value for one in robot.task.emit if isinstance(one, Entry))
+    emitted = " ".join(item.value for item in robot.task.emit if isinstance(item, Entry))
     joined = " ".join(texts)
     for name, entry in robot.task.sensors.items():
         is_read = re.search(rf"\b{robot.name}\.{name}\b", joined) or re.search(rf"\b{name}\b", emitted)

@@ -50,7 +50,7 @@ def read_observation(task: Task, reader: Reader, space: Value, names: Names) -> 
         return
     returned, value = result
     if not isinstance(value, list):
-        places = [one.place for one in returned]
+        places = [outcome.place for outcome in returned]
         if isinstance(value, Unknown):
             places.append(value.place)
         if places:
@@ -72,7 +72,7 @@ def _labels(reader: Reader) -> list[str]:
         if isinstance(value, ast.Call) and value.args:
             value = value.args[0]
         if isinstance(value, ast.List | ast.Tuple):
-            return [one.id if isinstance(one, ast.Name) else "" for one in value.elts]
+            return [element.id if isinstance(element, ast.Name) else "" for element in value.elts]
     return []
 
 
@@ -133,9 +133,9 @@ def _joined_vectors(items: list[Item]) -> list[Item]:
     position = 0
     while position < len(items):
         three = items[position : position + 3]
-        if len(three) == 3 and all(isinstance(one, Entry) for one in three):
-            stems = [one.key.rpartition(".") for one in three if isinstance(one, Entry)]
-            values = {one.value for one in three if isinstance(one, Entry)}
+        if len(three) == 3 and all(isinstance(item, Entry) for item in three):
+            stems = [item.key.rpartition(".") for item in three if isinstance(item, Entry)]
+            values = {item.value for item in three if isinstance(item, Entry)}
             is_one = len({stem for stem, _, _ in stems}) == 1 and len(values) == 1
             if is_one and tuple(last for _, _, last in stems) == _AXES:
                 result.append(Entry(stems[0][0], values.pop(), getattr(three[0], "note", "")))
@@ -177,12 +177,14 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
         return
     returned, _ = result
     barred: list[Condition | Unknown] = []
-    for one in returned:
-        if one.value is False or one.value is None:
-            if conditions := _stated(one.path):
-                barred.append(conditions[0] if len(conditions) == 1 else Unknown(one.place))
+    for outcome in returned:
+        if outcome.value is False or outcome.value is None:
+            if conditions := _stated(outcome.path):
+                barred.append(conditions[0] if len(conditions) == 1 else Unknown(outcome.place))
             continue
-        for condition in _ending_conditions([*_opposites(barred), *one.path], one.value, one.place):
+        for condition in _ending_conditions(
+            [*_opposites(barred), *outcome.path], outcome.value, outcome.place
+        ):
             if isinstance(condition, Unknown):
                 task.failure.append(Todo(condition.place, "an ending"))
                 continue
@@ -195,12 +197,15 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
 
 def _stated(path: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
     """Return the conditions of a path but those that an earlier `return` covers."""
-    return [one for one in path if not isinstance(one, Otherwise)]
+    return [condition for condition in path if not isinstance(condition, Otherwise)]
 
 
 def _opposites(conditions: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
     """Return the opposites of conditions under which `is_done` returns False before."""
-    return [negated(one, one.place if isinstance(one, Unknown) else one.parts[0].place) for one in conditions]
+    return [
+        negated(condition, condition.place if isinstance(condition, Unknown) else condition.parts[0].place)
+        for condition in conditions
+    ]
 
 
 def _ending_conditions(
@@ -214,16 +219,18 @@ def _ending_conditions(
         conditions.append(value)
     elif value is not True:
         return [Unknown(place)]
-    for one in conditions:
-        if isinstance(one, Unknown):
-            return [one]
-        if one.unknown is not None and len(conditions) > 1:
-            return [Unknown(one.unknown.place)]
+    for condition in conditions:
+        if isinstance(condition, Unknown):
+            return [condition]
+        if condition.unknown is not None and len(conditions) > 1:
+            return [Unknown(condition.unknown.place)]
     if len(conditions) < 2:
         return conditions
-    both = " and ".join(f"({one.text})" for one in conditions if isinstance(one, Condition))
+    joined_text = " and ".join(
+        f"({condition.text})" for condition in conditions if isinstance(condition, Condition)
+    )
     last = conditions[-1]
-    return [Condition((Part(both, last.parts[0].place if isinstance(last, Condition) else place),))]
+    return [Condition((Part(joined_text, last.parts[0].place if isinstance(last, Condition) else place),))]
 
 
 def _names_success(reader: Reader, place: Place) -> bool:
@@ -249,7 +256,7 @@ def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
 
 
 def _limit(task: Task, key: str, value: str) -> None:
-    if not any(isinstance(one, Entry) and one.key == key for one in task.truncation):
+    if not any(isinstance(item, Entry) and item.key == key for item in task.truncation):
         task.truncation.append(Entry(key, value))
 
 
@@ -263,14 +270,16 @@ def read_solved(task: Task, cls: ClassCode, reader: Reader) -> None:
             continue
         episodes = next(
             (
-                one.slice.lower
-                for one in ast.walk(node.left)
-                if isinstance(one, ast.Subscript) and isinstance(one.slice, ast.Slice) and one.slice.lower
+                child.slice.lower
+                for child in ast.walk(node.left)
+                if isinstance(child, ast.Subscript)
+                and isinstance(child.slice, ast.Slice)
+                and child.slice.lower
             ),
             None,
         )
-        calls = [one for one in ast.walk(node.left) if isinstance(one, ast.Call)]
-        if episodes is None or not any(ast.unparse(one.func).endswith("mean") for one in calls):
+        calls = [child for child in ast.walk(node.left) if isinstance(child, ast.Call)]
+        if episodes is None or not any(ast.unparse(call.func).endswith("mean") for call in calls):
             continue
         frame = Frame(module, {}, None)
         bar, count = reader.evaluate(frame, node.comparators[0]), reader.evaluate(frame, episodes)
@@ -313,11 +322,11 @@ def _constant(node: ast.expr, module: ModuleCode, reader: Reader) -> Value:
     if isinstance(node, ast.Attribute) and node.attr in reader.attributes:
         return reader.attributes[node.attr]
     if isinstance(node, ast.Name):
-        for one in ast.walk(module.tree):
-            if isinstance(one, ast.Assign) and any(
-                isinstance(target, ast.Name) and target.id == node.id for target in one.targets
+        for statement in ast.walk(module.tree):
+            if isinstance(statement, ast.Assign) and any(
+                isinstance(target, ast.Name) and target.id == node.id for target in statement.targets
             ):
-                return one.value.value if isinstance(one.value, ast.Constant) else None
+                return statement.value.value if isinstance(statement.value, ast.Constant) else None
     return reader.evaluate(Frame(module, {}), node)
 
 

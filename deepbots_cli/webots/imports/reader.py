@@ -106,7 +106,7 @@ class Reader:
         return frame.returned, self._result(frame, module.place(function))
 
     def _enter(
-        self, called: ProjectFunction, arguments: list[Value], named: dict[str, Value], depth: int
+        self, called: ProjectFunction, arguments: list[Value], keywords: dict[str, Value], depth: int
     ) -> Frame:
         function = called.function
         self.followed.add(id(function))
@@ -119,8 +119,8 @@ class Reader:
         for position, parameter in enumerate(parameters):
             if position < len(values):
                 frame.local[parameter.arg] = values[position]
-            elif parameter.arg in named:
-                frame.local[parameter.arg] = named[parameter.arg]
+            elif parameter.arg in keywords:
+                frame.local[parameter.arg] = keywords[parameter.arg]
             elif position >= first:
                 frame.local[parameter.arg] = self.evaluate(frame, defaults[position - first])
             else:
@@ -150,7 +150,7 @@ class Reader:
     def _under(
         self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place
     ) -> Value:
-        conditions = [one for one in path if not isinstance(one, Otherwise)]
+        conditions = [condition for condition in path if not isinstance(condition, Otherwise)]
         return merged(several(conditions, place, is_or=False), value, other, place) if conditions else value
 
     # Statements
@@ -423,15 +423,15 @@ class Reader:
         return dict(zip(names, (self.evaluate(frame, value) for value in values), strict=True))
 
     def _comprehension(
-        self, frame: Frame, element: ast.expr, one: ast.comprehension, node: ast.expr
+        self, frame: Frame, element: ast.expr, generator: ast.comprehension, node: ast.expr
     ) -> Value:
-        items = self.evaluate(frame, one.iter)
-        if not isinstance(items, list) or len(items) > MAX_ITEMS or one.ifs:
+        items = self.evaluate(frame, generator.iter)
+        if not isinstance(items, list) or len(items) > MAX_ITEMS or generator.ifs:
             return Unknown(frame.module.place(node))
         inner = Frame(frame.module, dict(frame.local), frame.self_, frame.path, depth=frame.depth)
         values = []
         for item in items:
-            self._assign(inner, one.target, item)
+            self._assign(inner, generator.target, item)
             values.append(self.evaluate(inner, element))
         return values
 
@@ -444,8 +444,10 @@ class Reader:
                 arguments += inner if isinstance(inner, list) else [Unknown(frame.module.place(argument))]
             else:
                 arguments.append(self.evaluate(frame, argument))
-        named = {one.arg: self.evaluate(frame, one.value) for one in node.keywords if one.arg}
-        return self.calls.call(self, frame, called, arguments, named, node)
+        keywords = {
+            keyword.arg: self.evaluate(frame, keyword.value) for keyword in node.keywords if keyword.arg
+        }
+        return self.calls.call(self, frame, called, arguments, keywords, node)
 
     # Operators
 
@@ -475,7 +477,7 @@ class Reader:
         return several(conditions, place, is_or=is_or)
 
     def _compare(self, frame: Frame, nodes: list[ast.expr], ops: list[ast.cmpop], node: ast.expr) -> Value:
-        values = [self.evaluate(frame, one) for one in nodes]
+        values = [self.evaluate(frame, operand) for operand in nodes]
         place = frame.module.place(node)
         results: list[Condition | Unknown] = []
         for position, op in enumerate(ops):

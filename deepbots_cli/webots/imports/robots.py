@@ -228,8 +228,8 @@ def _stl(shape: Shape) -> bytes:
 # Masses
 
 
-def _homogeneous(shape: Shape, placed: urdf.Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
-    exact = urdf.homogeneous_inertial(placed, mass, pose)
+def _homogeneous(shape: Shape, urdf_shape: urdf.Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
+    exact = urdf.homogeneous_inertial(urdf_shape, mass, pose)
     if exact is not None:
         return exact
     # A mesh has the inertia of the box around it; its convex hull collides.
@@ -308,8 +308,8 @@ def _joints(
 def _at_zero(place: Frame, joint: Joint) -> Frame:
     """Return the frame of a joint at the position 0."""
     if joint.kind == "hinge":
-        turned = frames.from_axis_angle(joint.axis, -joint.position)
-        return frames.compose(place, ((0.0, 0.0, 0.0), turned))
+        rotation = frames.from_axis_angle(joint.axis, -joint.position)
+        return frames.compose(place, ((0.0, 0.0, 0.0), rotation))
     back = frames.scaled(joint.axis, -joint.position)
     return frames.compose(place, (back, frames.IDENTITY_ROTATION))
 
@@ -359,13 +359,13 @@ def _link_frame(body: Body) -> Frame:
 
 
 def _inverse(frame: Frame) -> Frame:
-    turned = frames.inverse(frame[1])
-    return frames.rotate(turned, frames.scaled(frame[0], -1.0)), turned
+    rotation = frames.inverse(frame[1])
+    return frames.rotate(rotation, frames.scaled(frame[0], -1.0)), rotation
 
 
 def _pose(frame: Frame) -> urdf.Pose:
-    (x, y, z), turned = frame
-    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(turned))
+    (x, y, z), rotation = frame
+    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
     return urdf.Pose(
         (_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw))
     )

@@ -138,9 +138,9 @@ def _collect_changes(
         else:
             continue
         for target in targets:
-            for one in target.elts if isinstance(target, ast.Tuple | ast.List) else [target]:
-                if isinstance(one, ast.Attribute):
-                    changes.setdefault(one.attr, []).append((module, node))
+            for element in target.elts if isinstance(target, ast.Tuple | ast.List) else [target]:
+                if isinstance(element, ast.Attribute):
+                    changes.setdefault(element.attr, []).append((module, node))
 
 
 def _changed(before: Value, statements: list[tuple[ModuleCode, ast.stmt]]) -> Value:
@@ -224,20 +224,22 @@ def read_other(
     `labels` are names of sensors by device. Commands that use the action in another way are left to a person.
     """
     entries = robot.calls.sensors
-    own = Task(sensors={labels[device]: entry.text for device, entry in entries.items()})
-    read_messages(own, robot, parts.name, labels)
+    robot_task = Task(sensors={labels[device]: entry.text for device, entry in entries.items()})
+    read_messages(robot_task, robot, parts.name, labels)
     names = Names()
-    read_action(own, robot, "use_message_data", space, parts, names)
-    actions = [one for one in task.action if isinstance(one, Entry)]
-    read = [one for one in own.action if isinstance(one, Entry)]
-    if [one.value for one in actions] == [one.value for one in read]:
-        keys = {one.key: action.key for one, action in zip(read, actions, strict=True)}
-        own.apply = {name: _renamed(value, keys) for name, value in own.apply.items()}
-        return own
+    read_action(robot_task, robot, "use_message_data", space, parts, names)
+    actions = [entry for entry in task.action if isinstance(entry, Entry)]
+    read = [entry for entry in robot_task.action if isinstance(entry, Entry)]
+    if [entry.value for entry in actions] == [entry.value for entry in read]:
+        keys = {entry.key: action.key for entry, action in zip(read, actions, strict=True)}
+        robot_task.apply = {name: _renamed(value, keys) for name, value in robot_task.apply.items()}
+        return robot_task
     if "use_message_data" in robot.cls.methods:
-        own.agent.append(whole(robot.cls, "use_message_data", f"what {parts.name} does with the action"))
-    own.actuators, own.apply = {}, {}
-    return own
+        robot_task.agent.append(
+            whole(robot.cls, "use_message_data", f"what {parts.name} does with the action")
+        )
+    robot_task.actuators, robot_task.apply = {}, {}
+    return robot_task
 
 
 def _renamed(text: str, names: dict[str, str]) -> str:
@@ -264,7 +266,7 @@ def read_action(
     task: Task, controller: Controller, method: str, space: Value, parts: RobotParts, names: Names
 ) -> None:
     """Read `use_message_data` or `apply_action` into `action`, `actuators` and `apply`."""
-    motors = [one for one in controller.calls.robot.devices.values() if one.type.endswith("Motor")]
+    motors = [device for device in controller.calls.robot.devices.values() if device.type.endswith("Motor")]
     count = space.choices if isinstance(space, Space) else space
     read = _read_ranges(task, controller, method, space, parts, names) or _read_choices(
         task, controller, method, count, parts, names
@@ -280,9 +282,9 @@ def whole(cls: ClassCode, method: str, about: str) -> Todo:
     """Return a method as a place that is left to a person, with its lines."""
     module, function = cls.methods[method]
     body = [
-        one
-        for one in function.body
-        if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
+        statement
+        for statement in function.body
+        if not (isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant))
     ]
     lines = [line for statement in body for line in ast.unparse(statement).splitlines()]
     if len(lines) > _SHOWN_LINES:
@@ -400,8 +402,8 @@ def _label(devices: Sequence[str]) -> str:
     if len(devices) == 1:
         return scenario_name(devices[0], "motor")
     first, last = min(devices), max(devices)
-    same = next((at for at in range(len(first)) if first[at] != last[at : at + 1]), len(first))
-    stem = scenario_name(first[:same].rstrip("0123456789 _-"), "motor")
+    prefix_length = next((at for at in range(len(first)) if first[at] != last[at : at + 1]), len(first))
+    stem = scenario_name(first[:prefix_length].rstrip("0123456789 _-"), "motor")
     return stem if stem.endswith("s") else f"{stem}s"
 
 
@@ -424,12 +426,12 @@ def _joint(device: str, parts: RobotParts) -> str | None:
 def add_placeholder(task: Task, motors: list[Device], parts: RobotParts, names: Names) -> None:
     """Add one range for all motors, so that the scenario is valid until a person writes the actions."""
     for is_linear in (False, True):
-        some = [one for one in motors if (one.type == "LinearMotor") is is_linear]
-        some = [one for one in some if _joint(one.name, parts) is not None]
-        if not some:
+        matching = [motor for motor in motors if (motor.type == "LinearMotor") is is_linear]
+        matching = [motor for motor in matching if _joint(motor.name, parts) is not None]
+        if not matching:
             continue
-        speed = min(number(one.node, "maxVelocity") for one in some) or 1.0
-        group = _Motors("velocity", tuple(one.name for one in some), is_linear)
+        speed = min(number(motor.node, "maxVelocity") for motor in matching) or 1.0
+        group = _Motors("velocity", tuple(motor.name for motor in matching), is_linear)
         variable = names.new("action")
         task.action.append(Entry(variable, "-1 .. 1", "a placeholder for all motors"))
         _actuator(task, group, f"{variable} * {number_text(speed, group.unit)}", parts, names)

@@ -99,9 +99,9 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
         (geometry,) = body.geometries
         shape = geometry.shape
         low, high = min(shape.heights), max(shape.heights)
-        (x, y, z), turned = frames.compose(body.frame, geometry.frame)
+        (x, y, z), orientation = frames.compose(body.frame, geometry.frame)
         middle = (x + shape.size[0] / 2, y + shape.size[1] / 2, z + low)
-        if max(map(abs, middle)) > 1e-6 or abs(turned[3]) < 1 - 1e-9 or high - low < 1e-3:
+        if max(map(abs, middle)) > 1e-6 or abs(orientation[3]) < 1 - 1e-9 or high - low < 1e-3:
             continue
         file = f"{scenario_name(world.path.stem)}_terrain.png"
         result.pictures[file] = _picture(shape, low, high)
@@ -172,8 +172,8 @@ def _is_ground(geometry: Geometry, body: Body) -> bool:
     """Return whether a plane is the ground of a scenario: level, at the height 0."""
     if geometry.shape.kind != "plane" or body.is_free:
         return False
-    place, turned = frames.compose(body.frame, geometry.frame)
-    return abs(place[2]) < 1e-3 and frames.rotate(turned, (0.0, 0.0, 1.0))[2] > 0.9999
+    place, orientation = frames.compose(body.frame, geometry.frame)
+    return abs(place[2]) < 1e-3 and frames.rotate(orientation, (0.0, 0.0, 1.0))[2] > 0.9999
 
 
 def _shape_text(shape: Shape) -> str | None:

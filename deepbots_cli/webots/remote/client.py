@@ -56,7 +56,7 @@ class Session:
             Exception: The method raises it.
         """
         unused, self._unused = self._unused, []
-        references = replaced(arguments, Proxy, lambda one: Reference(one._number, ""))
+        references = replaced(arguments, Proxy, lambda proxy: Reference(proxy._number, ""))
         value = self._ask(Call(number, method, references, options, unused))
         return replaced(value, Reference, self._proxy)
 

@@ -55,28 +55,28 @@ class ProcessRunner(Runner):
     def _finish(self) -> None:
         for process in self._processes:
             process.kill()
-        for one in self.controllers:
-            if one.thread is not None:
-                one.thread.join(GRACE_S)
+        for controller in self.controllers:
+            if controller.thread is not None:
+                controller.thread.join(GRACE_S)
 
-    def _enter(self, one: Controller) -> None:
+    def _enter(self, controller: Controller) -> None:
         """Do nothing: a process has its own surroundings."""
 
-    def _leave(self, one: Controller) -> None:
+    def _leave(self, controller: Controller) -> None:
         """Do nothing: a process has its own surroundings."""
 
-    def _execute(self, one: Controller) -> None:
-        ours, theirs = Pipe()
-        with ours:
-            with theirs:
-                process = self._start(one, theirs.fileno())
+    def _execute(self, controller: Controller) -> None:
+        local_end, remote_end = Pipe()
+        with local_end:
+            with remote_end:
+                process = self._start(controller, remote_end.fileno())
             readers = [
-                threading.Thread(target=_pass_on, args=(source, Prefixed(target, lambda: one.name)))
+                threading.Thread(target=_pass_on, args=(source, Prefixed(target, lambda: controller.name)))
                 for source, target in ((process.stdout, self._output), (process.stderr, self._errors))
             ]
             for reader in readers:
                 reader.start()
-            failure = _Requests(ours).serve()
+            failure = _Requests(local_end).serve()
         code = process.wait()
         for reader in readers:
             reader.join(GRACE_S)
@@ -84,16 +84,18 @@ class ProcessRunner(Runner):
             raise ControllerError(failure or f"its process was ended by signal {-code}")
         raise SystemExit(code)
 
-    def _start(self, one: Controller, pipe: int) -> subprocess.Popen[str]:
+    def _start(self, controller: Controller, pipe: int) -> subprocess.Popen[str]:
         changes = {name: os.environ.get(name, value) for name, value in CONTROLLER_ENVIRONMENT.items()}
         changes |= {"PYTHONUNBUFFERED": "1", PACKAGES: os.pathsep.join(self.packages)}
         process = subprocess.Popen(
-            python_command("deepbots_cli.webots.remote", str(pipe), str(one.program), *one.arguments),
+            python_command(
+                "deepbots_cli.webots.remote", str(pipe), str(controller.program), *controller.arguments
+            ),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             pass_fds=[pipe],
-            cwd=one.program.parent,
+            cwd=controller.program.parent,
             env=python_environment(changes),
             text=True,
             encoding="utf-8",
@@ -157,7 +159,7 @@ class _Requests:
         for number in request.unused:
             thing = self._objects.pop(number)
             del self._numbers[type(thing), thing]
-        arguments = replaced(request.arguments, Reference, lambda one: self._objects[one.number])
+        arguments = replaced(request.arguments, Reference, lambda reference: self._objects[reference.number])
         return getattr(self._objects[request.number], request.method)(*arguments, **request.options)
 
     def _reference(self, thing: Any) -> Reference:
