@@ -68,8 +68,8 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     with closing(recorder), closing(project.supervisor(recorder)) as task:
         dynamic_gaps(recorder, task, gaps)
         task.reset(seed=0)
-        bodies = (*project.world.objects, *project.world.robots)
-        starts = {body.name: recorder.pose(body.name)() for body in bodies}
+        bodies = [body.name for body in project.world.objects] + [*project.robots]
+        starts = {name: recorder.pose(name)() for name in bodies}
     _require_none(compiled.program, gaps)
     return WebotsProject(compiled, project, _remotes(project, task), gaps, starts)
 
