@@ -28,7 +28,7 @@ from deepbots_cli.program.world import Color, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
 from deepbots_cli.runtime.overview import view_around
-from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
+from deepbots_cli.view.frames import FieldOfView, FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
     import viser
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
 _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
 _MAX_CELLS = 120  # the largest number of cells of a terrain along a side
+_RADAR_GRAY = 120
 _MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
 _EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
@@ -216,6 +217,7 @@ class WorldScene:
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
+        self._radars = [self._add_radar(*each) for each in layout.radars.items()]
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
         self._followed = (first.name, first.model.root) if first else None
         self._traced = (
@@ -312,6 +314,15 @@ class WorldScene:
             name, points, colors, thickness=thickness, thickness_units="screen", **options
         )
 
+    def _add_radar(self, key: str, radar: FieldOfView) -> Any:
+        """Add the field of view of a radar, which moves with its link."""
+        name, link = radar.part
+        head, (place, turn) = rigid_groups(self._layout.robots[name])[link]
+        path = f"{self._path_of((name, head))}/radar_{key.rpartition('.')[2]}"
+        return self._add_lines(
+            path, radar.outline.astype(np.float32), _RADAR_GRAY, position=place, wxyz=frames.wxyz(turn)
+        )
+
     def _path_of(self, part: LinkName) -> str:
         kind = "robots" if part[0] in self._layout.robots else "objects"
         return f"{self._root}/{kind}/{part[0].replace('#', '_')}/{part[1]}"
@@ -373,6 +384,8 @@ class WorldScene:
         for (body, _), node in self._nodes.items():
             node.show_axes = self.visible_parts["axes"] and body in self._layout.robots
         self._rays.visible = self.visible_parts["rays"] and len(self._rays_now) > 0
+        for outline in self._radars:
+            outline.visible = self.visible_parts["rays"]
         if self._frame is not None:
             self._mark(self._frame)
 
