@@ -71,7 +71,9 @@ class ProcessRunner(Runner):
             with theirs:
                 process = self._start(one, theirs.fileno())
             readers = [
-                threading.Thread(target=_pass_on, args=(source, Prefixed(target, lambda: one.name)))
+                threading.Thread(
+                    target=_pass_on, args=(source, Prefixed(target, lambda: one.name, self._on_line))
+                )
                 for source, target in ((process.stdout, self._output), (process.stderr, self._errors))
             ]
             for reader in readers:
