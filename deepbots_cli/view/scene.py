@@ -377,7 +377,12 @@ class WorldScene:
         head, (place, turn) = rigid_groups(self._layout.robots[name])[link]
         path = f"{self._path_of((name, head))}/radar_{key.rpartition('.')[2]}"
         return self._add_lines(
-            path, radar.outline.astype(np.float32), _RADAR_GRAY, position=place, wxyz=frames.wxyz(turn)
+            path,
+            radar.outline.astype(np.float32),
+            _RADAR_GRAY,
+            thickness=1.0,
+            position=place,
+            wxyz=frames.wxyz(turn),
         )
 
     def _path_of(self, part: LinkName) -> str:

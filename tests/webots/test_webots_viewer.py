@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -104,11 +104,12 @@ def _positions(wire: ClientConnection) -> dict[str, tuple[float, float, float]]:
             return {each["name"]: each["position"] for each in moved}
 
 
-def _wait(holds, seconds: float = 20.0) -> None:
+def _wait(holds: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait until a condition holds once."""
     end = time.monotonic() + seconds
-    while not holds() and time.monotonic() < end:
+    while not holds():
+        assert time.monotonic() < end
         time.sleep(0.01)
-    assert holds()
 
 
 # The page
@@ -194,16 +195,20 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
 
             _wait(arrived)
             assert [keyboard.getKey() for _ in range(3)] == [Keyboard.LEFT, -1, -1]
-            simulation.run_step()
-            simulation.run_step()
-            assert [other.getKey(), other.getKey(), other.getKey()] == [shift_a, Keyboard.LEFT, -1]
-            wire.send("+".join(map(str, range(65, 75))) + "|")
+
+            def arrived_there() -> bool:
+                simulation.run_step()
+                wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+                return [other.getKey() for _ in range(3)] == [shift_a, Keyboard.LEFT, -1]
+
+            _wait(arrived_there)
 
             def has_seven() -> bool:
+                wire.send("+".join(map(str, range(65, 75))) + "|")
                 simulation.run_step()
                 return [keyboard.getKey() for _ in range(8)] == [*range(65, 72), -1]
 
-            _wait(has_seven, 0.2)
+            _wait(has_seven)
 
         def released() -> bool:
             simulation.run_step()
