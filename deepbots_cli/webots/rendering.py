@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.webots.physics import Physics
+    from deepbots_cli.webots.project import Files
     from deepbots_cli.webots.scene import Visual
     from deepbots_cli.webots.syntax import Node
 
@@ -170,7 +171,6 @@ class _VisualModel:
         spec.visual.headlight.diffuse = (0.55,) * 3
         spec.visual.headlight.specular = (0.0,) * 3
         spec.compiler.alignfree = False
-        self._findings = WorldFindings()
         self._count = 0
         self._add_sky()
         self.bodies = {
@@ -194,8 +194,7 @@ class _VisualModel:
         )
 
     def _add(self, visual: Visual) -> None:
-        geometry = child(visual.node, "geometry")
-        shape = None if geometry is None else self._shape(geometry, visual.scale)
+        shape = visible_shape(visual, self._scene.files)
         if shape is None:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
@@ -207,17 +206,12 @@ class _VisualModel:
         parent.add_geom(
             pos=place,
             quat=frames.wxyz(rotation),
-            rgba=_color(visual.node),
+            rgba=color_of(visual.node),
             contype=0,
             conaffinity=0,
             mass=0.0,
             **fields,
         )
-
-    def _shape(self, geometry: Node, scale: Triple) -> Shape | None:
-        if geometry.type == "Cone":
-            return _cone(number(geometry, "bottomRadius"), number(geometry, "height"), scale)
-        return shape_of(geometry, scale, self._scene.files, self._findings)
 
     def _fields(self, shape: Shape) -> dict[str, Any]:
         types = mj.mjtGeom
@@ -262,6 +256,16 @@ class _VisualModel:
         return f"s{self._count}"
 
 
+def visible_shape(visual: Visual, files: Files) -> Shape | None:
+    """Return the geometry of a Shape node; None for one that is not drawn."""
+    geometry = child(visual.node, "geometry")
+    if geometry is None:
+        return None
+    if geometry.type == "Cone":
+        return _cone(number(geometry, "bottomRadius"), number(geometry, "height"), visual.scale)
+    return shape_of(geometry, visual.scale, files, WorldFindings())
+
+
 def _cone(radius: float, height: float, scale: Triple) -> Shape:
     """Return a cone around z, of which the base is below."""
     rim: list[Triple] = [
@@ -277,7 +281,7 @@ def _cone(radius: float, height: float, scale: Triple) -> Shape:
     return Shape("mesh", vertices=scaled, faces=faces)
 
 
-def _color(node: Node) -> Sequence[float]:
+def color_of(node: Node) -> Sequence[float]:
     """Return the color and opacity of a Shape node."""
     appearance = child(node, "appearance")
     if appearance is None:

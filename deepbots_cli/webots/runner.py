@@ -15,7 +15,6 @@ import os
 import subprocess
 import sys
 import threading
-import time
 import traceback
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -27,6 +26,7 @@ from typing import TYPE_CHECKING, TextIO
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.nodes import texts
+from deepbots_cli.webots.pace import Pace
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
@@ -102,8 +102,9 @@ class Runner:
         packages: Sequence[str] = (),
         output: TextIO | None = None,
         errors: TextIO | None = None,
-        is_fast: bool = True,
-        after_step: Callable[[], None] | None = None,
+        pace: Pace | None = None,
+        after_step: Sequence[Callable[[], None]] = (),
+        on_line: Callable[[str, str], None] | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -115,8 +116,9 @@ class Runner:
             packages: Further folders from which controllers import.
             output: Where controllers print, by default `sys.stdout`.
             errors: Where errors of controllers go, by default `sys.stderr`.
-            is_fast: Whether the world waits for no clock.
+            pace: When the world may advance; by default, as fast as it can.
             after_step: Called after each basic time step.
+            on_line: Called with the name of a robot and each line that its controller prints.
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
@@ -132,8 +134,8 @@ class Runner:
         self._progress = 0
         self._problems: list[str] = []
         self._by_robot = {one.robot: one for one in self.controllers}
-        self._begin = None if is_fast else time.monotonic()
-        self._after_step = after_step
+        self._pace = pace or Pace(simulation, is_fast=True)
+        self._after_step, self._on_line = after_step, on_line
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
     # The main thread
@@ -167,7 +169,7 @@ class Runner:
         """Wait for the end; a controller that makes no step for too long ends the run."""
         before = -1
         while not self._everything_ended.wait(self.timeout):
-            if self._progress == before:
+            if self._progress == before and not self._pace.is_paused:
                 one = self._current
                 name = one.name if one else "?"
                 self._problems.append(f"the controller of '{name}' made no step for {self.timeout:g} s")
@@ -197,7 +199,7 @@ class Runner:
         finder = _ProjectFinder(self)
         sys.meta_path.insert(0, finder)
         name = self._speaker
-        streams = Prefixed(self._output, name), Prefixed(self._errors, name)
+        streams = tuple(Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
         sys.stdout, sys.stderr = streams
         for name_, value in CONTROLLER_ENVIRONMENT.items():
             os.environ.setdefault(name_, value)
@@ -300,16 +302,16 @@ class Runner:
         return waiting[0]
 
     def _advance(self) -> None:
-        if self._begin is not None:
-            time.sleep(max(0.0, self._begin + self.simulation.ticks / 1000 - time.monotonic()))
+        if self._pace.wait():
+            self._progress += 1  # the time of a pause is not that of a controller
         try:
             self.simulation.run_step()
         except FloatingPointError as error:
             self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
             self.is_over = True
             return
-        if self._after_step is not None:
-            self._after_step()
+        for call in self._after_step:
+            call()
 
     # Surroundings
 
@@ -375,18 +377,30 @@ class Prefixed:
 
     encoding, errors = "utf-8", "replace"
 
-    def __init__(self, stream: TextIO, speaker: Callable[[], str]) -> None:
-        self._stream, self._speaker = stream, speaker
+    def __init__(
+        self,
+        stream: TextIO,
+        speaker: Callable[[], str],
+        on_line: Callable[[str, str], None] | None = None,
+    ) -> None:
+        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each line."""
+        self._stream, self._speaker, self._on_line = stream, speaker, on_line
         self._unfinished: dict[str, str] = {}
 
     def write(self, text: str) -> int:
         name = self._speaker()
         *lines, rest = (self._unfinished.pop(name, "") + text).split("\n")
         if lines:
-            self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+            self._write(name, lines)
         if rest:
             self._unfinished[name] = rest
         return len(text)
+
+    def _write(self, name: str, lines: Sequence[str]) -> None:
+        self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+        if self._on_line is not None:
+            for line in lines:
+                self._on_line(name, line)
 
     def writelines(self, lines: Sequence[str]) -> None:
         for line in lines:
@@ -398,7 +412,7 @@ class Prefixed:
     def close(self) -> None:
         """Write lines that have no end yet."""
         for name, rest in self._unfinished.items():
-            self._stream.write(f"[{name}] {rest}\n")
+            self._write(name, [rest])
         self._unfinished.clear()
         self._stream.flush()
 

@@ -10,9 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli.starters.webots import TODO, Starter, from_webots
+from deepbots_cli.cli.starters.webots import Starter, from_webots
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.geometry import ground_height
+from deepbots_cli.lint.names import FILL_IN
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
@@ -146,7 +147,7 @@ def lines_of(text: str) -> list[str]:
 def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path) -> None:
     starter, text = imported(tmp_path, solved="return np.mean(self.scores[-50:]) > 90")
     assert starter.todos == 0
-    assert TODO not in text
+    assert FILL_IN not in text
     assert [
         finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
     ] == []
@@ -419,7 +420,7 @@ def test_what_has_no_plain_form_is_a_comment_with_its_python(
     tmp_path: Path, methods: dict[str, str], place: str
 ) -> None:
     starter, text = imported(tmp_path, **methods)
-    todos = [line for line in lines_of(text) if line.startswith(TODO)]
+    todos = [line for line in lines_of(text) if line.startswith(FILL_IN)]
     assert starter.todos == len(todos) > 0
     assert any(place in line for line in todos)
     assert [

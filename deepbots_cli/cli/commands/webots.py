@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,13 +16,17 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, Json, integer, known_engine, option
+from deepbots_cli.cli.commands.view import Host, Open, Port
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
 
 if TYPE_CHECKING:
+    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.project import Program, World
     from deepbots_cli.webots.runner import Outcome
     from deepbots_cli.webots.scene import Robot, Scene
+    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.viewer import Viewer
 
 _ENGINE = "mujoco"
 
@@ -49,12 +54,12 @@ def command(
         float, option("--timeout SECONDS", "End if a controller makes no step for this time.", min=0.1)
     ] = 600.0,
     fast: Annotated[
-        bool,
+        bool | None,
         typer.Option(
             "--fast/--real-time",
-            help="Run as fast as the machine can, which is the default, or at the pace of a clock.",
+            help="Run as fast as the machine can, or at the pace of a clock, which is the default with --view.",
         ),
-    ] = True,
+    ] = None,
     protos: Annotated[
         list[Path] | None,
         option(
@@ -82,6 +87,15 @@ def command(
         Path | None,
         option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
     ] = None,
+    view: Annotated[
+        bool,
+        option(
+            "--view", "Show the run in the browser, where keys are pressed for a Keyboard, until it ends."
+        ),
+    ] = False,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    open_: Open = False,
     engine: Annotated[
         str, option("--engine NAME", "Physics engine: mujoco.", ADVANCED, callback=_known_engine)
     ] = _ENGINE,
@@ -95,6 +109,8 @@ def command(
     for folder in protos or ():
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
+    if not view and (open_ or port is not None):
+        raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     known_engine(_ENGINE)
     try:
         checked, scene = _read(world, protos or ())
@@ -104,7 +120,9 @@ def command(
             return
         if processes and os.name == "nt":
             raise UsageError("--processes is not available on Windows; leave it out")
-        options = _Options(steps, timeout, python, record, fast, processes, as_json)
+        page = _Page(host, port, open_) if view else None
+        is_fast = not view if fast is None else fast
+        options = _Options(steps, timeout, python, record, page, is_fast, processes, as_json)
         _run(checked, scene, programs, options)
     except WorldError as error:
         for finding in error.findings:
@@ -152,6 +170,15 @@ def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json
 
 
 @dataclass(frozen=True)
+class _Page:
+    """Where to serve the page of a run."""
+
+    host: str
+    port: int | None
+    opens_browser: bool
+
+
+@dataclass(frozen=True)
 class _Options:
     """How to run a world."""
 
@@ -159,20 +186,25 @@ class _Options:
     timeout: float
     python: Path | None
     record: Path | None
+    page: _Page | None
     is_fast: bool
     processes: bool
     as_json: bool
 
 
 def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], options: _Options) -> None:
+    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.recorder import Recorder
     from deepbots_cli.webots.remote.server import ProcessRunner
     from deepbots_cli.webots.runner import Runner, packages_of
     from deepbots_cli.webots.simulation import Simulation
 
     simulation = Simulation(scene, world.span)
-    video = options.record
+    pace = Pace(simulation, is_fast=options.is_fast)
+    video, viewer = options.record, None
     with ExitStack() as stack:
+        if options.page is not None:
+            viewer = stack.enter_context(_serve(simulation, pace, world.path.name, options.page))
         recorder = None if video is None else stack.enter_context(Recorder(simulation, video.resolve()))
         runner = (ProcessRunner if options.processes else Runner)(
             simulation,
@@ -181,14 +213,26 @@ def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], opti
             timeout=options.timeout,
             packages=packages_of(options.python) if options.python is not None else (),
             output=sys.stderr if options.as_json else None,
-            is_fast=options.is_fast,
-            after_step=recorder,
+            pace=pace,
+            after_step=[call for call in (recorder, viewer) if call is not None],
+            on_line=None if viewer is None else viewer.print_line,
         )
         started = time.perf_counter()
         outcome = runner.run()
-    seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - started
     _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
     _exit(outcome)
+
+
+def _serve(simulation: Simulation, pace: Pace, title: str, page: _Page) -> Viewer:
+    """Serve the page of a run, and print its address."""
+    from deepbots_cli.webots.viewer import Viewer
+
+    viewer = Viewer(simulation, pace, title, page.host, page.port)
+    terminal.note(viewer.address)
+    if page.opens_browser:
+        webbrowser.open(viewer.address)
+    return viewer
 
 
 def _exit(outcome: Outcome) -> None:
