@@ -32,15 +32,15 @@ class Recorder:
     The video plays in simulated time. The picture follows the solid that the viewpoint follows.
     """
 
-    def __init__(self, simulation: Simulation, path: Path) -> None:
-        """Check what can be checked before the run.
+    def __init__(self, simulation: Simulation, path: Path, *, force: bool = False) -> None:
+        """Check what can be checked before the run. A file is overwritten only by `force`.
 
         Raises:
             UsageError: The file exists, has another suffix, or cannot be written.
             MissingExtraError: imageio is missing for an MP4.
             EngineError: There is no OpenGL.
         """
-        check_target(path, SUFFIXES, force=False)
+        check_target(path, SUFFIXES, force=force)
         require_opengl()
         self._simulation, self._path = simulation, path
         step = simulation.basic_step / 1000

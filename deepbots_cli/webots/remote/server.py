@@ -102,6 +102,7 @@ class ProcessRunner(Runner):
             text=True,
             encoding="utf-8",
             errors="replace",
+            start_new_session=True,  # Ctrl-C is for this process, which ends the others
         )
         self._processes.append(process)
         return process
