@@ -7,6 +7,7 @@ library.py        PROTOs of Webots' own library that deepbots has an equivalent 
 scene.py          bodies, joints, geometries and devices
 scene_builder.py  the tree as a scene
 shapes.py         geometries: sizes, volumes, meshes
+looks.py          the geometry and the color of what is seen
 model.py          a scene as a model of MuJoCo
 physics.py        its state: steps, motors, bounces, readings
 simulation.py     time, messages and sampling: what a controller's step does

@@ -31,8 +31,8 @@ from deepbots_cli.view.scene import (
     shaded_mesh,
     with_edges,
 )
+from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.recorder import HEIGHT, WIDTH
-from deepbots_cli.webots.rendering import color_of, visible_shape
 from deepbots_cli.webots.viewpoint import Viewpoint
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from deepbots_cli.cli.starters.webots import Starter, from_webots
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.lint.names import FILL_IN
+from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
@@ -255,6 +256,19 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
     assert wheel.limit.velocity == 20.0
     assert wheel.limit.effort == 2.0
     assert model.link("rod").inertial.origin.xyz[2] == pytest.approx((0.2 * 0.25 + 0.05 * 0.5) / 0.25)
+
+
+def test_links_and_objects_look_as_their_shape_nodes(tmp_path: Path) -> None:
+    red = "Shape { appearance PBRAppearance { baseColor 1 0 0 } geometry Sphere { radius 0.07 } }"
+    world = WORLD.replace("translation 1 0 0.1", f"translation 1 0 0.1 children [ {red} ]")
+    world = world.replace("children [ DEF TIP", f"children [ {red} DEF TIP")
+    imported(tmp_path, world=world)
+    program = api.load(tmp_path / "out" / "cart.yaml").program
+    assert program is not None
+    rod = program.world.robots[0].model.link("rod")
+    assert [(visual.shape, visual.color) for visual in rod.visuals] == [(Sphere(0.07), (1.0, 0.0, 0.0, 1.0))]
+    assert isinstance(rod.collisions[0].shape, Box)
+    assert program.world.objects[0].color == (1.0, 0.0, 0.0, 1.0)
 
 
 def test_a_solid_that_the_supervisor_watches_is_a_link(tmp_path: Path) -> None:
