@@ -10,6 +10,7 @@ from math import pi
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
 from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.document.edits import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
@@ -30,8 +31,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
 
-FILL_IN = "# FILL IN"
-"""How a comment about a place begins that a command leaves to the author."""
 _PLACE = re.compile(rf"^[ \t]*({FILL_IN}\b[^\n]*)", re.MULTILINE)
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.cli.starters.webots import Starter, from_webots
+from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.geometry import ground_height
-from deepbots_cli.lint.names import FILL_IN
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
