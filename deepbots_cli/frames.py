@@ -97,8 +97,8 @@ def cross(a: Triple, b: Triple) -> Triple:
 
 
 def azimuth_and_elevation(v: Triple) -> tuple[float, float]:
-    """Return the angle of `v` from the x axis in the plane, to the left positive, and its angle above the plane
-    (rad)."""
+    """Return the angle of `v` from the x axis in the plane, to the left positive, and its angle above the
+    plane (rad)."""
     return atan2(v[1], v[0]), atan2(v[2], hypot(v[0], v[1]))
 
 

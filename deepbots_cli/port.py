@@ -181,8 +181,8 @@ class Bindable(Protocol):
     def velocity(self, body: str, link: str | None = None) -> VelocityReader: ...
 
     def angular_momentum(self, robot: str) -> VectorReader:
-        """Return the angular momentum (N m s, world frame) of a robot about its center of mass, with the masses
-        of the episode. The base of a robot with a fixed base counts as a link at rest."""
+        """Return the angular momentum (N m s, world frame) of a robot about its center of mass, with the
+        masses of the episode. The base of a robot with a fixed base counts as a link at rest."""
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
         """Return a reader of pose and velocity in one call, which takes half the time of two calls if the

@@ -31,7 +31,8 @@ observation: {cart.place: -2.4 .. 2.4 m}
 action: {drive: -1 .. 1}
 truncation: {max_steps: 1000}
 """
-"""A cart on a rail, without a reward. The engine `exact` moves it, so that a test can compute every number."""
+"""A cart on a rail, without a reward. The engine `exact` moves it, so that a test can compute every
+number."""
 
 
 Make = Callable[..., Any]

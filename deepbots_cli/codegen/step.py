@@ -702,8 +702,8 @@ def _sum_lines(local: str, names: Sequence[str], attribute: str = "") -> list[st
 def _print_rewards_of_agents(
     supervisor: SupervisorPrinter, printer: Printer, names: Mapping[str, str]
 ) -> None:
-    """Print the rewards and the returns of those among several agents whose expressions read them. `names` has
-    the code of each term."""
+    """Print the rewards and the returns of those among several agents whose expressions read them. `names`
+    has the code of each term."""
     returned = supervisor.agents_that_use(EPISODE_RETURN)
     for agent in supervisor.agents_that_use(PREVIOUS_REWARD, EPISODE_RETURN):
         term_codes = [names[term] for term in supervisor.scenario.members[agent].terms.values()]

@@ -438,7 +438,8 @@ class SupervisorPrinter(ClassPrinter):
         return self.attribute(self.names.identifier(f"previous reward of {agent}", PREVIOUS_REWARD, agent))
 
     def last_rewards(self) -> dict[str, str]:
-        """Return the code of the reward of the last timestep, by the name that means it after the timestep."""
+        """Return the code of the reward of the last timestep, by the name that means it after the
+        timestep."""
         of_agents = {
             joint_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
             for agent in self.agents_that_use(PREVIOUS_REWARD)

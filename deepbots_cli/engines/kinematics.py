@@ -44,8 +44,8 @@ class Segment(NamedTuple):
 
 
 class _Drive(NamedTuple):
-    """The axis of a moving joint in the frame of the root: its direction, a point of it, and whether the joint
-    turns about it or slides along it."""
+    """The axis of a moving joint in the frame of the root: its direction, a point of it, and whether the
+    joint turns about it or slides along it."""
 
     axis: Triple
     pivot: Triple

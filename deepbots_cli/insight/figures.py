@@ -104,8 +104,8 @@ def successes(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
 
 
 def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
-    """Draw what one of several agents does, given actions of all agents: how often it chooses each option, and
-    how the numbers of its ranges are distributed."""
+    """Draw what one of several agents does, given actions of all agents: how often it chooses each option,
+    and how the numbers of its ranges are distributed."""
     agent = member.program.agent
     if not taken:
         return None

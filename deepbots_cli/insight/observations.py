@@ -12,7 +12,8 @@ from deepbots_cli.program.task import SAME_OBSERVATION, Observation
 _MOST, _MOST_LIKELIHOOD = 0.75, 0.95
 """The share of the numbers that counts as most of them, and the likelihood of a cause that concerns most."""
 _PER_CONSTANT_SHARE, _PER_CLIPPED_SHARE = 0.35, 0.55
-"""The likelihood of a cause that concerns fewer, per share of the numbers: of constant and of clipped ones."""
+"""The likelihood of a cause that concerns fewer, per share of the numbers: of constant and of clipped
+ones."""
 _MAX_CONSTANT_SPAN = 0.01
 """A number of the observation, from -1 to 1, that varies by less hardly changes."""
 _MIN_CLIPPED_SHARE, _MIN_LOST_SPREAD = 0.4, 0.1

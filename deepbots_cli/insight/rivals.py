@@ -15,7 +15,8 @@ from deepbots_cli.learning.records import PoolGames
 from deepbots_cli.learning.statistics import wilson
 
 _HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
-"""The success rates at and below which an agent hardly succeeds, and from which a rival nearly always does."""
+"""The success rates at and below which an agent hardly succeeds, and from which a rival nearly always
+does."""
 _EARLY = 0.4
 """The share of the steps after which a rival that is too strong has been so in the rest of the training. A
 rival that wins only in the end may lose again."""

@@ -475,7 +475,8 @@ class _Rater:
         return Rating(0, fresh.mu, fresh.sigma)
 
     def rated(self, one: Rating, two: Rating, score: int) -> tuple[Rating, Rating]:
-        """Return the ratings after a game, in which `score` is 1 if `one` has won, -1 if `two` has, else 0."""
+        """Return the ratings after a game, in which `score` is 1 if `one` has won, -1 if `two` has, else
+        0."""
         teams = [[self._model.rating(mu=rating.mean, sigma=rating.deviation)] for rating in (one, two)]
         ((a,), (b,)) = self._model.rate(teams, ranks=[1 + (score < 0), 1 + (score > 0)])
         return (

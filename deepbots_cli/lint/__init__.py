@@ -8,11 +8,12 @@ decorator `rule` gives a rule its code; its page is in `rule_pages`, by this cod
 names.py         places left to the author, unused definitions, equality of measurements,    DB109, DB205, DB411,
                  angles that jump                                                            DB506
 robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
-                                                                                             DB319, DB322, DB324,
-                                                                                             DB325, DB615
+                                                                                             DB319, DB322,
+                                                                                             DB324, DB325,
+                                                                                             DB615
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
-                                                                                             DB323, DB507, DB809,
-                                                                                             DB812
+                                                                                             DB323, DB507,
+                                                                                             DB809, DB812
 observations.py  what the policy sees; saturation.py values at the end of their range        DB6
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 rivals.py        rewards of several agents together                                          DB718

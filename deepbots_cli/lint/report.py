@@ -70,7 +70,8 @@ class Stop:
     """Something makes the rest of the plan impossible.
 
     Attributes:
-        kind: `build` if the world cannot be built, `speed` if a body is implausibly fast, `lost` if its pose is
+        kind: `build` if the world cannot be built, `speed` if a body is implausibly fast, `lost` if its pose
+        is
             not finite, `engine` if the engine raises an error, `value` if an expression has no value, `space`
             if an observation is outside of its space, and `shortened` if a search plays only the beginning of
             each episode.
@@ -240,13 +241,12 @@ class Summary:
     """Measurements over all episodes of a completed plan.
 
     Attributes:
-        measured: The statistics of each policy.
-        constant_numbers: The places of the numbers of the observation that never changed; pictures after them.
-        zero_terms: The places of the terms of the reward that were always 0.
-        clearances: Robot, sensor, and how high its rays passed over all bodies, if they met nothing.
-        depths: Robot, sensor, and how far below the ground (m) its rays began, if they met nothing.
-        rolling: The motion of robots on driven wheels.
-        tilts: How far (rad) robots with a free base tilt at least within `TOPPLING_S` of doing nothing.
+        measured: The statistics of each policy. constant_numbers: The places of the numbers of the
+        observation that never changed; pictures after them. zero_terms: The places of the terms of the reward
+        that were always 0. clearances: Robot, sensor, and how high its rays passed over all bodies, if they
+        met nothing. depths: Robot, sensor, and how far below the ground (m) its rays began, if they met
+        nothing. rolling: The motion of robots on driven wheels. tilts: How far (rad) robots with a free base
+        tilt at least within `TOPPLING_S` of doing nothing.
     """
 
     measured: Mapping[str, PolicyStatistics] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """The agents of a scenario with several of them, and the places of each in the program of all.
 
-The program of all agents has a single agent, whose action, observation and reward are those of the agents in a
-row, under the names `hunter__gas` of `gas` of the agent `hunter`. One supervisor therefore steps the world
+The program of all agents has a single agent, whose action, observation and reward are those of the agents in
+a row, under the names `hunter__gas` of `gas` of the agent `hunter`. One supervisor therefore steps the world
 once, and computes shared signals once. Each member has a program of its own, in which the robots of the other
 agents have no controllers.
 """

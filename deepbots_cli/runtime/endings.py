@@ -1,5 +1,5 @@
-"""The end of an episode: of the task, of one of several agents, or by a limit; in one world, and as columns in
-a batch."""
+"""The end of an episode: of the task, of one of several agents, or by a limit; in one world, and as columns
+in a batch."""
 
 from __future__ import annotations
 

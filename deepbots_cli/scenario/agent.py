@@ -171,7 +171,8 @@ class AgentOfSeveral(Section):
     signals: dict[SharedName, Signal] = {}
     """Helper values of this agent, for its reward and its scripts."""
     observation: Observation = {}
-    """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1, 1]."""
+    """Entries of the observation: for each, the name of a value and the range that deepbots maps to [-1,
+    1]."""
     critic: Observation = {}
     """Values that only the critic of this agent gets, in training."""
     reward: Reward = {}

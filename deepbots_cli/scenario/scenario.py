@@ -157,9 +157,9 @@ class Robot(Section):
     """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
     that the supervisor uses."""
     hear: dict[LocalName, Annotated[str, Reference("reading")]] = {}
-    """Values that other robots send to this one, each under a name that you choose: `{mate_angle: scout.angle}`.
-    They arrive over the channel `messages.between_robots`, at the earliest in the timestep after they were
-    sent."""
+    """Values that other robots send to this one, each under a name that you choose: `{mate_angle:
+    scout.angle}`. They arrive over the channel `messages.between_robots`, at the earliest in the timestep
+    after they were sent."""
     apply: dict[
         Annotated[str, Reference("actuator")], Annotated[Scalar, Expression("apply", boolean=False)]
     ] = {}
@@ -202,8 +202,8 @@ class Messages(Section):
     from_robot: Route = Field(default_factory=Route)
     """The channel from the robots to the supervisor."""
     between_robots: Route = Field(default_factory=Route)
-    """The channels between robots, for `hear`. Their `range` is the distance between the root links of the two
-    robots."""
+    """The channels between robots, for `hear`. Their `range` is the distance between the root links of the
+    two robots."""
 
 
 # Task
@@ -364,8 +364,8 @@ class ScenarioTest(Section):
     """Of several agents, the one whose results are expected, and whose names conditions may use. Default: the
     first one."""
     driver: Annotated[dict[AgentName, Annotated[str, Reference("driver")]] | DriverName, FORMS] | None = None
-    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice); or
-    who acts for each of several agents."""
+    """Who acts: a script, `random`, or `zero` (the middle of each range and the first option of each choice);
+    or who acts for each of several agents."""
     actions: Annotated[Many[Annotated[FixedAction | Choice, FORMS]], Size(1, "action")] | None = None
     """Actions of the first steps; the episode stops after the last of them. Of several agents, the action of
     each: `{hunter: {gas: 1}, prey: {gas: 0}}`; an agent without one does nothing in this step."""
@@ -635,8 +635,8 @@ class Scenario(Section):
     endings: dict[SharedName, Ending] = {}
     """Endings of the task of several agents, each under a name that you choose, in place of `termination`."""
     role: Role | None = None
-    """Which of several agents a policy plays, and who acts for the others. Without it, the scenario is that of
-    all agents."""
+    """Which of several agents a policy plays, and who acts for the others. Without it, the scenario is that
+    of all agents."""
 
     _pruned: frozenset[NodePath] = PrivateAttr(frozenset())
 

@@ -353,8 +353,8 @@ class GridScan(RayScan):
         ]
         | None
     ) = None
-    """Numbers of parallel rays, such as `9 5`: along x and y for a `height_scan`, else along y and z. They are
-    named `r0_0`, `r0_1`, ..."""
+    """Numbers of parallel rays, such as `9 5`: along x and y for a `height_scan`, else along y and z. They
+    are named `r0_0`, `r0_1`, ..."""
     spacing: Annotated[Scalar, Quantity("length", minimum=0, exclusive=True)] = "10 cm"
     """Distance between the rays of a `grid`."""
     align: Literal["link", "yaw"] | None = None

@@ -77,8 +77,8 @@ class SelfPlay(Section):
     """One policy for two equal agents, which plays against itself and against past versions of itself."""
 
     every: Annotated[int, WholeNumber(1, 10**12)] | None = None
-    """Number of timesteps after which the present policy becomes a member of the pool. Default: a twentieth of
-    `total_timesteps`."""
+    """Number of timesteps after which the present policy becomes a member of the pool. Default: a twentieth
+    of `total_timesteps`."""
     pool: Annotated[int, WholeNumber(1, 100)] = 10
     """Largest number of past policies in the pool. A new one replaces the oldest."""
     newest: Fraction = 0.5
@@ -176,8 +176,8 @@ class Training(Section):
     self_play: SelfPlay | None = None
     """Train one policy for two equal agents, against itself and past versions of itself."""
     turns: Annotated[int, WholeNumber(1, 10**12)] | None = None
-    """Of several agents that are trained together: number of timesteps for which one of them learns, before it is
-    the turn of the next one. Default: all learn all the time."""
+    """Of several agents that are trained together: number of timesteps for which one of them learns, before
+    it is the turn of the next one. Default: all learn all the time."""
     symmetry: Symmetry | None = None
     """The mirror symmetry of the task: the policy also learns from the mirror image of each step."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"

@@ -140,8 +140,8 @@ class Formula(Terrain):
 
 
 class Tile(Section):
-    """A kind of tile. Measures are ranges: the first value is that of the lowest level, the second that of the
-    highest one."""
+    """A kind of tile. Measures are ranges: the first value is that of the lowest level, the second that of
+    the highest one."""
 
     type: PlainText
     """Kind of tile."""

@@ -1,5 +1,5 @@
-"""The dialogs for a new scenario (from a template, a shipped scenario or a robot file) and for two versions of a
-file."""
+"""The dialogs for a new scenario (from a template, a shipped scenario or a robot file) and for two versions
+of a file."""
 
 from __future__ import annotations
 

@@ -45,9 +45,9 @@ const look = setInterval(() => {
   document.documentElement.classList.toggle("waits", waits);
   if (!waits) clearInterval(look);
 }, 150);</script>"""
-"""What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of viser
-that the browser draws by software, which covers the robot; the keys that lead out of it; a word in place of the
-controls until they are connected."""
+"""What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
+viser that the browser draws by software, which covers the robot; the keys that lead out of it; a word in
+place of the controls until they are connected."""
 _GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20

@@ -24,7 +24,8 @@ KEYS = """<script>addEventListener("keydown", (event) => {
   event.preventDefault();
   document.querySelector(".studio-frame")?.contentWindow.focus();
 });</script>"""
-"""The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead out."""
+"""The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead
+out."""
 _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _ROBOT_TEXTS = {
     None: "starting",

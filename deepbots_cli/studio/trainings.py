@@ -1,4 +1,5 @@
-"""The learning curves of trainings, and the time that is left, read from the files of runs while they train."""
+"""The learning curves of trainings, and the time that is left, read from the files of runs while they
+train."""
 
 from __future__ import annotations
 
@@ -108,8 +109,8 @@ class WatchedTraining:
         self._is_compiled = False
 
     def is_due(self, *, is_running: bool) -> bool:
-        """Return whether it is time to read the files again; `is_running` if a command works on the run, which
-        may have begun after the files were read last."""
+        """Return whether it is time to read the files again; `is_running` if a command works on the run,
+        which may have begun after the files were read last."""
         return (is_running or not self._ended) and time.monotonic() >= self._due
 
     @property

@@ -223,8 +223,8 @@ class WorldFrame:
 def successful_agents(
     program: Program, endings: Sequence[str], ended_alone: Mapping[str, AgentEnding] = MappingProxyType({})
 ) -> tuple[str, ...]:
-    """Return the names of those of several agents for which the episode is a success, given the endings of the
-    world, and those of the agents that ended before."""
+    """Return the names of those of several agents for which the episode is a success, given the endings of
+    the world, and those of the agents that ended before."""
     outcomes = {name: member.has_succeeded(endings) for name, member in program.members.items()}
     outcomes |= {name: ending.is_success for name, ending in ended_alone.items()}
     return tuple(name for name, is_success in outcomes.items() if is_success)

@@ -159,8 +159,8 @@ def _is_offered(value: object, control: Any) -> bool:
 
 @contextlib.contextmanager
 def _guarded(host: str, token: str, on_drive: OnDrive, key: str) -> Iterator[None]:
-    """Context in which a new `ViserServer` gets the checks. `key` is a function of JavaScript that returns what
-    the page sends for a key."""
+    """Context in which a new `ViserServer` gets the checks. `key` is a function of JavaScript that returns
+    what the page sends for a key."""
     import viser
     import websockets.asyncio.server as wire
 

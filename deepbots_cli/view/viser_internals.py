@@ -1,7 +1,7 @@
 """The private members of viser that deepbots uses. No other module names one.
 
-viser applies any value of any attribute that a client sends, and has no public place to check it. A test looks
-for each member in the library.
+viser applies any value of any attribute that a client sends, and has no public place to check it. A test
+looks for each member in the library.
 """
 
 from __future__ import annotations

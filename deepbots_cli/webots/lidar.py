@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 
 class LidarPoint(NamedTuple):
-    """A point that a lidar met, in its frame (m), its layer, and the simulated time (s) of its measurement."""
+    """A point that a lidar met, in its frame (m), its layer, and the simulated time (s) of its
+    measurement."""
 
     x: float
     y: float

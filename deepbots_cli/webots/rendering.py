@@ -1,4 +1,5 @@
-"""Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding objects.
+"""Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding
+objects.
 
 Shapes have the base color of their appearance, without textures, and are lit from the camera.
 """

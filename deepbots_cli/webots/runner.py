@@ -403,7 +403,8 @@ class Prefixed:
         speaker: Callable[[], str],
         on_line: Callable[[str, str], None] | None = None,
     ) -> None:
-        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each line."""
+        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each
+        line."""
         self._stream, self._speaker, self._on_line = stream, speaker, on_line
         self._unfinished: dict[str, str] = {}
 

@@ -443,7 +443,8 @@ def _vector_or(node: Node, name: str, default: Triple) -> Triple:
 
 
 def _is_inertia(matrix: list[float]) -> bool:
-    """Return whether three moments are those of a rigid body: positive, and none above the sum of the others."""
+    """Return whether three moments are those of a rigid body: positive, and none above the sum of the
+    others."""
     xx, yy, zz = matrix[:3]
     return min(xx, yy, zz) > 0 and xx + yy >= zz * 0.999 and yy + zz >= xx * 0.999 and xx + zz >= yy * 0.999
 

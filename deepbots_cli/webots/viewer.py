@@ -239,7 +239,8 @@ class Viewer:
                 drawn += 1
 
     def _draw(self) -> None:
-        """Send the poses that have changed. The world moves, and not the camera, which belongs to a person."""
+        """Send the poses that have changed. The world moves, and not the camera, which belongs to a
+        person."""
         poses, (x, y, z) = self._poses, self._moved
         with self._server.atomic():
             for row in np.flatnonzero((poses != self._sent).any(axis=1)):

@@ -54,8 +54,8 @@ ROLES = {
 
 
 def compare(program: Program, steps: int = 80) -> int:
-    """Assert that a batch and single worlds show the same, also after they are brought back. Return the number
-    of episodes."""
+    """Assert that a batch and single worlds show the same, also after they are brought back. Return the
+    number of episodes."""
     single = Worlds([api.build(program, engine="mujoco") for _ in range(WORLDS)], range(WORLDS))
     batch = BatchWorlds(lambda stage: api.build_batch(program, WORLDS), range(WORLDS))
     single.action_space.seed(1)

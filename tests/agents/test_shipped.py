@@ -1,4 +1,5 @@
-"""The shipped scenarios with several agents: what their scripts achieve, and for whom an ending is a success."""
+"""The shipped scenarios with several agents: what their scripts achieve, and for whom an ending is a
+success."""
 
 from __future__ import annotations
 

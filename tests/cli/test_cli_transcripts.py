@@ -1,9 +1,10 @@
 """Commands and what they print, from the files under `tests/data/transcripts`.
 
 A file is a session in an empty folder. A line `$ ...` is a command, `> ...` continues it, and `## ...` names
-a fact. Commands of deepbots run in this process, other ones in a shell. Below a command stand its output,
-the lines of standard error after `! `, and an exit code other than 0 in brackets; FOLDER is the folder. `UPDATE_GOLDEN=1 pytest
-tests/cli/test_cli_transcripts.py` writes what the commands print now; read the difference.
+a fact. Commands of deepbots run in this process, other ones in a shell. Below a command stand its output, the
+lines of standard error after `! `, and an exit code other than 0 in brackets; FOLDER is the folder.
+`UPDATE_GOLDEN=1 pytest tests/cli/test_cli_transcripts.py` writes what the commands print now; read the
+difference.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""`python -OO -m deepbots_cli` prints the same: no text for users is a docstring, and no assertion is needed."""
+"""`python -OO -m deepbots_cli` prints the same: no text for users is a docstring, and no assertion is
+needed."""
 
 from __future__ import annotations
 

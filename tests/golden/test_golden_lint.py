@@ -57,8 +57,8 @@ def test_a_scenario_without_mistake_compiles(case: str) -> None:
 
 
 def test_every_rule_has_a_case() -> None:
-    """DB108 is exempt, because the parts of the language that wait for a later version change. DB410 and DB902
-    come from options, DB903 from faults of deepbots.
+    """DB108 is exempt, because the parts of the language that wait for a later version change. DB410 and
+    DB902 come from options, DB903 from faults of deepbots.
 
     The cases of simulated rules are in `test_golden_deep`, those of exploits in
     `tests/lint/test_exploits.py`.

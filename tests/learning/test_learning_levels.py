@@ -220,7 +220,8 @@ def test_a_resumed_training_is_one_without_interruption_to_the_bit(
 
 @pytest.mark.slow
 def test_the_levels_do_not_depend_on_the_number_of_shards(tmp_path: Path) -> None:
-    """All robots take the same actions: with random ones, the two trainings would differ for that reason alone."""
+    """All robots take the same actions: with random ones, the two trainings would differ for that reason
+    alone."""
     task = {
         shards: compiled(
             f"train.shards={shards}",

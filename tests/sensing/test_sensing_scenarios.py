@@ -39,7 +39,8 @@ METER = "-1 .. 1 m"
 
 @pytest.fixture
 def sensed(make: Make) -> Make:
-    """The cart with a sensor, as in `sensed("{type: joint_position, joint: slider}")`, observed in a range."""
+    """The cart with a sensor, as in `sensed("{type: joint_position, joint: slider}")`, observed in a
+    range."""
     return lambda sensor, range=METER: make(TEXT % (sensor, range), engine="exact")
 
 

@@ -422,7 +422,8 @@ def test_runs_that_cannot_be_plotted_are_an_error(tmp_path, runs):
 
 @pytest.mark.slow
 def test_a_log_of_short_lines_takes_no_gigabyte(tmp_path):
-    """900,000 lines, 9 MB, took 1.06 GB. A process of its own, since the memory of this one was higher before."""
+    """900,000 lines, 9 MB, took 1.06 GB. A process of its own, since the memory of this one was higher
+    before."""
     (tmp_path / "monitor.csv").write_text("#{}\nr,l,t,steps,is_success\n" + "1,1,1,1,1\n" * 300_000)
     script = (
         "import sys; from pathlib import Path; from deepbots_cli.view import plots; from"

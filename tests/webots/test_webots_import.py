@@ -114,7 +114,8 @@ SOLVED = "return len(self.scores) > 50 and sum(self.scores) > 1"
 
 
 def project(folder: Path, world: str = WORLD, cart: str = CART, judge: str = JUDGE, **methods: str) -> Path:
-    """Write a project; `methods` are the bodies of `init`, `reward`, `done` and `solved`. Returns the world."""
+    """Write a project; `methods` are the bodies of `init`, `reward`, `done` and `solved`. Returns the
+    world."""
     bodies = {"init": "pass", "reward": "return 1", "done": DONE, "solved": SOLVED} | methods
     for name, body in bodies.items():
         inside = textwrap.indent(textwrap.dedent(body).strip(), "        ").strip()

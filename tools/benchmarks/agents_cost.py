@@ -2,10 +2,10 @@
 
     python -m tools.benchmarks.agents_cost [--json] [--pairs 15] [--steps 400] [--worlds 256]
 
-Two carts, with the same observations, rewards and endings on both sides: a step of the environment of PettingZoo
-against a step of the Gymnasium environment, a step of the supervisor of each, and a step of the worlds of a training,
-in a batch of MuJoCo. Times are CPU times of all threads; the two sides take turns, and the median of the ratios of
-the pairs counts.
+Two carts, with the same observations, rewards and endings on both sides: a step of the environment of
+PettingZoo against a step of the Gymnasium environment, a step of the supervisor of each, and a step of the
+worlds of a training, in a batch of MuJoCo. Times are CPU times of all threads; the two sides take turns, and
+the median of the ratios of the pairs counts.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     python -m tools.benchmarks.beside_others [--json] [--pairs 9] [--steps 40] [--worlds 64]
 
-A step of the worlds of a training: single worlds in turn against a batch, with random actions of the agent, beside
-a script of the other agent, or beside a policy that hardly learned. Times are CPU times of all threads; the two
-sides take turns, and the median of the ratios of the pairs counts.
+A step of the worlds of a training: single worlds in turn against a batch, with random actions of the agent,
+beside a script of the other agent, or beside a policy that hardly learned. Times are CPU times of all
+threads; the two sides take turns, and the median of the ratios of the pairs counts.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     python -m tools.benchmarks.group_cost [--json] [--pairs 15] [--steps 400] [--worlds 256]
 
-The quadruped on MuJoCo, in one world and in a batch, which takes a tenth of the steps. Both sides of a pair make
-the same motion, and vectors and numbers give the same rewards. Times are CPU times of all threads, resets
-included; the two sides take turns, and the median of the ratios of the pairs counts.
+The quadruped on MuJoCo, in one world and in a batch, which takes a tenth of the steps. Both sides of a pair
+make the same motion, and vectors and numbers give the same rewards. Times are CPU times of all threads,
+resets included; the two sides take turns, and the median of the ratios of the pairs counts.
 """
 
 from __future__ import annotations

@@ -43,7 +43,8 @@ class Row:
 
 
 def options(description: str | None, *, parts: Iterable[str] = (), **counts: int) -> argparse.Namespace:
-    """`--json`, the counts, each with its default, and the names of the `parts` to measure, by default all."""
+    """`--json`, the counts, each with its default, and the names of the `parts` to measure, by default
+    all."""
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
     names = list(parts)
     if names:

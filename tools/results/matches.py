@@ -1,8 +1,8 @@
-"""Who wins between the agents of a scenario: the trained policies of runs against each other, and each against
-scripts.
+"""Who wins between the agents of a scenario: the trained policies of runs against each other, and each
+against scripts.
 
-`python -m tools.results.matches RUN ... --episodes 100` prints the matches of `deepbots compare RUN --json` between
-policies and scripts as a table in Markdown.
+`python -m tools.results.matches RUN ... --episodes 100` prints the matches of `deepbots compare RUN --json`
+between policies and scripts as a table in Markdown.
 """
 
 from __future__ import annotations

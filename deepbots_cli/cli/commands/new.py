@@ -1,5 +1,5 @@
-"""`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a copy
-of a shipped one with the files that it reads."""
+"""`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a
+copy of a shipped one with the files that it reads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A scenario from a project of Webots: the YAML text, with a comment at each place that is left to a person."""
+"""A scenario from a project of Webots: the YAML text, with a comment at each place that is left to a
+person."""
 
 from __future__ import annotations
 

@@ -616,7 +616,8 @@ class MuJoCoBatch:
         return read
 
     def _reading(self, number: int, width: int) -> Column:
-        """Return the reading of a sensor in the last step, of shape (width, worlds); 0 before the first one."""
+        """Return the reading of a sensor in the last step, of shape (width, worlds); 0 before the first
+        one."""
         if self._built != len(self._sensors):
             return np.zeros((width, self.count))
         at = self._batch.model.sensor_adr[number]

@@ -586,8 +586,8 @@ class ModelBuilder:
     # Pairs
 
     def _add_pairs(self) -> None:
-        """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves, or of
-        two links of a robot with `self_collision`."""
+        """Add an entry for each two surfaces that may touch: of two bodies, at least one of which moves, or
+        of two links of a robot with `self_collision`."""
         surfaces = [list(self._surfaces(pool)) for pool in self.pools]
         for first_surfaces, second_surfaces in combinations(surfaces, 2):
             for first, stays in first_surfaces:

@@ -97,8 +97,8 @@ class WrenchMonitor:
         self._wrenches[: len(wrenches)] = wrenches
 
     def step(self, model: Any, data: Any) -> None:
-        """Advance by one engine step, and compute its wrenches: with the velocities at its begin, to which the
-        positions and accelerations of MuJoCo belong."""
+        """Advance by one engine step, and compute its wrenches: with the velocities at its begin, to which
+        the positions and accelerations of MuJoCo belong."""
         before = data.qvel.copy()
         mj.mj_step(model, data)
         after = data.qvel.copy()

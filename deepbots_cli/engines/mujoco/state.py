@@ -145,7 +145,8 @@ class MujocoWorld:
             )
 
     def _set_initial_position(self, body: Body) -> None:
-        """Set the position of a body, and of the joints that follow others, at the beginning of an episode."""
+        """Set the position of a body, and of the joints that follow others, at the beginning of an
+        episode."""
         joints, positions, orientations = self._initial_positions
         position, (x, y, z, w) = body.initial_pose
         if body.mocap_index >= 0:

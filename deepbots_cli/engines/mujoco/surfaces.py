@@ -173,7 +173,8 @@ class _Rays(NamedTuple):
 def level_axes(xx: Any, yx: Any) -> FloatArray:
     """Return the matrices (..., 3, 3) of the yaw of links whose forward axes have these x and y in the world.
 
-    A link whose forward axis is vertical has the yaw 0. Without angles, single worlds and batches round alike.
+    A link whose forward axis is vertical has the yaw 0. Without angles, single worlds and batches round
+    alike.
     """
     length = np.sqrt(xx * xx + yx * yx)
     is_vertical = length < VERTICAL

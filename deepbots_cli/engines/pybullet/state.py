@@ -248,8 +248,8 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
 
 
 def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
-    """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed base
-    no mass; it counts with that of the model."""
+    """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed
+    base no mass; it counts with that of the model."""
     number, below = owner.number, tuple(index for index in owner.links.values() if index != BASE_LINK)
     root = owner.model.link(owner.model.root).inertial
     base_mass = root.mass if owner.fixed and root is not None else None

@@ -129,8 +129,8 @@ def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
 
 
 def _contact_points(client: int, body: Body, link: int) -> ContactQuery:
-    """Return a reader of the contact points of a link, with the body itself as the first body of each; a point
-    between two of its links is listed from either side."""
+    """Return a reader of the contact points of a link, with the body itself as the first body of each; a
+    point between two of its links is listed from either side."""
     read = partial(p.getContactPoints, body.number, -1, link, ANY_LINK, client)
     if not body.self_collision:
         return read

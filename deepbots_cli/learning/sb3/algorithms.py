@@ -138,8 +138,8 @@ def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
 
 
 def _networks(training: Training, algorithm: type[Model], memory: int | None, std: float) -> Settings:
-    """Return the networks of a policy, with an LSTM of `memory` units and the initial standard deviation `std`
-    of the actions, and their optimizer."""
+    """Return the networks of a policy, with an LSTM of `memory` units and the initial standard deviation
+    `std` of the actions, and their optimizer."""
     layers = list(training.network.hidden)
     networks: Settings = {
         "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,

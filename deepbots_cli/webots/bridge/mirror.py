@@ -1,8 +1,8 @@
 """An engine that follows a world of Webots.
 
-The world moves there. After each timestep, the engine is set to its poses and velocities, and so every reading
-that these determine is that of the engine: poses, rays, clearances. Contacts are those of Webots. Motors are
-those of the robots, whose controllers drive them.
+The world moves there. After each timestep, the engine is set to its poses and velocities, and so every
+reading that these determine is that of the engine: poses, rays, clearances. Contacts are those of Webots.
+Motors are those of the robots, whose controllers drive them.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ Reader = Callable[[], Any]
 class RobotDevices:
     """The devices of a robot in Webots, as the engine that a generated controller binds.
 
-    `first` has the readings at the start of an episode, in the order in which the readers were bound; while it
-    is set, readers return them.
+    `first` has the readings at the start of an episode, in the order in which the readers were bound; while
+    it is set, readers return them.
     """
 
     name = "webots"

@@ -40,8 +40,8 @@ _PER_WORLD = ("n_steps", "train_freq")
 
 @dataclass(frozen=True, eq=False)
 class WebotsProject:
-    """A scenario that fits Webots, and what differs there. `starts` are the poses of robots and objects at the
-    start of an episode, by their names in the world."""
+    """A scenario that fits Webots, and what differs there. `starts` are the poses of robots and objects at
+    the start of an episode, by their names in the world."""
 
     compiled: api.Compiled
     project: Project

@@ -35,8 +35,8 @@ class SensorEntry:
 
 
 def sensor_entry(device: Device, parts: RobotParts, targets: Sequence[str] = ()) -> SensorEntry | None:
-    """Return the sensor for a device; None where the language has no counterpart. `targets` are the bodies that
-    a radar may see."""
+    """Return the sensor for a device; None where the language has no counterpart. `targets` are the bodies
+    that a radar may see."""
     if device.type == "PositionSensor" and device.joint is not None:
         name = parts.joints[id(device.joint)]
         unit = "m" if device.joint.kind == "slide" else "rad"

@@ -92,7 +92,8 @@ def _arena(scene: Scene, result: Surroundings) -> set[Node]:
 
 
 def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
-    """Add the first grid that stays and lies around the origin, such as a Pit, as a picture of its heights."""
+    """Add the first grid that stays and lies around the origin, such as a Pit, as a picture of its
+    heights."""
     for body in scene.bodies:
         is_alone = body.robot is None and body.parent is None and not body.is_free
         if not is_alone or [geometry.shape.kind for geometry in body.geometries] != ["grid"]:
@@ -118,7 +119,8 @@ def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
 
 
 def _picture(shape: Shape, low: float, high: float) -> bytes:
-    """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest y."""
+    """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest
+    y."""
     levels = [round((height - low) / (high - low) * 65535) for height in shape.heights]
     rows = [levels[at : at + shape.columns] for at in range(0, len(levels), shape.columns)]
     pixels = b"".join(b"\0" + struct.pack(f">{len(row)}H", *row) for row in reversed(rows))
