@@ -397,7 +397,7 @@ def referenced_names(tree: Typed) -> Iterator[str]:
     return (node.symbol.name for node in walk(tree) if isinstance(node, Reference))
 
 
-def written_unit(value: Typed) -> Unit | None:
+def unit_of_text(value: Typed) -> Unit | None:
     """Return the unit in which the text writes the value: the first one of its dimension; None where the text
     has none."""
     dimension = value.type.dimension

@@ -23,7 +23,7 @@ radio.py          emitters and receivers
 devices.py        the class of each device
 tree.py           the classes Node and Field
 supervisor.py     the classes Robot, Supervisor and Keyboard
-api.py            names of Webots' functions that are not implemented, and their error
+unimplemented.py  names of Webots' functions that are not implemented, and their error
 runner.py         controllers as threads of one process, one at a time
 remote/           controllers as processes of their own
 pace.py           when a world may advance: the pace of a clock, pauses, single steps

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.errors import EngineError
-from deepbots_cli.webots.api import NotImplementedCallError
 from deepbots_cli.webots.device import Sensor
 from deepbots_cli.webots.nodes import boolean, child, integer, number, text
+from deepbots_cli.webots.unimplemented import NotImplementedCallError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,8 +12,8 @@ from itertools import pairwise
 from math import nan
 from typing import TYPE_CHECKING, Any
 
-from deepbots_cli.webots.api import missing_attribute
 from deepbots_cli.webots.nodes import boolean, number, parameters, text, vectors
+from deepbots_cli.webots.unimplemented import missing_attribute
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
@@ -96,20 +96,27 @@ class ScalarSensor(Sensor):
         return self._value
 
 
-class VectorSensor(Sensor):
+class HasLookupTable(Sensor):
+    """A sensor with a lookup table: rows of a measurement, the response, and the share of noise in it."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._table = vectors(spec.node, "lookupTable")
+
+    def getLookupTable(self) -> list[float]:
+        return [part for row in self._table for part in row]
+
+
+class VectorSensor(HasLookupTable):
     """A sensor of three numbers, in its own frame; an axis that is switched off reads NaN."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
         self._values: Triple = (nan, nan, nan)
         self._axes = tuple(boolean(spec.node, f"{axis}Axis") for axis in "xyz")
-        self._table = vectors(spec.node, "lookupTable")
 
     def getValues(self) -> list[float]:
         return list(self._values)
-
-    def getLookupTable(self) -> list[float]:
-        return [part for row in self._table for part in row]
 
     @abstractmethod
     def _measure(self) -> Triple:

@@ -7,10 +7,10 @@ from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
-from deepbots_cli.webots.api import NotImplementedCallError
 from deepbots_cli.webots.device import Sensor
 from deepbots_cli.webots.nodes import integer, number, text
 from deepbots_cli.webots.scene import AXES
+from deepbots_cli.webots.unimplemented import NotImplementedCallError
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.scene import Device as Spec

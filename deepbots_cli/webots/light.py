@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION
-from deepbots_cli.webots.device import ScalarSensor, look_up
-from deepbots_cli.webots.nodes import boolean, number, vector, vectors
+from deepbots_cli.webots.device import HasLookupTable, ScalarSensor, look_up
+from deepbots_cli.webots.nodes import boolean, number, vector
 from deepbots_cli.webots.shapes import compose
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.webots.scene import Device as Spec
     from deepbots_cli.webots.scene import Light
-    from deepbots_cli.webots.simulation import Simulation
     from deepbots_cli.webots.syntax import Node
 
 SUN_DISTANCE_M = 1000.0
@@ -32,15 +30,8 @@ class _Beam(NamedTuple):
     spot: float
 
 
-class LightSensor(ScalarSensor):
+class LightSensor(ScalarSensor, HasLookupTable):
     """The response of a lookup table to the irradiance, W/m^2."""
-
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._table = vectors(spec.node, "lookupTable")
-
-    def getLookupTable(self) -> list[float]:
-        return [part for row in self._table for part in row]
 
     def sample(self) -> None:
         answer, share = look_up(self._table, self._irradiance())

@@ -8,7 +8,7 @@ from math import nan
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.webots.device import ScalarSensor, Sensor, VectorSensor, look_up
+from deepbots_cli.webots.device import HasLookupTable, ScalarSensor, Sensor, VectorSensor, look_up
 from deepbots_cli.webots.nodes import boolean, integer, number, text, vectors
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class Altimeter(ScalarSensor):
 # Surroundings
 
 
-class DistanceSensor(ScalarSensor):
+class DistanceSensor(ScalarSensor, HasLookupTable):
     """The response of a lookup table to the distance along rays. The own robot stops no ray."""
 
     GENERIC, INFRA_RED, SONAR, LASER = 0, 1, 2, 3
@@ -165,9 +165,6 @@ class DistanceSensor(ScalarSensor):
 
     def getAperture(self) -> float:
         return number(self._spec.node, "aperture")
-
-    def getLookupTable(self) -> list[float]:
-        return [part for row in self._table for part in row]
 
     def sample(self) -> None:
         if not self._table:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli.webots.api import MISSING
 from deepbots_cli.webots.library import LIBRARY
 from deepbots_cli.webots.nodes import node_types
+from deepbots_cli.webots.unimplemented import MISSING
 
 PAGE = (Path(__file__).parents[2] / "docs" / "webots.md").read_text(encoding="utf-8")
 WORDS = set(re.findall(r"[\w-]+", PAGE))

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from deepbots_cli.engines.mujoco import cameras
-from deepbots_cli.webots.api import NotImplementedCallError
+from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.worlds_of_webots import device, simulate
 
 without_opengl = not (cameras.is_available() and cameras.opens_context())

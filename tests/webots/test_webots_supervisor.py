@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from deepbots_cli.webots.api import NotImplementedCallError
 from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
 from deepbots_cli.webots.tree import Field, Node
+from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.worlds_of_webots import FLOOR, HEADER, hinge, node, read, run, simulate, solid
 
 WORLD = """DEF ROBOT Robot { translation 1 2 3 rotation 0 0 1 1.5707963 supervisor TRUE name "one" customData "x"

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from deepbots_cli.webots.api import NotImplementedCallError
+from deepbots_cli.webots.unimplemented import NotImplementedCallError
 from tests.webots.worlds_of_webots import device, node, run, simulate
 
 

@@ -19,7 +19,6 @@ from deepbots_cli.webots import (
     supervisor,
     tree,
 )
-from deepbots_cli.webots.api import missing_attribute
 from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.remote.messages import (
     SUPERVISOR,
@@ -31,6 +30,7 @@ from deepbots_cli.webots.remote.messages import (
     Reference,
     replaced,
 )
+from deepbots_cli.webots.unimplemented import missing_attribute
 
 _MODULES = (cameras, devices, joints, lidar, light, radar, radio, sensors, supervisor, tree)
 

@@ -1,6 +1,5 @@
 """Webots' module `controller`, for worlds that deepbots runs."""
 
-from deepbots_cli.webots.api import MISSING_CLASSES
 from deepbots_cli.webots.cameras import Camera, RangeFinder
 from deepbots_cli.webots.device import Device
 from deepbots_cli.webots.devices import (
@@ -30,6 +29,7 @@ from deepbots_cli.webots.sensors import (
 )
 from deepbots_cli.webots.supervisor import Keyboard, Robot, Supervisor
 from deepbots_cli.webots.tree import ContactPoint, Field, Node
+from deepbots_cli.webots.unimplemented import MISSING_CLASSES
 
 __all__ = [
     "GPS",

@@ -1,10 +1,10 @@
 """Webots' module `controller`, in the process of a controller."""
 
-from deepbots_cli.webots.api import MISSING_CLASSES
 from deepbots_cli.webots.lidar import LidarPoint
 from deepbots_cli.webots.radar import RadarTarget
 from deepbots_cli.webots.remote.client import CLASSES
 from deepbots_cli.webots.tree import ContactPoint
+from deepbots_cli.webots.unimplemented import MISSING_CLASSES
 
 globals().update(CLASSES)
 
