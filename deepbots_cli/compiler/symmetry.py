@@ -181,8 +181,8 @@ class _SymmetryReader:
             part, part_image = next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
             if shared and image in names and part not in self._words:
                 return (
-                    f"`{min(shared)}` under `swap` is a word of `{name}` too: write whole parts of the names that"
-                    f" change places, such as `{part}: {part_image}`"
+                    f"`{min(shared)}` under `swap` is a word of `{name}` too: write whole parts of the names"
+                    f" that change places, such as `{part}: {part_image}`"
                 )
         return ""
 

@@ -235,8 +235,8 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
 
 @statement(
     "levels_stay_lowest",
-    "All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the training, {share}"
-    " ended by {up}, which raises the level.",
+    "All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the training,"
+    " {share} ended by {up}, which raises the level.",
     advice="Make level 0 easier, or name under `curriculum.up` an ending that a policy reaches earlier.",
 )
 def levels_stay_lowest(evidence: TrainingEvidence) -> Numbers | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from functools import cached_property
+from math import copysign
 from typing import NamedTuple
 
 from deepbots_cli import frames
@@ -129,7 +130,7 @@ class _Mirrors:
     def _sign(self, tree: Scalar, leaf: Scalar) -> int | None:
         """Return the sign of the factor of a leaf in a sum; None if the value is another function of it."""
         factor = linear(self._analysis, tree, {}).terms.get(self._analysis.identity(leaf))
-        return None if factor is None else (1 if factor > 0.0 else -1)
+        return None if factor is None else round(copysign(1.0, factor))
 
     @cached_property
     def _driven_joints(self) -> Mapping[tuple[str, str | None], JointNumber]:

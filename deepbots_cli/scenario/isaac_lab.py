@@ -1,6 +1,6 @@
 """The terms of Isaac Lab with their lines in a scenario: the table `isaac_lab.json`, which
-`docs/build_reference.py` writes from docs/isaac-lab.md, and the advice for sections that are written as there.
-"""
+`docs/build_reference.py` writes from docs/isaac-lab.md. And the advice for sections that are written as
+there."""
 
 from __future__ import annotations
 
@@ -78,8 +78,9 @@ def advice(data: Any) -> Iterator[Advice]:
             ("observation", groups[0]),
             tuple(("observation", name) for name in groups),
             f"`{groups[0]}` is a group of observations",
-            "list the entries of the policy directly under `observation`, as in `observation: {v: -2 .. 2 m/s}`,"
-            " and those of the group `critic` under `critic`, at the top level",
+            "list the entries of the policy directly under `observation`, as in"
+            " `observation: {v: -2 .. 2 m/s}`, and those of the group `critic` under `critic`, at the top"
+            " level",
         )
     for name, entry in _entries(data, "disturbances"):
         if "velocity" in entry and not {"force", "torque"} & entry.keys():

@@ -257,7 +257,7 @@ def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, mon
     class InterruptedInSteep(terminal.ProgressBar):
         def __init__(self, total, unit):
             if unit == "episodes of case steep":
-                signal.raise_signal(signal.SIGINT)
+                raise KeyboardInterrupt
             super().__init__(total, unit)
 
     monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)

@@ -328,14 +328,10 @@ def _evaluate_run(
             if evaluation.unfinished:
                 break
     if request.csv is not None:
-        rows = [
-            result
-            for evaluation in evaluations
-            for result in (evaluation.result, *evaluation.cases, *evaluation.baselines)
-        ]
-        records.write_csv(request.csv, rows)
-    unfinished = evaluations[-1].unfinished
-    if unfinished:
+        records.write_csv(
+            request.csv, [result for evaluation in evaluations for result in evaluation.results]
+        )
+    if evaluations[-1].unfinished:
         _show_unfinished(evaluations, details=details, as_json=request.as_json)
         raise KeyboardInterrupt
     if len(evaluations) > 1:
@@ -415,6 +411,10 @@ class _EngineEvaluations:
     baselines: Sequence[EvaluationResult]
     scenario: str | None
     unfinished: tuple[str, ...] = ()
+
+    @property
+    def results(self) -> tuple[EvaluationResult, ...]:
+        return (self.result, *self.cases, *self.baselines)
 
     def as_json(self) -> dict[str, Any]:
         return {
