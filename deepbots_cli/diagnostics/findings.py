@@ -279,6 +279,8 @@ _UNREADABLE = ("DB0", "DB1")
 """An error in the text or its shape hides most other findings, so no selection may hide it."""
 
 # `<!--` begins a comment in a robot file.
+FILL_IN = "# FILL IN"
+"""How a comment about a place begins that a command leaves to the author of a scenario."""
 _COMMENT = re.compile(
     r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE
 )

@@ -86,6 +86,7 @@ _CATALOG = (
     Rule(
         "DB108", "not-yet-supported", "error", "a part of the language that this version does not support yet"
     ),
+    Rule("DB109", "place-left", "warning", "a place that is left to the author of the scenario"),
     Rule("DB201", "unknown-reference", "error", "a name that nothing in the scenario defines"),
     Rule("DB202", "duplicate-name", "error", "two definitions share one name"),
     Rule("DB203", "wrong-kind-reference", "error", "a name of the wrong kind"),

@@ -5,7 +5,8 @@ A static rule is a generator from a `RuleContext` to findings, a simulated rule 
 rule uses another rule. Each module of rules lists both kinds, in `STATIC_RULES` and `SIMULATED_RULES`. The
 decorator `rule` gives a rule its code; its page is in `rule_pages`, by this code.
 
-names.py         unused definitions, equality of measurements, angles that jump              DB205, DB411, DB506
+names.py         places left to the author, unused definitions, equality of measurements,    DB109, DB205, DB411,
+                 angles that jump                                                            DB506
 robots.py        commands, actuators, wheels that slip, rays that pass over everything       DB312 to DB315, DB317,
                                                                                              DB319, DB322, DB324,
                                                                                              DB325, DB615

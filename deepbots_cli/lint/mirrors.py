@@ -212,7 +212,7 @@ def _respelled(name: str, pairs: Mapping[str, str], names: Iterable[str]) -> str
     both are in another case."""
     for word, other in pairs.items():
         for spell in (str, str.lower, str.upper, str.capitalize):
-            changed = re.sub(rf"{re.escape(spell(word))}", spell(other), name)
+            changed = re.sub(re.escape(spell(word)), spell(other), name)
             if word.isalpha() and changed != name and changed in names:
                 return changed
     return None

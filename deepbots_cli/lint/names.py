@@ -1,14 +1,16 @@
-"""Names and expressions: definitions that nothing uses (DB205), equality of measurements (DB411), angles that
-jump (DB506)."""
+"""Names and expressions: places that are left to the author (DB109), definitions that nothing uses (DB205),
+equality of measurements (DB411), angles that jump (DB506)."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from math import pi
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.compiler.namespace import Origin
-from deepbots_cli.diagnostics import Finding
+from deepbots_cli.diagnostics import Finding, Span
+from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.document.edits import removal_fix
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
@@ -28,6 +30,22 @@ from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.values import Expression
+
+_PLACE = re.compile(rf"^[ \t]*({FILL_IN}\b[^\n]*)", re.MULTILINE)
+
+
+@rule("DB109")
+def place_left(context: RuleContext) -> Iterator[Finding]:
+    """Report the places that a command left to the author of the scenario."""
+    for source in context.checked.document.sources:
+        for place in _PLACE.finditer(source.text):
+            yield Finding(
+                "DB109",
+                Span(source, place.start(1), place.end(1)),
+                "this place is left to you",
+                "write this part of the scenario, or leave it as it is, and remove the comment",
+            )
+
 
 # Unused definitions
 
@@ -305,4 +323,4 @@ class _AngleWrapping:
         return self._known[name]
 
 
-STATIC_RULES = (unused_definition, equality_of_measures, angle_jumps)
+STATIC_RULES = (place_left, unused_definition, equality_of_measures, angle_jumps)

@@ -10,7 +10,7 @@ from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
-from deepbots_cli.frames import Triple, add, cross, dot, scaled
+from deepbots_cli.frames import Triple, add, cross, dot, quaternion, rotate, scaled
 from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
@@ -155,7 +155,7 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
             for state in start.states
         ]
         joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
-        box = robot_bounds(robot.model, joints)
+        box = _tilted(robot_bounds(robot.model, joints), robot.pose.rpy, places.get(robot.name), parameters)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
         # Legs and arms swing out.
@@ -174,7 +174,7 @@ def _object(
     """Yield an object in each of its forms, wherever it may be."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
-        low, high = bounds_of_shape(shape)
+        low, high = _tilted(bounds_of_shape(shape), thing.pose.rpy, place, parameters)
         yield _placed(
             _all_round((low, high)) if thing.pose.rpy[2] else (low, high),
             thing.pose.xyz,
@@ -199,6 +199,22 @@ def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]
         yield (
             ((cut[0][0], cut[0][1], cut[0][2]), (cut[1][0], cut[1][1], cut[1][2])) if is_cut else (start, end)
         )
+
+
+def _tilted(box: Bounds, rpy: Triple, place: Placement | None, parameters: Parameters) -> Bounds:
+    """Return the box that contains the box as it lies by its roll and pitch (rad)."""
+    if place is None:
+        roll, pitch, _ = rpy
+    else:
+        roll, pitch = (sum(_ends(angle, parameters)) / 2 for angle in place.rpy[:2])
+    if roll == pitch == 0.0:
+        return box
+    rotation = quaternion(roll, pitch, 0.0)
+    corners = [rotate(rotation, corner) for corner in _corners([box])]
+    (x, y, z), (x_end, y_end, z_end) = (
+        [end(corner[axis] for corner in corners) for axis in range(3)] for end in (min, max)
+    )
+    return (x, y, z), (x_end, y_end, z_end)
 
 
 def _all_round(box: Bounds) -> Bounds:

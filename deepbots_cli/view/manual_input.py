@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.frames import roll_pitch_yaw
@@ -13,7 +13,8 @@ from deepbots_cli.view.frames import PlottedField
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Player
 
-Keys = frozenset[str]
+Keys = Set[str]
+"""Keys in the order in which the page sends them."""
 Axes = tuple[float, ...]
 _STEERING_TIME = 0.3  # the time of an episode in which the effect of a key on the yaw is measured, in s
 RELEASE_TIMEOUT_S = 0.25  # s; keys and gamepads are sent 20 times a second while they are held

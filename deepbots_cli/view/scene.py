@@ -26,16 +26,28 @@ from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
 from deepbots_cli.robots.meshes import read_verified
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Mesh, Pose, RobotModel, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    Mesh,
+    Pose,
+    RobotModel,
+    Shape,
+    Sphere,
+)
 from deepbots_cli.runtime.overview import view_around
-from deepbots_cli.view.frames import FrameLayout, LinkName, WorldFrame
+from deepbots_cli.view.frames import FieldOfView, FrameLayout, LinkName, WorldFrame
 
 if TYPE_CHECKING:
+    import trimesh
     import viser
 
 GROUND_COLOR: Color = (0.95, 0.955, 0.965, 1.0)
 _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
-_MAX_CELLS = 120  # the largest number of cells of a terrain along a side
+MAX_CELLS = 120  # the largest number of cells of a terrain along a side
+_RADAR_GRAY = 120
 _MAX_PATH = 2000  # the largest number of points
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
 _EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
@@ -63,8 +75,15 @@ def triangles(mesh: Mesh) -> Any:
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
     loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
-    loaded.merge_vertices(merge_tex=True, merge_norm=True)
-    return trimesh.graph.smooth_shade(loaded, angle=_EDGE_ANGLE)
+    return with_edges(loaded)
+
+
+def with_edges(solid: trimesh.Trimesh) -> Any:
+    """Return triangles with normals that show sharp edges."""
+    import trimesh
+
+    solid.merge_vertices(merge_tex=True, merge_norm=True)
+    return trimesh.graph.smooth_shade(solid, angle=_EDGE_ANGLE)
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
@@ -130,6 +149,45 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)
     return size
+
+
+def add_shape(scene: viser.SceneApi, name: str, shape: Shape, color: Color, frame: frames.Frame) -> Any:
+    """Add a shape, and return its node. `frame` is that of the shape in the node above."""
+    options = _options(color, frame)
+    match shape:
+        case Box(size):
+            return scene.add_box(name, _rgb(color), size, **options)
+        case Sphere(radius):
+            return scene.add_icosphere(name, radius, _rgb(color), **options)
+        case Cylinder(radius, length):
+            return scene.add_cylinder(name, radius, length, _rgb(color), **options)
+        case Capsule(radius, length):
+            import trimesh
+
+            solid = trimesh.creation.capsule(height=length, radius=radius)
+            solid.apply_translation((0.0, 0.0, -solid.bounds.mean(axis=0)[2]))
+        case Mesh():
+            solid = triangles(shape)
+    return add_triangles(scene, name, solid, color, frame)
+
+
+def add_triangles(
+    scene: viser.SceneApi, name: str, solid: trimesh.Trimesh, color: Color, frame: frames.Frame
+) -> Any:
+    """Add triangles that are seen from both sides, and return their node."""
+    return scene.add_mesh_simple(
+        name,
+        np.asarray(solid.vertices, np.float32),
+        np.asarray(solid.faces, np.int32),
+        color=_rgb(color),
+        side="double",
+        **_options(color, frame),
+    )
+
+
+def _options(color: Color, frame: frames.Frame) -> dict[str, Any]:
+    opacity = None if color[3] >= 0.99 else color[3]
+    return {"position": frame[0], "wxyz": frames.wxyz(frame[1]), "opacity": opacity}
 
 
 class SceneCameras:
@@ -216,6 +274,7 @@ class WorldScene:
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
+        self._radars = [self._add_radar(*each) for each in layout.radars.items()]
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
         self._followed = (first.name, first.model.root) if first else None
         self._traced = (
@@ -235,8 +294,8 @@ class WorldScene:
         if world.terrain is not None:
             relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.with_at_most(_MAX_CELLS).triangles()
-                contour = _contour(relief.with_at_most(_MAX_CELLS), 0.001 * self._size)
+                surface = relief.with_at_most(MAX_CELLS).triangles()
+                contour = _contour(relief.with_at_most(MAX_CELLS), 0.001 * self._size)
                 # A smooth relief of one color is hard to see.
                 self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)
             else:
@@ -312,6 +371,20 @@ class WorldScene:
             name, points, colors, thickness=thickness, thickness_units="screen", **options
         )
 
+    def _add_radar(self, key: str, radar: FieldOfView) -> Any:
+        """Add the field of view of a radar, which moves with its link."""
+        name, link = radar.part
+        head, (place, turn) = rigid_groups(self._layout.robots[name])[link]
+        path = f"{self._path_of((name, head))}/radar_{key.rpartition('.')[2]}"
+        return self._add_lines(
+            path,
+            radar.outline.astype(np.float32),
+            _RADAR_GRAY,
+            thickness=1.0,
+            position=place,
+            wxyz=frames.wxyz(turn),
+        )
+
     def _path_of(self, part: LinkName) -> str:
         kind = "robots" if part[0] in self._layout.robots else "objects"
         return f"{self._root}/{kind}/{part[0].replace('#', '_')}/{part[1]}"
@@ -333,35 +406,8 @@ class WorldScene:
 
     def _add(self, name: str, geometry: Geometry, within: frames.Frame) -> Any:
         """Add a shape at its place below a node."""
-        scene, shape, color = self._scene, geometry.shape, geometry.color or _DEFAULT_COLOR
-        place, turn = frames.compose(within, frames.frame(geometry.origin))
-        options: dict[str, Any] = {
-            "position": place,
-            "wxyz": frames.wxyz(turn),
-            "opacity": None if color[3] >= 0.99 else color[3],
-        }
-        match shape:
-            case Box(size):
-                return scene.add_box(name, _rgb(color), size, **options)
-            case Sphere(radius):
-                return scene.add_icosphere(name, radius, _rgb(color), **options)
-            case Cylinder(radius, length):
-                return scene.add_cylinder(name, radius, length, _rgb(color), **options)
-            case Capsule(radius, length):
-                import trimesh
-
-                solid = trimesh.creation.capsule(height=length, radius=radius)
-                solid.apply_translation((0.0, 0.0, -solid.bounds.mean(axis=0)[2]))
-            case Mesh():
-                solid = triangles(shape)
-        return scene.add_mesh_simple(
-            name,
-            np.asarray(solid.vertices, np.float32),
-            np.asarray(solid.faces, np.int32),
-            color=_rgb(color),
-            side="double",
-            **options,
-        )
+        frame = frames.compose(within, frames.frame(geometry.origin))
+        return add_shape(self._scene, name, geometry.shape, geometry.color or _DEFAULT_COLOR, frame)
 
     # What a person chooses to see
 
@@ -373,6 +419,8 @@ class WorldScene:
         for (body, _), node in self._nodes.items():
             node.show_axes = self.visible_parts["axes"] and body in self._layout.robots
         self._rays.visible = self.visible_parts["rays"] and len(self._rays_now) > 0
+        for outline in self._radars:
+            outline.visible = self.visible_parts["rays"]
         if self._frame is not None:
             self._mark(self._frame)
 

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from websockets.http11 import Response
 
 MAX_MESSAGE_BYTES = 1 << 20
+MAX_KEYS = 7
+"""How many keys the page sends at a time."""
 _MAX_NUMBER, _MAX_TEXT = 2**53, 1_000
 """The limits of the value of a control that has no limits of its own."""
 
@@ -39,26 +41,41 @@ _CONTENT_SECURITY_POLICY = (
     " data: blob:; "
     "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
-# Goes into viser's page: keys that are held, and gamepads, which viser lacks. It takes keys before viser
-# does, whose camera would move.
+# Goes into viser's page: keys that are held, the newest first, and gamepads, which viser lacks. It takes keys
+# before viser does, whose camera would move. NAME returns what is sent for a key, null for a key of the page.
 _KEYS_SCRIPT = """<script>{
-const codes = new Set(CODES), held = new Set();
+const held = new Map(), name = NAME;
 let wire = null, last = "";
 const key = e => {
-  if (!codes.has(e.code) || e.ctrlKey || e.metaKey || e.altKey || e.target.closest?.("input, textarea, select")) return;
+  const sent = name(e);
+  if (e.type == "keyup") held.delete(e.code);
+  if (sent == null || e.target.closest?.("input, textarea, select")) return;
   e.stopImmediatePropagation(); e.preventDefault();
-  e.type == "keydown" ? held.add(e.code) : held.delete(e.code); };
+  if (e.type == "keydown") held.set(e.code, sent); };
 addEventListener("keydown", key, true); addEventListener("keyup", key, true);
 addEventListener("blur", () => held.clear());
 setInterval(() => {
   const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad);
   const axes = pad ? pad.axes.slice(0, 4).map(x => Math.abs(x) > 0.12 ? x : 0) : [];
-  const now = [...held].join("+") + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
+  const keys = [...held.values()].reverse().slice(0, MAX_KEYS).join("+");
+  const now = keys + "|" + (axes.some(x => x) ? axes.map(x => x.toFixed(3)).join() : "");
   if (now == "|" && last == "|") return;
   if (!wire || wire.readyState > 1) wire = new WebSocket("drive");
   else if (wire.readyState == 1) { wire.send(now); last = now; } }, 50); }</script></head>""".replace(
-    "CODES", json.dumps(KEYS)
+    "MAX_KEYS", str(MAX_KEYS)
 )
+# The keys that drive, by their place on the keyboard.
+_DRIVING_KEY = f"""e => {json.dumps(KEYS)}.includes(e.code) && !e.ctrlKey && !e.metaKey && !e.altKey
+  ? e.code : null"""
+# The code that Webots has for a key: the character in upper case, or a number from 312 on, with the modifiers.
+# A character that is not of ASCII is that of the key on an English keyboard.
+_WEBOTS_KEY = """e => {
+  const pad = {Home: 375, ArrowLeft: 376, ArrowUp: 377, ArrowRight: 378, ArrowDown: 379, End: 382};
+  const keys = {End: 312, Home: 313, ArrowLeft: 314, ArrowUp: 315, ArrowRight: 316, ArrowDown: 317,
+    PageUp: 366, PageDown: 367};
+  const text = /^[ -~]$/.test(e.key) ? e.key : (/^(?:Key|Digit)(.)$/.exec(e.code) ?? [])[1];
+  const code = (e.location == 3 && pad[e.key]) || keys[e.key] || text?.toUpperCase().charCodeAt(0);
+  return !code || e.metaKey ? null : code + 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey; }"""
 
 # All tabs fit in a row. In a window that is narrower than viser's limit (36em), its panel lies over the
 # world; here it stands below.
@@ -74,7 +91,13 @@ OnDrive = Callable[[Keys, Axes], None]
 
 
 def serve(
-    host: str, port: int | None, label: str, on_drive: OnDrive, *, needs_token: bool = False
+    host: str,
+    port: int | None,
+    label: str,
+    on_drive: OnDrive,
+    *,
+    needs_token: bool = False,
+    has_webots_keys: bool = False,
 ) -> tuple[viser.ViserServer, str]:
     """Start the server in a thread. Returns the server, and the address of the page with its token, if any.
 
@@ -83,8 +106,10 @@ def serve(
         port: None takes the first free one from `FIRST_PORT` on, 0 any.
         label: The title of the page.
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
-        needs_token: Whether the page requires a token on loopback too, because it can write files, and
-            other users of the machine can reach it.
+        needs_token: Whether the page requires a token on loopback too, because it can write files or act on
+            programs, and other users of the machine can reach it.
+        has_webots_keys: Whether the page sends all keys, as the codes that Webots has for them, in place of
+            those that drive.
 
     Raises:
         UsageError: The host is unknown, or the port is in use.
@@ -99,7 +124,11 @@ def serve(
     token = "" if access.is_loopback(host) and not needs_token else access.new_token()
     for name in ("websockets", "websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    with _guarded(host, token, on_drive), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+    key = _WEBOTS_KEY if has_webots_keys else _DRIVING_KEY
+    with (
+        _guarded(host, token, on_drive, key),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)
     viser_internals.check_updates(server, _is_offered)
     return server, access.address(host, server.get_port(), token)
@@ -129,13 +158,14 @@ def _is_offered(value: object, control: Any) -> bool:
 
 
 @contextlib.contextmanager
-def _guarded(host: str, token: str, on_drive: OnDrive) -> Iterator[None]:
-    """Context in which a new `ViserServer` gets the checks."""
+def _guarded(host: str, token: str, on_drive: OnDrive, key: str) -> Iterator[None]:
+    """Context in which a new `ViserServer` gets the checks. `key` is a function of JavaScript that returns what
+    the page sends for a key."""
     import viser
     import websockets.asyncio.server as wire
 
     text = Path(viser.__file__).parent.joinpath("client/build/index.html").read_text("utf-8")
-    page = text.replace("</head>", _STYLE + _KEYS_SCRIPT, 1).encode()
+    page = text.replace("</head>", _STYLE + _KEYS_SCRIPT.replace("NAME", key), 1).encode()
     original = wire.serve
 
     def guarded(handler: Any, host_: str, port: int, *, process_request: Any, **options: Any) -> Any:
@@ -208,4 +238,4 @@ def _read_drive(text: Any) -> tuple[Keys, Axes]:
     keys, _, axes = text.partition("|")
     numbers = [float(part) for part in axes.split(",") if part]
     values = tuple(0.0 if math.isnan(value) else min(1.0, max(-1.0, value)) for value in numbers)
-    return frozenset(filter(None, keys.split("+"))), values
+    return dict.fromkeys(filter(None, keys.split("+"))).keys(), values

@@ -7,6 +7,7 @@ library.py        PROTOs of Webots' own library that deepbots has an equivalent 
 scene.py          bodies, joints, geometries and devices
 scene_builder.py  the tree as a scene
 shapes.py         geometries: sizes, volumes, meshes
+looks.py          the geometry and the color of what is seen
 model.py          a scene as a model of MuJoCo
 physics.py        its state: steps, motors, bounces, readings
 simulation.py     time, messages and sampling: what a controller's step does
@@ -25,7 +26,10 @@ supervisor.py     the classes Robot, Supervisor and Keyboard
 api.py            names of Webots' functions that are not implemented, and their error
 runner.py         controllers as threads of one process, one at a time
 remote/           controllers as processes of their own
+pace.py           when a world may advance: the pace of a clock, pauses, single steps
+viewpoint.py      the viewpoint of a world, and what it follows
 recorder.py       a video of a run
+viewer.py         a run in the browser
 project.py        the files of a project: worlds, controllers, PROTOs
 site/             the folder with the module `controller`, on the path of controllers
 imports/          a project as a scenario: `deepbots new --webots`

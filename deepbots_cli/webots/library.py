@@ -122,12 +122,16 @@ def _floor(fields: Fields) -> str:
       boundingObject Plane {{ size {x!r} {y!r} }} }}"""
 
 
-def _solid_box(fields: Fields) -> str:
+def _wooden_box(fields: Fields) -> str:
+    return _solid_box(fields, "0.6 0.45 0.3")
+
+
+def _solid_box(fields: Fields, color: str = "0.8 0.8 0.8") -> str:
     x, y, z = fields.positive("size")
     mass = fields.number("mass")
     physics = f"physics Physics {{ density -1 mass {mass!r} }}" if mass > 0 else ""
     return f"""Solid {{ translation IS translation rotation IS rotation name IS name
-      children [ {_box((x, y, z))} ] boundingObject Box {{ size {x!r} {y!r} {z!r} }} {physics} }}"""
+      children [ {_box((x, y, z), color)} ] boundingObject Box {{ size {x!r} {y!r} {z!r} }} {physics} }}"""
 
 
 _BOX_INTERFACE = f"""{_POSE} field SFString name "%s" field SFVec3f size %s field SFFloat mass 0
@@ -288,8 +292,8 @@ LIBRARY: dict[str, Entry] = {
         _floor,
     ),
     "SolidBox": Entry(_BOX_INTERFACE % ("box", "1 1 1"), _solid_box),
-    "WoodenBox": Entry(_BOX_INTERFACE % ("wooden box", "0.6 0.6 0.6"), _solid_box),
-    "CardboardBox": Entry(_BOX_INTERFACE % ("cardboard box", "0.6 0.6 0.6"), _solid_box),
+    "WoodenBox": Entry(_BOX_INTERFACE % ("wooden box", "0.6 0.6 0.6"), _wooden_box),
+    "CardboardBox": Entry(_BOX_INTERFACE % ("cardboard box", "0.6 0.6 0.6"), _wooden_box),
     "Pit": Entry(
         f"""{_POSE} field SFVec3f size 20 20 5 field SFInt32 xDimension 50 field SFInt32 yDimension 50
         field SFNode appearance SandyGround {{ }} field SFInt32 randomSeed 1 field SFInt32 perlinNOctaves 3

@@ -254,6 +254,11 @@ class Physics:
         frame = ((x, y, z), (qx, qy, qz, w))
         return frame if inside is ORIGIN else compose(frame, inside)
 
+    def poses(self) -> Floats:
+        """Return the pose of each body, x, y, z (m) and the quaternion w, x, y, z, shape (bodies, 7)."""
+        self.update_positions()
+        return np.concatenate([self.data.xpos[self.bodies], self.data.xquat[self.bodies]], axis=1)
+
     def position(self, body: Body, inside: Frame = ORIGIN) -> Triple:
         """Return the origin of a frame of a body, m."""
         if inside is not ORIGIN:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import atexit
 from functools import cache
-from math import cos, pi, sin, tan
+from math import tan
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
@@ -18,26 +18,23 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_ROTATION
-from deepbots_cli.webots.findings import WorldFindings
+from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.model import GRID_DEPTH_M
-from deepbots_cli.webots.nodes import child, is_a, number, numbers, real, vector
-from deepbots_cli.webots.shapes import Shape, compose, shape_of
+from deepbots_cli.webots.nodes import numbers, real
+from deepbots_cli.webots.shapes import compose
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
-    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.frames import Frame
     from deepbots_cli.webots.physics import Physics
     from deepbots_cli.webots.scene import Visual
-    from deepbots_cli.webots.syntax import Node
+    from deepbots_cli.webots.shapes import Shape
 
     Image = NDArray[np.uint8]
 
 NEAR_M, FAR_M = 0.01, 1000.0
 """The range of distances that are drawn."""
-CONE_SIDES = 32
 MAX_PIXELS = 4096
 """The largest width and height of a picture."""
 UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
@@ -170,7 +167,6 @@ class _VisualModel:
         spec.visual.headlight.diffuse = (0.55,) * 3
         spec.visual.headlight.specular = (0.0,) * 3
         spec.compiler.alignfree = False
-        self._findings = WorldFindings()
         self._count = 0
         self._add_sky()
         self.bodies = {
@@ -194,8 +190,7 @@ class _VisualModel:
         )
 
     def _add(self, visual: Visual) -> None:
-        geometry = child(visual.node, "geometry")
-        shape = None if geometry is None else self._shape(geometry, visual.scale)
+        shape = visible_shape(visual, self._scene.files)
         if shape is None:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
@@ -207,17 +202,12 @@ class _VisualModel:
         parent.add_geom(
             pos=place,
             quat=frames.wxyz(rotation),
-            rgba=_color(visual.node),
+            rgba=color_of(visual.node),
             contype=0,
             conaffinity=0,
             mass=0.0,
             **fields,
         )
-
-    def _shape(self, geometry: Node, scale: Triple) -> Shape | None:
-        if geometry.type == "Cone":
-            return _cone(number(geometry, "bottomRadius"), number(geometry, "height"), scale)
-        return shape_of(geometry, scale, self._scene.files, self._findings)
 
     def _fields(self, shape: Shape) -> dict[str, Any]:
         types = mj.mjtGeom
@@ -260,31 +250,3 @@ class _VisualModel:
     def _name(self) -> str:
         self._count += 1
         return f"s{self._count}"
-
-
-def _cone(radius: float, height: float, scale: Triple) -> Shape:
-    """Return a cone around z, of which the base is below."""
-    rim: list[Triple] = [
-        (radius * cos(2 * pi * k / CONE_SIDES), radius * sin(2 * pi * k / CONE_SIDES), -height / 2)
-        for k in range(CONE_SIDES)
-    ]
-    points = [*rim, (0.0, 0.0, height / 2), (0.0, 0.0, -height / 2)]
-    faces = []
-    for k in range(CONE_SIDES):
-        after = (k + 1) % CONE_SIDES
-        faces += [(k, after, CONE_SIDES), (after, k, CONE_SIDES + 1)]
-    scaled = [(x * scale[0], y * scale[1], z * scale[2]) for x, y, z in points]
-    return Shape("mesh", vertices=scaled, faces=faces)
-
-
-def _color(node: Node) -> Sequence[float]:
-    """Return the color and opacity of a Shape node."""
-    appearance = child(node, "appearance")
-    if appearance is None:
-        return (0.8, 0.8, 0.8, 1.0)
-    if is_a(appearance, "PBRAppearance"):
-        return (*vector(appearance, "baseColor"), 1.0 - number(appearance, "transparency"))
-    material = child(appearance, "material") if is_a(appearance, "Appearance") else None
-    if material is None:
-        return (0.8, 0.8, 0.8, 1.0)
-    return (*vector(material, "diffuseColor"), 1.0 - number(material, "transparency"))

@@ -21,12 +21,14 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots import supervisor
 from deepbots_cli.webots.nodes import texts
+from deepbots_cli.webots.pace import Pace
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
@@ -42,6 +44,7 @@ MAX_STEPS_AFTER_END = 100
 CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 """What controllers find in their environment, if it is not set: pictures need a window, and small networks
 lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy machine)."""
+WATCH_INTERVAL_S = 0.5
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
 
@@ -102,8 +105,9 @@ class Runner:
         packages: Sequence[str] = (),
         output: TextIO | None = None,
         errors: TextIO | None = None,
-        is_fast: bool = True,
-        after_step: Callable[[], None] | None = None,
+        pace: Pace | None = None,
+        after_step: Sequence[Callable[[], None]] = (),
+        on_line: Callable[[str, str], None] | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -115,8 +119,9 @@ class Runner:
             packages: Further folders from which controllers import.
             output: Where controllers print, by default `sys.stdout`.
             errors: Where errors of controllers go, by default `sys.stderr`.
-            is_fast: Whether the world waits for no clock.
+            pace: When the world may advance; by default, as fast as it can.
             after_step: Called after each basic time step.
+            on_line: Called with the name of a robot and each line that its controller prints.
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
@@ -131,9 +136,9 @@ class Runner:
         self._everything_ended = threading.Event()
         self._progress = 0
         self._problems: list[str] = []
-        self._by_robot = {one.robot: one for one in self.controllers}
-        self._begin = None if is_fast else time.monotonic()
-        self._after_step = after_step
+        self._by_robot = {controller.robot: controller for controller in self.controllers}
+        self._pace = pace or Pace(simulation, is_fast=True)
+        self._after_step, self._on_line = after_step, on_line
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
     # The main thread
@@ -143,50 +148,64 @@ class Runner:
         simulation = self.simulation
         if not self.controllers:
             raise UsageError("no robot of the world has a controller that can run")
-        if any(one.robot.is_supervisor for one in self.controllers):
-            self._supervisors = [one for one in self.controllers if one.robot.is_supervisor]
+        if any(controller.robot.is_supervisor for controller in self.controllers):
+            self._supervisors = [
+                controller for controller in self.controllers if controller.robot.is_supervisor
+            ]
         else:
             self._supervisors = self.controllers
         supervisor.activate(simulation)
         simulation.wait = self._wait
-        with self._surroundings():
-            for one in self.controllers:
-                one.turn.acquire()
-                one.thread = threading.Thread(target=self._work, args=(one,), daemon=True, name=one.name)
-                one.thread.start()
-            self._give_turn(self.controllers[0])
-            self._watch()
-        supervisor.deactivate()
-        self._finish()
+        try:
+            with self._surroundings():
+                self._begin()
+                self._watch()
+        finally:  # also if the person at the keyboard ends the run
+            self.is_over = True
+            supervisor.deactivate()
+            self._finish()
         return self._outcome()
+
+    def _begin(self) -> None:
+        """Start a thread for each controller, and let the first one run."""
+        for controller in self.controllers:
+            controller.turn.acquire()
+            controller.thread = threading.Thread(
+                target=self._work, args=(controller,), daemon=True, name=controller.name
+            )
+            controller.thread.start()
+        self._give_turn(self.controllers[0])
 
     def _finish(self) -> None:
         """Do what the end of the run needs."""
 
     def _watch(self) -> None:
         """Wait for the end; a controller that makes no step for too long ends the run."""
-        before = -1
-        while not self._everything_ended.wait(self.timeout):
-            if self._progress == before:
-                one = self._current
-                name = one.name if one else "?"
-                self._problems.append(f"the controller of '{name}' made no step for {self.timeout:g} s")
+        timeout = inf if self.timeout is None else self.timeout
+        seen, since = self._progress, time.monotonic()
+        while not self._everything_ended.wait(min(timeout, WATCH_INTERVAL_S)):
+            if self._progress != seen or self._pace.is_paused:
+                seen, since = self._progress, time.monotonic()
+            elif time.monotonic() - since >= timeout:
+                name = self._current.name if self._current is not None else "?"
+                self._problems.append(f"the controller of '{name}' made no step for {timeout:g} s")
                 self.is_over = True
                 self._everything_ended.wait(GRACE_S)
                 return
-            before = self._progress
 
     def _outcome(self) -> Outcome:
         simulation = self.simulation
         code = simulation.quit_status or 0
-        for one in self.controllers:
-            code = code or one.exit_code
-        stuck = [one for one in self.controllers if not one.has_ended]
+        for controller in self.controllers:
+            code = code or controller.exit_code
+        stuck = [controller for controller in self.controllers if not controller.has_ended]
         if self._problems:
             code = code or 1
         seconds = simulation.ticks / 1000
         steps = simulation.ticks // simulation.basic_step
-        ends = tuple((one.name, one.exit_code, one.steps) for one in self.controllers)
+        ends = tuple(
+            (controller.name, controller.exit_code, controller.steps) for controller in self.controllers
+        )
         return Outcome(code, seconds, steps, tuple(self._problems), ends, bool(stuck))
 
     @contextmanager
@@ -197,15 +216,15 @@ class Runner:
         finder = _ProjectFinder(self)
         sys.meta_path.insert(0, finder)
         name = self._speaker
-        streams = Prefixed(self._output, name), Prefixed(self._errors, name)
+        streams = tuple(Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
         sys.stdout, sys.stderr = streams
         for name_, value in CONTROLLER_ENVIRONMENT.items():
             os.environ.setdefault(name_, value)
         base = [str(SITE), *self.packages, *sys.path]
-        for one in self.controllers:
-            one.folder = str(one.program.parent)
-            one.path = [one.folder, *base]
-            one.modules["__main__"] = types.ModuleType("__main__")
+        for controller in self.controllers:
+            controller.folder = str(controller.program.parent)
+            controller.path = [controller.folder, *base]
+            controller.modules["__main__"] = types.ModuleType("__main__")
         try:
             yield
         finally:
@@ -215,7 +234,7 @@ class Runner:
             sys.path[:], sys.argv = kept[0], kept[1]
             os.chdir(kept[2])
             sys.stdout, sys.stderr = kept[3], kept[4]
-            for module in {module for one in self.controllers for module in one.private}:
+            for module in {module for controller in self.controllers for module in controller.private}:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - before:
                 if module.partition(".")[0] == "controller":
@@ -228,70 +247,73 @@ class Runner:
 
     # The threads of controllers
 
-    def _work(self, one: Controller) -> None:
-        one.turn.acquire()
+    def _work(self, controller: Controller) -> None:
+        controller.turn.acquire()
         try:
             if not self.is_over:
-                self._execute(one)
+                self._execute(controller)
         except SystemExit as error:
-            one.exit_code = _exit_code(error)
+            controller.exit_code = _exit_code(error)
         except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
-            one.exit_code = 1
+            controller.exit_code = 1
             if not isinstance(error, ControllerError):
                 print_traceback(error, __file__)
-            self._problems.append(f"the controller of '{one.name}' failed: {describe(error)}")
+            self._problems.append(f"the controller of '{controller.name}' failed: {describe(error)}")
             self.is_over = True
-        one.has_ended = True
-        self._end(one)
+        controller.has_ended = True
+        self._end(controller)
 
-    def _execute(self, one: Controller) -> None:
+    def _execute(self, controller: Controller) -> None:
         module = sys.modules["__main__"]
-        module.__file__ = str(one.program)
+        module.__file__ = str(controller.program)
         module.__builtins__ = __builtins__  # type: ignore[attr-defined]
-        code = compile(one.program.read_bytes(), str(one.program), "exec")
+        code = compile(controller.program.read_bytes(), str(controller.program), "exec")
         exec(code, vars(module))  # after --allow-code
 
-    def _end(self, one: Controller) -> None:
+    def _end(self, controller: Controller) -> None:
         if all(other.has_ended for other in self._supervisors):
             self.is_over = True
         if all(other.has_ended for other in self.controllers):
             self._everything_ended.set()
             return
-        self._pass_on(one)
+        if not self.is_over:
+            code = f" with exit code {controller.exit_code}" if controller.exit_code else ""
+            self._errors.write(f"the controller of '{controller.name}' ended{code}; the others go on\n")
+        self._pass_on(controller)
 
     def _wait(self, robot: Robot, period: int) -> int:
         """Do the step of a controller; returns -1 at the end."""
-        one = self._by_robot[robot]
+        controller = self._by_robot[robot]
         if self.is_over:
-            one.steps_after_end += 1
-            if one.steps_after_end > MAX_STEPS_AFTER_END:
+            controller.steps_after_end += 1
+            if controller.steps_after_end > MAX_STEPS_AFTER_END:
                 raise SystemExit(0)  # the program does not heed the end
             return -1
-        one.steps += 1
+        controller.steps += 1
         self._progress += 1
         basic = self.simulation.basic_step
-        one.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
-        self._pass_on(one)
+        controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
+        self._pass_on(controller)
         return -1 if self.is_over else 0
 
-    def _pass_on(self, one: Controller) -> None:
-        """Give the turn to the next controller, and wait for the own one unless this is it."""
+    def _pass_on(self, controller: Controller) -> None:
+        """Give the turn to the next controller, and wait for the next turn of this one."""
         following = self._next()
-        if following is one:
+        if following is controller:
             return
-        self._leave(one)
+        self._leave(controller)
         self._give_turn(following)
-        if not one.has_ended:
-            one.turn.acquire()
+        if not controller.has_ended:
+            controller.turn.acquire()
 
     def _next(self) -> Controller:
         """Return the controller whose step has ended, after advancing the physics as far as that takes."""
         simulation = self.simulation
-        waiting = [one for one in self.controllers if not one.has_ended]
+        waiting = [controller for controller in self.controllers if not controller.has_ended]
         while not self.is_over:
-            for one in waiting:
-                if one.due <= simulation.ticks:
-                    return one
+            for controller in waiting:
+                if controller.due <= simulation.ticks:
+                    return controller
             at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
             if at_limit or simulation.quit_status is not None:
                 self.is_over = True
@@ -300,44 +322,44 @@ class Runner:
         return waiting[0]
 
     def _advance(self) -> None:
-        if self._begin is not None:
-            time.sleep(max(0.0, self._begin + self.simulation.ticks / 1000 - time.monotonic()))
+        if self._pace.wait():
+            self._progress += 1  # the time of a pause is not that of a controller
         try:
             self.simulation.run_step()
         except FloatingPointError as error:
             self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
             self.is_over = True
             return
-        if self._after_step is not None:
-            self._after_step()
+        for call in self._after_step:
+            call()
 
     # Surroundings
 
-    def _give_turn(self, one: Controller) -> None:
-        self._current = one
-        self.simulation.current = one.robot
-        self._enter(one)
-        one.turn.release()
+    def _give_turn(self, controller: Controller) -> None:
+        self._current = controller
+        self.simulation.current = controller.robot
+        self._enter(controller)
+        controller.turn.release()
 
-    def _enter(self, one: Controller) -> None:
+    def _enter(self, controller: Controller) -> None:
         """Put in place what belongs to a controller."""
-        sys.path[:] = one.path
-        sys.argv = [str(one.program), *one.arguments]
-        sys.modules.update(one.modules)
-        os.chdir(one.folder)
+        sys.path[:] = controller.path
+        sys.argv = [str(controller.program), *controller.arguments]
+        sys.modules.update(controller.modules)
+        os.chdir(controller.folder)
 
-    def _leave(self, one: Controller) -> None:
+    def _leave(self, controller: Controller) -> None:
         """Put away what belongs to a controller."""
-        one.path = sys.path[:]
+        controller.path = sys.path[:]
         modules = sys.modules
-        own = one.modules
+        own = controller.modules
         own["__main__"] = modules["__main__"]
-        for name in one.private:
+        for name in controller.private:
             module = modules.pop(name, None)
             if module is not None:
                 own[name] = module
-        if not one.has_ended:
-            one.folder = os.getcwd()
+        if not controller.has_ended:
+            controller.folder = os.getcwd()
 
     def is_private(self, name: str) -> bool:
         """Return whether a module belongs to the controller that runs."""
@@ -345,12 +367,12 @@ class Runner:
 
     def find_private(self, name: str) -> ModuleSpec | None:
         """Return a module of the folder of the controller that runs."""
-        one = self._current
-        if one is None or threading.current_thread() is not one.thread:
+        controller = self._current
+        if controller is None or threading.current_thread() is not controller.thread:
             return None
-        spec = importlib.machinery.PathFinder.find_spec(name, [str(one.program.parent)])
+        spec = importlib.machinery.PathFinder.find_spec(name, [str(controller.program.parent)])
         if spec is not None:
-            one.private.add(name)
+            controller.private.add(name)
         return spec
 
 
@@ -375,18 +397,30 @@ class Prefixed:
 
     encoding, errors = "utf-8", "replace"
 
-    def __init__(self, stream: TextIO, speaker: Callable[[], str]) -> None:
-        self._stream, self._speaker = stream, speaker
+    def __init__(
+        self,
+        stream: TextIO,
+        speaker: Callable[[], str],
+        on_line: Callable[[str, str], None] | None = None,
+    ) -> None:
+        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each line."""
+        self._stream, self._speaker, self._on_line = stream, speaker, on_line
         self._unfinished: dict[str, str] = {}
 
     def write(self, text: str) -> int:
         name = self._speaker()
         *lines, rest = (self._unfinished.pop(name, "") + text).split("\n")
         if lines:
-            self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+            self._write(name, lines)
         if rest:
             self._unfinished[name] = rest
         return len(text)
+
+    def _write(self, name: str, lines: Sequence[str]) -> None:
+        self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+        if self._on_line is not None:
+            for line in lines:
+                self._on_line(name, line)
 
     def writelines(self, lines: Sequence[str]) -> None:
         for line in lines:
@@ -398,7 +432,7 @@ class Prefixed:
     def close(self) -> None:
         """Write lines that have no end yet."""
         for name, rest in self._unfinished.items():
-            self._stream.write(f"[{name}] {rest}\n")
+            self._write(name, [rest])
         self._unfinished.clear()
         self._stream.flush()
 

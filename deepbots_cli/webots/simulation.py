@@ -14,7 +14,7 @@ from __future__ import annotations
 import random
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import cos, hypot, inf, pi
@@ -119,6 +119,8 @@ class Simulation:
         """The objects of devices that controllers asked for."""
         self.states: dict[str, Any] = {}
         """The states that supervisors saved, by name."""
+        self.held_keys: Callable[[], Sequence[int]] | None = None
+        """Returns the codes of the keys that a person holds, the newest first; None without a page."""
         self._outbox: list[Packet] = []
         self._sensors: list[Sampled] = []
         self._reset_is_due = False

@@ -192,7 +192,7 @@ def _public(nodes: list[Written]) -> list[Written]:
 
 
 class Keyboard:
-    """The keyboard: no key is pressed, because there is no window."""
+    """The keyboard: the keys that a person holds on the page of `--view`."""
 
     END, HOME, LEFT, UP, RIGHT, DOWN = 312, 313, 314, 315, 316, 317
     PAGEUP, PAGEDOWN, NUMPAD_HOME = 366, 367, 375
@@ -200,19 +200,41 @@ class Keyboard:
     KEY, SHIFT, CONTROL, ALT = 0x0000FFFF, 0x00010000, 0x00020000, 0x00040000
 
     def __init__(self) -> None:
-        self._period = 0
+        self._simulation = _ACTIVE[0] if _ACTIVE else None
+        self.period = self.due = self._asked = 0
+        self._codes: list[int] = []
 
     def enable(self, samplingPeriod: int) -> None:
-        if not self._period:
-            print("Warning: no key of the Keyboard is ever pressed: there is no window", file=sys.stderr)
-        self._period = int(samplingPeriod)
+        """Read the keys once in each period, in ms."""
+        simulation, before = self._simulation, self._asked
+        self.disable()
+        self._asked = max(0, int(samplingPeriod))
+        if self._asked and simulation is not None and simulation.held_keys is not None:
+            simulation.enable(self, self._asked)
+        elif self._asked and not before:
+            print(f"Warning: {_NO_KEYS}", file=sys.stderr)
 
     def disable(self) -> None:
-        self._period = 0
+        self._asked, self._codes = 0, []
+        if self._simulation is not None:
+            self._simulation.disable(self)
 
     def getSamplingPeriod(self) -> int:
-        return self._period
+        return self._asked
+
+    def sample(self) -> None:
+        """Read the keys that are held now."""
+        if self._simulation is not None and self._simulation.held_keys is not None:
+            self._codes = list(self._simulation.held_keys())
+
+    def forget(self) -> None:
+        """Do nothing: a reset of the world releases no key."""
 
     def getKey(self) -> int:
-        """Return -1: no key."""
-        return -1
+        """Return the code of the next key of those that were held at the last reading, -1 after the last."""
+        return self._codes.pop(0) if self._codes else -1
+
+
+_NO_KEYS = (
+    "no key of the Keyboard is ever pressed: there is no window; with --view, you press keys on the page"
+)

@@ -117,6 +117,17 @@ def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: s
     assert float(model.body_mass.sum()) == pytest.approx(mass, rel=1e-5)
 
 
+def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path: Path):
+    exported("find_ball", tmp_path)
+    world = read_world(tmp_path / "worlds" / "find_ball.wbt")
+    physics = Simulation(build_scene(world), world.span).physics
+    heights = {
+        body.node.name: physics.position(body, ((0, 0, 0), (0, 0, 0, 1)))[2] for body in physics.scene.bodies
+    }
+    assert heights["BALL"] == pytest.approx(0.07)
+    assert heights["BOX"] == pytest.approx(0.15)
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [

@@ -10,9 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli.starters.webots import TODO, Starter, from_webots
+from deepbots_cli.cli.starters.webots import Starter, from_webots
+from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.geometry import ground_height
+from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields import Name
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
@@ -146,7 +148,7 @@ def lines_of(text: str) -> list[str]:
 def test_a_project_with_plain_forms_only_leaves_no_place_and_runs(tmp_path: Path) -> None:
     starter, text = imported(tmp_path, solved="return np.mean(self.scores[-50:]) > 90")
     assert starter.todos == 0
-    assert TODO not in text
+    assert FILL_IN not in text
     assert [
         finding for finding in api.lint(tmp_path / "out" / "cart.yaml") if finding.severity == "error"
     ] == []
@@ -254,6 +256,19 @@ def test_the_robot_has_the_masses_joints_and_limits_of_the_world(tmp_path: Path)
     assert wheel.limit.velocity == 20.0
     assert wheel.limit.effort == 2.0
     assert model.link("rod").inertial.origin.xyz[2] == pytest.approx((0.2 * 0.25 + 0.05 * 0.5) / 0.25)
+
+
+def test_links_and_objects_look_as_their_shape_nodes(tmp_path: Path) -> None:
+    red = "Shape { appearance PBRAppearance { baseColor 1 0 0 } geometry Sphere { radius 0.07 } }"
+    world = WORLD.replace("translation 1 0 0.1", f"translation 1 0 0.1 children [ {red} ]")
+    world = world.replace("children [ DEF TIP", f"children [ {red} DEF TIP")
+    imported(tmp_path, world=world)
+    program = api.load(tmp_path / "out" / "cart.yaml").program
+    assert program is not None
+    rod = program.world.robots[0].model.link("rod")
+    assert [(visual.shape, visual.color) for visual in rod.visuals] == [(Sphere(0.07), (1.0, 0.0, 0.0, 1.0))]
+    assert isinstance(rod.collisions[0].shape, Box)
+    assert program.world.objects[0].color == (1.0, 0.0, 0.0, 1.0)
 
 
 def test_a_solid_that_the_supervisor_watches_is_a_link(tmp_path: Path) -> None:
@@ -419,7 +434,7 @@ def test_what_has_no_plain_form_is_a_comment_with_its_python(
     tmp_path: Path, methods: dict[str, str], place: str
 ) -> None:
     starter, text = imported(tmp_path, **methods)
-    todos = [line for line in lines_of(text) if line.startswith(TODO)]
+    todos = [line for line in lines_of(text) if line.startswith(FILL_IN)]
     assert starter.todos == len(todos) > 0
     assert any(place in line for line in todos)
     assert [

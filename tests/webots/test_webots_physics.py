@@ -339,6 +339,22 @@ def test_a_run_is_repeatable():
     assert node(simulation, "BODY").getPosition() == ends[0]
 
 
+def test_a_robot_that_pushes_a_wall_does_not_sink_into_it():
+    """The motors of an e-puck may exert 10 N m, and press it against the wall with more than its weight."""
+    wall = "Solid { translation 0 0.16 0.07 boundingObject Box { size 0.5 0.06 0.15 } }"
+    robot = "DEF ROBOT E-puck { translation 0 0.27 0 rotation 0 0 1 -1.5708 }"
+    simulation = simulate(f"{FLOOR} {wall} {robot}", 32)
+    for side in ("left", "right"):
+        motor = device(simulation, f"{side} wheel motor")
+        motor.setPosition(math.inf)
+        motor.setVelocity(1)
+    nearest = math.inf
+    for _ in range(200):
+        simulation.run_step()
+        nearest = min(nearest, node(simulation, "ROBOT").getPosition()[1])
+    assert nearest == pytest.approx(0.19 + 0.037, abs=0.005)
+
+
 def test_bb8_rocks_itself_out_of_the_pit():
     """The strategy of robotbenchmark's example: the motor turns with the ball. One direction alone fails."""
     pit = """Pit { size 20 20 4 pitRadius 2.7 }

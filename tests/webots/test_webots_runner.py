@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import textwrap
@@ -11,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.recorder import Recorder
@@ -195,6 +198,7 @@ def test_a_controller_that_ends_early_does_not_end_the_others(project: Project):
     assert ran.returncode == 0
     assert "[cart] done" in ran.stdout
     assert "[boss] 3 []" in ran.stdout
+    assert "the controller of 'cart' ended; the others go on" in ran.stderr
 
 
 @pytest.mark.slow
@@ -280,6 +284,45 @@ def test_wrong_options_are_refused(project: Project, options: list[str], words: 
     assert ran.returncode == 2
     assert ran.stdout == ""
     assert words in " ".join(ran.stderr.split())
+
+
+def test_an_option_of_a_run_needs_permission(project: Project):
+    ran = project.run("--steps", "3", allow=False)
+    assert ran.returncode == 2
+    assert "--steps runs the programs of the project; add --allow-code" in ran.stderr
+
+
+def test_a_file_that_is_no_world_is_named_with_the_worlds_beside_it(project: Project):
+    for path, words in (
+        ("worlds/v.wbt", "does not exist; {} has the worlds w.wbt"),
+        ("worlds", "is a folder; {} has the worlds w.wbt"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(words.format(project.folder / "worlds"))):
+            check_world(project.folder / path)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_processes_of_controllers(project: Project):
+    project.controller("cart", CART)
+    project.controller("boss", "print('begins', flush=True)\nwhile True: pass")
+    world = str(project.folder / "worlds" / "w.wbt")
+    words = [sys.executable, "-m", "deepbots_cli", "webots", world, "--allow-code", "--processes"]
+    process = subprocess.Popen(
+        words, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "[boss] begins\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+    assert not [line for line in command_lines() if str(project.folder) in line]
+
+
+def command_lines() -> list[str]:
+    """The command lines of all processes."""
+    return subprocess.run(
+        ["ps", "-eo", "args"], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
 
 
 def test_a_world_with_errors_runs_nothing(project: Project):

@@ -5,25 +5,33 @@ from __future__ import annotations
 import os
 import sys
 import time
+import webbrowser
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, Json, integer, known_engine, option
+from deepbots_cli.cli.command import ADVANCED, Force, Json, integer, known_engine, option
+from deepbots_cli.cli.commands.view import Host, Open, Port
+from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, counted
 
 if TYPE_CHECKING:
+    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.project import Program, World
     from deepbots_cli.webots.runner import Outcome
     from deepbots_cli.webots.scene import Robot, Scene
+    from deepbots_cli.webots.simulation import Simulation
+    from deepbots_cli.webots.viewer import Viewer
 
 _ENGINE = "mujoco"
+_MAX_NAMED = 5
+"""The maximum number of worlds that a message names."""
 
 
 def _known_engine(name: str) -> str:
@@ -49,12 +57,12 @@ def command(
         float, option("--timeout SECONDS", "End if a controller makes no step for this time.", min=0.1)
     ] = 600.0,
     fast: Annotated[
-        bool,
+        bool | None,
         typer.Option(
             "--fast/--real-time",
-            help="Run as fast as the machine can, which is the default, or at the pace of a clock.",
+            help="Run as fast as the machine can, or at the pace of a clock, which is the default with --view.",
         ),
-    ] = True,
+    ] = None,
     protos: Annotated[
         list[Path] | None,
         option(
@@ -82,6 +90,16 @@ def command(
         Path | None,
         option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
     ] = None,
+    view: Annotated[
+        bool,
+        option(
+            "--view", "Show the run in the browser, where keys are pressed for a Keyboard, until it ends."
+        ),
+    ] = False,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    open_: Open = False,
+    force: Force = False,
     engine: Annotated[
         str, option("--engine NAME", "Physics engine: mujoco.", ADVANCED, callback=_known_engine)
     ] = _ENGINE,
@@ -90,26 +108,54 @@ def command(
     """Run the controllers of a world of Webots."""
     from deepbots_cli.webots.findings import WorldError
 
-    if world.suffix != ".wbt" or not world.is_file():
-        raise UsageError(f"{world} is no world; name a file that ends in .wbt")
+    check_world(world)
     for folder in protos or ():
         if not folder.is_dir():
             raise UsageError(f"--protos {folder}: there is no such folder")
+    if not view and (open_ or port is not None):
+        raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     known_engine(_ENGINE)
     try:
         checked, scene = _read(world, protos or ())
         programs = _programs(checked, scene)
         if not allow_code:
+            if steps is not None or record is not None or view:
+                option_name = (
+                    "--steps" if steps is not None else "--record" if record is not None else "--view"
+                )
+                raise UsageError(
+                    f"{option_name} runs the programs of the project; add --allow-code if you trust them"
+                )
             _show_robots(programs, scene, as_json=as_json)
             return
         if processes and os.name == "nt":
             raise UsageError("--processes is not available on Windows; leave it out")
-        options = _Options(steps, timeout, python, record, fast, processes, as_json)
+        page = _Page(host, port, open_) if view else None
+        is_fast = not view if fast is None else fast
+        options = _Options(steps, timeout, python, record, force, page, is_fast, processes, as_json)
         _run(checked, scene, programs, options)
     except WorldError as error:
         for finding in error.findings:
             terminal.note(str(finding))
         raise typer.Exit(1) from error
+
+
+def check_world(path: Path) -> None:
+    """Check that a file exists and has the ending of a world.
+
+    Raises:
+        UsageError: It does not.
+    """
+    if path.suffix == ".wbt" and path.is_file():
+        return
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is no world; name a file that ends in .wbt")
+    folder = path if path.is_dir() else path.parent
+    worlds = sorted(world.name for world in (*folder.glob("*.wbt"), *folder.glob("worlds/*.wbt")))[
+        :_MAX_NAMED
+    ]
+    hint = f"; {folder} has the worlds {', '.join(worlds)}" if worlds else "; name a file that ends in .wbt"
+    raise UsageError(f"{path} is a folder{hint}" if path.is_dir() else f"{path} does not exist{hint}")
 
 
 def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
@@ -152,6 +198,15 @@ def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json
 
 
 @dataclass(frozen=True)
+class _Page:
+    """Where to serve the page of a run."""
+
+    host: str
+    port: int | None
+    opens_browser: bool
+
+
+@dataclass(frozen=True)
 class _Options:
     """How to run a world."""
 
@@ -159,53 +214,84 @@ class _Options:
     timeout: float
     python: Path | None
     record: Path | None
+    force: bool
+    page: _Page | None
     is_fast: bool
     processes: bool
     as_json: bool
 
 
 def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], options: _Options) -> None:
+    from deepbots_cli.webots.pace import Pace
     from deepbots_cli.webots.recorder import Recorder
     from deepbots_cli.webots.remote.server import ProcessRunner
     from deepbots_cli.webots.runner import Runner, packages_of
     from deepbots_cli.webots.simulation import Simulation
 
     simulation = Simulation(scene, world.span)
-    video = options.record
-    with ExitStack() as stack:
-        recorder = None if video is None else stack.enter_context(Recorder(simulation, video.resolve()))
-        runner = (ProcessRunner if options.processes else Runner)(
-            simulation,
-            programs,
-            steps=options.steps,
-            timeout=options.timeout,
-            packages=packages_of(options.python) if options.python is not None else (),
-            output=sys.stderr if options.as_json else None,
-            is_fast=options.is_fast,
-            after_step=recorder,
-        )
-        started = time.perf_counter()
-        outcome = runner.run()
-    seconds = time.perf_counter() - started
+    pace = Pace(simulation, is_fast=options.is_fast)
+    video, viewer = options.record, None
+    try:
+        with ExitStack() as stack:
+            if options.page is not None:
+                viewer = stack.enter_context(_serve(simulation, pace, world.path.name, options.page))
+            recorder = (
+                None
+                if video is None
+                else stack.enter_context(Recorder(simulation, video.resolve(), force=options.force))
+            )
+            runner = (ProcessRunner if options.processes else Runner)(
+                simulation,
+                programs,
+                steps=options.steps,
+                timeout=options.timeout,
+                packages=packages_of(options.python) if options.python is not None else (),
+                output=sys.stderr if options.as_json else None,
+                pace=pace,
+                after_step=[call for call in (recorder, viewer) if call is not None],
+                on_line=None if viewer is None else viewer.print_line,
+            )
+            started = time.perf_counter()
+            outcome = runner.run()
+            seconds = time.perf_counter() - started
+    except KeyboardInterrupt:
+        terminal.note("interrupted")
+        _leave(INTERRUPTED)
     _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
     _exit(outcome)
+
+
+def _serve(simulation: Simulation, pace: Pace, title: str, page: _Page) -> Viewer:
+    """Serve the page of a run, and print its address."""
+    from deepbots_cli.webots.viewer import Viewer
+
+    viewer = Viewer(simulation, pace, title, page.host, page.port)
+    terminal.note(viewer.address)
+    if page.opens_browser:
+        webbrowser.open(viewer.address)
+    return viewer
 
 
 def _exit(outcome: Outcome) -> None:
     """End with the exit code of a run."""
     if outcome.is_stuck:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        # A controller that never steps is a thread, which only the end of the process ends.
-        os._exit(outcome.exit_code)
+        _leave(outcome.exit_code)
     if outcome.exit_code:
         raise typer.Exit(outcome.exit_code)
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process. Controllers that run are threads, which nothing else ends."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) -> None:
     for problem in outcome.problems:
         terminal.print_error(problem)
     rate = outcome.seconds / seconds if seconds else 0.0
+    speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
     facts = {
         "exit_code": outcome.exit_code,
         "steps": outcome.steps,
@@ -220,6 +306,6 @@ def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) 
         terminal.show_json(facts)
         return
     terminal.note(
-        f"{outcome.steps:,} steps, {outcome.seconds:g} s of simulated time in {seconds:.1f} s"
-        f" ({rate:.0f} times real time; {physics:.1f} s of CPU for the physics)"
+        f"{counted(outcome.steps, 'step')}, {outcome.seconds:g} s of simulated time in {seconds:.1f} s"
+        f" ({speed} times real time; {physics:.1f} s of CPU for the physics)"
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.cli.starters.text import aligned, yaml_name
+from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
 from deepbots_cli.webots.imports.draft import read_project
 from deepbots_cli.webots.imports.task import Entry
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.imports.draft import Draft, DraftRobot
     from deepbots_cli.webots.imports.task import Item, Task
 
-TODO = "# FILL IN"
-"""How a comment about a place begins that is left to a person."""
 _MAX_PASSES = 20
 _LONGEST = 140  # characters of a line of Python
 _HEAD = """\
@@ -55,7 +54,7 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     further |= {PurePosixPath(path): content for path, content in draft.surroundings.pictures.items()}
     lines = _settled(_lines(draft, name, title), further, name)
     text = "".join(f"{line.rstrip()}\n" for line in lines)
-    todos = sum(line.strip().startswith(TODO) for line in lines)
+    todos = sum(line.strip().startswith(FILL_IN) for line in lines)
     head = _HEAD.format(world=_one_line(draft.world_file), todos=_todo_text(todos))
     files = {PurePosixPath(f"{name}.yaml"): f"{head}\n{text}".encode(), **further}
     return Starter(files, todos, list(map(str, draft.findings.warnings)))
@@ -115,7 +114,7 @@ def _without(lines: list[str], numbers: set[int]) -> list[str]:
     for number, line in enumerate(lines, start=1):
         if number in numbers:
             indent = len(line) - len(line.lstrip())
-            result.append(f"{' ' * indent}{TODO}: deepbots does not accept `{line.strip()}`")
+            result.append(f"{' ' * indent}{FILL_IN}: deepbots does not accept `{line.strip()}`")
         else:
             result.append(line)
     return _filled(result)
@@ -129,7 +128,7 @@ def _lines(draft: Draft, name: str, title: str) -> list[str]:
     lines = ["deepbots: 1", f"name: {title}", "", "world:"]
     lines += [f"  {key}: {value}" for key, value in draft.surroundings.world]
     lines += [
-        f"  {TODO} from {_one_line(place)}: {_one_line(sentence)}"
+        f"  {FILL_IN} from {_one_line(place)}: {_one_line(sentence)}"
         for place, sentence in draft.surroundings.left_out
     ]
     if draft.surroundings.objects:
@@ -234,7 +233,7 @@ def _comments(items: Sequence[Item], indent: str) -> list[str]:
         if not isinstance(item, Entry):
             about = f"{item.about}, " if item.about else ""
             where = f"from {item.place}" if item.place.line else f"of {item.place.python}"
-            lines.append(f"{indent}{TODO}: {about}{_one_line(where)}")
+            lines.append(f"{indent}{FILL_IN}: {about}{_one_line(where)}")
             lines += [f"{indent}#     {_visible(line)}" for line in item.python]
     return lines
 

@@ -18,7 +18,13 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.model import FACE_DISTANCE_M, FAR_CLIP_M, NEAR_CLIP_M, ModelBuilder
+from deepbots_cli.engines.mujoco.model import (
+    FACE_DISTANCE_M,
+    FAR_CLIP_M,
+    NEAR_CLIP_M,
+    TERRAIN_TILES,
+    ModelBuilder,
+)
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import CAMERA_RANGE_M, CameraImage
 from deepbots_cli.program.world import GROUND
@@ -99,8 +105,28 @@ class WorldRenderer:
         width, height, samples = view.width * view.samples, view.height * view.samples, view.samples
         renderer = self._renderer_of_size(width, height)
         self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
+        self._cast_shadows(renderer, view)
+        self._lay_tiles(renderer)
         fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
         return self._brightened((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
+
+    def _cast_shadows(self, renderer: Any, view: View) -> None:
+        """Let the sun cast shadows around the target of a view. Images of cameras have none."""
+        distance = float(np.linalg.norm(np.subtract(view.target, view.eye)))
+        sun, sky = renderer.scene.lights[:2]
+        # In its shadow, a light of MuJoCo lacks its ambient part too.
+        sky.ambient, sun.ambient = np.add(sky.ambient, sun.ambient), (0.0,) * 3
+        sun.castshadow = True
+        sun.pos = np.subtract(view.target, np.multiply(sun.dir, distance))
+        renderer._mjr_context.shadowClip = distance  # it has no public name
+
+    def _lay_tiles(self, renderer: Any) -> None:
+        """Show the tiles of a terrain."""
+        material = mj.mj_name2id(self._model, mj.mjtObj.mjOBJ_MATERIAL, TERRAIN_TILES)
+        for geom in renderer.scene.geoms[: renderer.scene.ngeom] if material >= 0 else ():
+            if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
+                geom.matid = material
+                geom.rgba = (1.0, 1.0, 1.0, 1.0)
 
     def render_camera(
         self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float

@@ -86,6 +86,10 @@ the floor that is 50 m away."""
 _SAME_PLANE_M = 1e-5
 _MAX_LEVEL = 10
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
+_TERRAIN_SHADE = (0.66, 0.57, 0.43)
+TERRAIN_TILES = "terrain tiles"
+"""The material of a terrain in pictures for people, which shows its steps; cameras see one color."""
+_TILE_COLORS = (0.87, 0.89, 0.91), (0.78, 0.81, 0.84)
 
 
 @dataclass(eq=False)
@@ -249,7 +253,9 @@ class ModelBuilder:
             static_links=frozenset({GROUND}),
         )
         if self._for_rendering:
-            shape |= {"rgba": color} if color else {"material": self._tiles()}
+            shape |= {"rgba": color} if color else {"material": self._tiles("tiles", *_TILE_COLORS)}
+            if world.terrain is not None and world.terrain.color is None:
+                self._tiles(TERRAIN_TILES, TERRAIN_COLOR[:3], _TERRAIN_SHADE)
         geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
@@ -300,13 +306,13 @@ class ModelBuilder:
             }
             spec.worldbody.add_light(type=sun, pos=(0, 0, 10), dir=direction, **dull)
 
-    def _tiles(self) -> str:
-        light, dark = (0.87, 0.89, 0.91), (0.78, 0.81, 0.84)
+    def _tiles(self, name: str, light: Triple, dark: Triple) -> str:
+        """Add a material of tiles in two colors, and return its name."""
         kinds = {"type": mj.mjtTexture.mjTEXTURE_2D, "builtin": mj.mjtBuiltin.mjBUILTIN_CHECKER}
-        self._spec.add_texture(name="tiles", rgb1=light, rgb2=dark, width=256, height=256, **kinds)
-        material = self._spec.add_material(name="tiles", texuniform=True, texrepeat=(4.0, 4.0))
-        material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-        return "tiles"
+        self._spec.add_texture(name=name, rgb1=light, rgb2=dark, width=256, height=256, **kinds)
+        material = self._spec.add_material(name=name, texuniform=True, texrepeat=(4.0, 4.0))
+        material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
+        return name
 
     def _paint(self, line: Line) -> None:
         """Add a box for each piece, and a disc at each of its ends."""

@@ -21,6 +21,7 @@ from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static
 from deepbots_cli.webots.export.nodes import world_text
 
 if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame
     from deepbots_cli.program import Program
     from deepbots_cli.rollout.source import Source
     from deepbots_cli.webots.bridge.task import RemoteRobot
@@ -39,12 +40,14 @@ _PER_WORLD = ("n_steps", "train_freq")
 
 @dataclass(frozen=True, eq=False)
 class WebotsProject:
-    """A scenario that fits Webots, and what differs there."""
+    """A scenario that fits Webots, and what differs there. `starts` are the poses of robots and objects at the
+    start of an episode, by their names in the world."""
 
     compiled: api.Compiled
     project: Project
     remotes: dict[str, RemoteRobot]
     gaps: Gaps
+    starts: dict[str, Frame]
 
 
 def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
@@ -64,8 +67,11 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     recorder = Recorder(engines.create("mujoco", project.world))
     with closing(recorder), closing(project.supervisor(recorder)) as task:
         dynamic_gaps(recorder, task, gaps)
+        task.reset(seed=0)
+        bodies = [body.name for body in project.world.objects] + [*project.robots]
+        starts = {name: recorder.pose(name)() for name in bodies}
     _require_none(compiled.program, gaps)
-    return WebotsProject(compiled, project, _remotes(project, task), gaps)
+    return WebotsProject(compiled, project, _remotes(project, task), gaps, starts)
 
 
 def note_training(prepared: WebotsProject, trained: Program) -> None:
@@ -110,6 +116,7 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
             project.world,
             project.robots,
             prepared.remotes,
+            prepared.starts,
             program.name,
             f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}",
         )

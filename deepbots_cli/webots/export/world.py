@@ -77,6 +77,7 @@ class WorldWriter:
         world: WorldModel,
         robots: dict[str, Robot],
         remotes: dict[str, RemoteRobot],
+        starts: dict[str, Frame],
         title: str,
         info: str,
     ) -> None:
@@ -86,10 +87,11 @@ class WorldWriter:
             world: The world of the scenario, with the copies of a robot.
             robots: The robots by their names in the world, in the order of their channels.
             remotes: The bound controllers, by the same names.
+            starts: The poses of objects and robots before the first reset, by their names in the world.
             title: The title of the world.
             info: What the world says about itself.
         """
-        self._world, self._robots, self._remotes = world, robots, remotes
+        self._world, self._robots, self._remotes, self._starts = world, robots, remotes, starts
         self._title, self._info = title, info
         self._materials: dict[tuple[float, float, float, float], str] = {}
         self.period_ms = round(world.timestep * 1000)
@@ -234,7 +236,7 @@ class WorldWriter:
         return node(
             "Solid",
             names.def_name(thing.name),
-            **_placed(frames.frame(thing.pose)),
+            **self._start(thing),
             name=thing.name,
             contactMaterial=self.material(link.friction),
             children=[_drawn(shape) for shape in link.visuals],
@@ -257,7 +259,11 @@ class WorldWriter:
             "controller": names.controller_name(body.name),
             "selfCollision": True if body.self_collision else None,
         }
-        return NodeText("Robot", names.def_name(body.name), _placed(frames.frame(body.pose)) | fields)
+        return NodeText("Robot", names.def_name(body.name), self._start(body) | fields)
+
+    def _start(self, body: ObjectBody | RobotBody) -> dict[str, Any]:
+        """Return the place of a body at the start of an episode; walls have no other one."""
+        return _placed(self._starts.get(body.name) or frames.frame(body.pose))
 
 
 class _RobotWriter:

@@ -8,26 +8,29 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.robots import model as urdf
 from deepbots_cli.webots.imports.names import Names
+from deepbots_cli.webots.looks import color_of, visible_shape
 from deepbots_cli.webots.nodes import child, is_a, number, real, text, vector, walk
 from deepbots_cli.webots.scene import ORIGIN
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
     from deepbots_cli.webots.findings import WorldFindings
-    from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene
+    from deepbots_cli.webots.scene import Body, Geometry, Joint, Scene, Visual
     from deepbots_cli.webots.shapes import Shape
     from deepbots_cli.webots.syntax import Node
 
 _LIGHT = 1e-3  # kg; the mass of a link that has none, as of a solid without physics at the end of a joint
 _SMALL = 0.01  # m; the radius of the ball that stands for it
+_LINK_SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
+_MAX_FACES = 20_000  # triangles of the visible meshes of a link
 _EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
 
 
@@ -133,11 +136,14 @@ def _link(
 ) -> urdf.Link:
     geometries = [geometry for geometry in body.geometries if geometry.owner not in apart]
     origin = _inverse(_link_frame(body))
+    inside = [node for solid in apart for node in walk([solid])]
+    visuals = [visual for visual in _visuals(scene, body) if visual.node not in inside]
     masses = [
         _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix)
         for inertia in body.inertias
     ]
-    return _link_of(parts.link_of(body), geometries, origin, masses, built, scene, findings, body.parent)
+    link = _link_of(parts.link_of(body), geometries, origin, masses, built, scene, findings, body.parent)
+    return _as_seen(link, visuals, origin, built, scene)
 
 
 def _fixed_link(
@@ -145,7 +151,32 @@ def _fixed_link(
 ) -> urdf.Link:
     geometries = [geometry for geometry in body.geometries if geometry.owner is node]
     origin = _inverse(scene.places[node][1])
-    return _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
+    inside = list(walk([node]))
+    visuals = [visual for visual in _visuals(scene, body) if visual.node in inside]
+    link = _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
+    return _as_seen(link, visuals, origin, built, scene)
+
+
+def _visuals(scene: Scene, body: Body) -> Iterator[Visual]:
+    return (visual for visual in scene.visuals if visual.body is body)
+
+
+def _as_seen(
+    link: urdf.Link, visuals: Sequence[Visual], origin: Frame, built: Built, scene: Scene
+) -> urdf.Link:
+    """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
+    shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
+    drawn = [(visual, shape) for visual, shape in shapes if shape is not None and shape.kind in _LINK_SHAPES]
+    if not drawn or sum(len(shape.faces) for _, shape in drawn) > _MAX_FACES:
+        return link
+    geometries = []
+    for visual, shape in drawn:
+        geometry = _shape(shape, built, f"{link.name}_visual")
+        if geometry is not None:
+            red, green, blue, opacity = map(_unit, color_of(visual.node))
+            pose = _pose(frames.compose(origin, visual.frame))
+            geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
+    return replace(link, visuals=tuple(geometries))
 
 
 def _link_of(

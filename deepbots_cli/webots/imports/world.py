@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from deepbots_cli import frames
 from deepbots_cli.webots.imports.names import scenario_name
 from deepbots_cli.webots.imports.robots import pose_of
+from deepbots_cli.webots.looks import color_of
 from deepbots_cli.webots.nodes import number, numbers, real, rotation, text, vector, walk
 
 if TYPE_CHECKING:
@@ -161,7 +162,18 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
         if friction != 1.0:
             parts.append(f"friction: {plain(friction)}")
         parts.append(f"pose: {_pose_text(frames.compose(body.frame, geometry.frame))}")
+        if color := _color_text(body, scene):
+            parts.append(f"color: '{color}'")
         result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
+
+
+def _color_text(body: Body, scene: Scene) -> str:
+    """Return the color of the first Shape node of a body, such as `#ff0000`; empty without one."""
+    visual = next((visual for visual in scene.visuals if visual.body is body), None)
+    if visual is None:
+        return ""
+    parts = (round(255 * min(max(part, 0.0), 1.0)) for part in color_of(visual.node)[:3])
+    return "#" + "".join(f"{part:02x}" for part in parts)
 
 
 def _leave_out(body: Body, sentence: str, result: Surroundings) -> None:

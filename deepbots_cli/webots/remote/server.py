@@ -71,7 +71,9 @@ class ProcessRunner(Runner):
             with remote_end:
                 process = self._start(controller, remote_end.fileno())
             readers = [
-                threading.Thread(target=_pass_on, args=(source, Prefixed(target, lambda: controller.name)))
+                threading.Thread(
+                    target=_pass_on, args=(source, Prefixed(target, lambda: controller.name, self._on_line))
+                )
                 for source, target in ((process.stdout, self._output), (process.stderr, self._errors))
             ]
             for reader in readers:
@@ -100,6 +102,7 @@ class ProcessRunner(Runner):
             text=True,
             encoding="utf-8",
             errors="replace",
+            start_new_session=True,  # Ctrl-C is for this process, which ends the others
         )
         self._processes.append(process)
         return process

@@ -1,0 +1,255 @@
+"""The page of a world that runs: its bodies in the browser, time, the output of controllers, and keys.
+
+The world does not wait for the page: the thread of the world leaves the poses of the bodies up to 30 times a
+second, and a thread of the page sends them while a browser shows it.
+"""
+
+from __future__ import annotations
+
+import html
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from math import atan, tan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.geometry import HeightGrid
+from deepbots_cli.port import View
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
+from deepbots_cli.view import panel_html, server
+from deepbots_cli.view.manual_input import RELEASE_TIMEOUT_S
+from deepbots_cli.view.panel import set_theme
+from deepbots_cli.view.scene import (
+    MAX_CELLS,
+    add_shape,
+    add_triangles,
+    aim_camera,
+    shaded_mesh,
+    with_edges,
+)
+from deepbots_cli.webots.looks import color_of, visible_shape
+from deepbots_cli.webots.recorder import HEIGHT, WIDTH
+from deepbots_cli.webots.viewpoint import Viewpoint
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.view.manual_input import Axes, Keys
+    from deepbots_cli.webots.pace import Pace
+    from deepbots_cli.webots.shapes import Shape
+    from deepbots_cli.webots.simulation import Simulation
+
+FRAME_RATE = 30
+"""Pictures per second of real time."""
+_FRAMES_PER_TEXT = 6
+_SPEED_INTERVAL_S = 0.5
+_MAX_LINES, _MAX_CHARACTERS, _MAX_ROBOTS = 8, 200, 10
+"""What the page shows of the output: lines of each robot, characters of a line, and robots."""
+_FAREWELL_S = 0.3  # s; the time in which a browser gets the last picture
+_DEFAULT_PLANE_M = 100.0
+_SOLIDS: dict[str, Callable[[Any], Any]] = {
+    "box": Box,
+    "sphere": lambda size: Sphere(*size),
+    "cylinder": lambda size: Cylinder(*size),
+    "capsule": lambda size: Capsule(*size),
+}
+
+
+class HeldKeys:
+    """The keys that are held on the page, as the codes of Webots."""
+
+    def __init__(self) -> None:
+        self._held: tuple[list[int], float] = ([], 0.0)
+
+    def hold(self, keys: Keys, axes: Axes) -> None:
+        """Take the codes that are held now, the newest first. They are released if no message arrives for
+        `RELEASE_TIMEOUT_S`.
+
+        Raises:
+            ValueError: A key is no number.
+        """
+        self._held = [int(key) for key in keys][: server.MAX_KEYS], time.monotonic()
+
+    def codes(self) -> list[int]:
+        codes, at = self._held
+        return codes if time.monotonic() - at < RELEASE_TIMEOUT_S else []
+
+
+class Viewer:
+    """Serves a world: a context manager, and a function to call after each step. `address` is its URL."""
+
+    def __init__(self, simulation: Simulation, pace: Pace, title: str, host: str, port: int | None) -> None:
+        """Start the server, and show the world as it is now.
+
+        Raises:
+            UsageError: The host is unknown, or the port is in use.
+            MissingExtraError: viser is not installed.
+        """
+        self._simulation, self._pace = simulation, pace
+        self._viewpoint = Viewpoint(simulation)
+        keys = HeldKeys()
+        self._server, self.address = server.serve(
+            host, port, f"deepbots {title}", keys.hold, needs_token=True, has_webots_keys=True
+        )
+        try:
+            self._build(title)
+        except BaseException:
+            server.stop(self._server)
+            raise
+        simulation.held_keys = keys.codes
+        pace.on_pause = self._read
+        self._lines: dict[str, deque[str]] = {}
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> Viewer:
+        self._thread.start()
+        return self
+
+    def __call__(self) -> None:
+        """Leave the poses for the page, if it is time for a picture."""
+        if time.monotonic() >= self._due or self._pace.is_paused:
+            self._read()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        if kind is None:  # else the world may still advance in the thread of a controller
+            self._read()
+        self._draw()
+        self._write("the run has ended")
+        if self._server.get_clients():
+            self._server.flush()
+            time.sleep(_FAREWELL_S)
+        server.stop(self._server)
+
+    def print_line(self, robot: str, line: str) -> None:
+        """Show a line that the controller of a robot prints."""
+        lines = self._lines.setdefault(robot, deque(maxlen=_MAX_LINES))
+        lines.append(line[:_MAX_CHARACTERS])
+
+    # The scene
+
+    def _build(self, title: str) -> None:
+        scene, world = self._server.scene, self._simulation.scene
+        self._root = scene.add_frame("/world", show_axes=False)
+        self._nodes = [scene.add_frame(f"/world/{body.index}", show_axes=False) for body in world.bodies]
+        for number, visual in enumerate(world.visuals):
+            shape = visible_shape(visual, world.files)
+            if shape is not None:
+                above = "/world" if visual.body is None else f"/world/{visual.body.index}"
+                self._add(f"{above}/shape{number}", shape, color_of(visual.node), visual.frame)
+        self._sent = np.full((len(self._nodes), 7), np.nan)
+        self._read()
+        self._draw()
+        self._aim()
+        self._add_panel(title)
+
+    def _add(self, name: str, shape: Shape, color: Any, frame: Frame) -> None:
+        import trimesh
+
+        scene, size = self._server.scene, shape.size
+        match shape.kind:
+            case "box" | "sphere" | "cylinder" | "capsule":
+                add_shape(scene, name, _SOLIDS[shape.kind](size), color, frame)
+            case "mesh":
+                solid = trimesh.Trimesh(shape.vertices, shape.faces, process=False)
+                add_triangles(scene, name, with_edges(solid), color, frame)
+            case "plane":
+                x, y = (*size, _DEFAULT_PLANE_M, _DEFAULT_PLANE_M)[:2]
+                flat = HeightGrid(np.zeros((2, 2)), (x, y)).triangles()
+                add_triangles(scene, name, trimesh.Trimesh(*flat, process=False), color, frame)
+            case "grid":
+                heights = np.array(shape.heights).reshape(-1, shape.columns)
+                points, faces = HeightGrid(heights, (size[0], size[1])).with_at_most(MAX_CELLS).triangles()
+                solid = shaded_mesh(points + np.array([size[0] / 2, size[1] / 2, 0.0]), faces, color)
+                scene.add_mesh_trimesh(name, solid, position=frame[0], wxyz=frames.wxyz(frame[1]))
+
+    def _aim(self) -> None:
+        """Look from the viewpoint; a person turns the camera around the middle of the bodies."""
+        eye, turned = self._viewpoint.frame
+        ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
+        middle = self._poses[:, :3].mean(axis=0) if len(self._poses) else np.zeros(3)
+        distance = max(0.1, float((middle - eye) @ ahead))
+        vertical = 2 * atan(tan(self._viewpoint.fov / 2) * HEIGHT / WIDTH)
+        aim_camera(self._server, View(eye, frames.add(eye, frames.scaled(ahead, distance)), fov=vertical))
+        self._server.initial_camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
+
+    # The panel
+
+    def _add_panel(self, title: str) -> None:
+        gui, pace = self._server.gui, self._pace
+        set_theme(gui, dark=False)
+        gui.set_panel_label(title)
+        gui.main_panel.dock_right()
+        self._state = gui.add_html("")
+        acts: dict[str, Callable[[], None]] = {
+            "pause": pace.pause,
+            "step": pace.step_once,
+            "real time": lambda: pace.run(is_fast=False),
+            "fast": lambda: pace.run(is_fast=True),
+        }
+        buttons = gui.add_button_group(
+            "time", tuple(acts), hint="pause; one basic time step; at the pace of a clock; as fast as it can"
+        )
+        buttons.on_click(lambda event: acts[event.target.value]())
+        gui.add_html(panel_html.hint("Keys that you press on this page are those of each Keyboard."))
+        self._output = gui.add_html("")
+        self._speed, self._since = 0.0, (time.monotonic(), self._simulation.ticks)
+
+    def _write(self, state: str) -> None:
+        """Write the state of the run, and what the controllers printed."""
+        simulation, now = self._simulation, time.monotonic()
+        seconds = now - self._since[0]
+        if seconds >= _SPEED_INTERVAL_S:
+            self._speed = (simulation.ticks - self._since[1]) / 1000 / seconds
+            self._since = now, simulation.ticks
+        speed = f"{self._speed:.2g} times real time" if state == "running" else ""
+        self._state.content = panel_html.notice(
+            state, f"{simulation.time / 1000:.3f} s of simulated time<br>{speed}", "#0072B2"
+        )
+        printed = list(self._lines.items())
+        output = "".join(_lines_of(name, list(lines)) for name, lines in printed[:_MAX_ROBOTS])
+        if len(printed) > _MAX_ROBOTS:
+            output += panel_html.hint(f"and {len(printed) - _MAX_ROBOTS} more robots")
+        if output != self._output.content:
+            self._output.content = output
+
+    # While the world runs
+
+    def _read(self) -> None:
+        """Leave the poses for the page, in the thread of the world."""
+        self._due = time.monotonic() + 1 / FRAME_RATE
+        self._poses, self._moved = self._simulation.physics.poses(), self._viewpoint.moved()
+
+    def _serve(self) -> None:
+        drawn = 0
+        while not self._ended.wait(1 / FRAME_RATE):
+            if self._server.get_clients():
+                self._draw()
+                if drawn % _FRAMES_PER_TEXT == 0:
+                    self._write("paused" if self._pace.is_paused else "running")
+                drawn += 1
+
+    def _draw(self) -> None:
+        """Send the poses that have changed. The world moves, and not the camera, which belongs to a person."""
+        poses, (x, y, z) = self._poses, self._moved
+        with self._server.atomic():
+            for row in np.flatnonzero((poses != self._sent).any(axis=1)):
+                self._nodes[row].position, self._nodes[row].wxyz = poses[row, :3], poses[row, 3:]
+            self._root.position = (-x, -y, -z)
+        self._sent = poses
+
+
+def _lines_of(robot: str, lines: list[str]) -> str:
+    """Return the lines that the controller of a robot printed, as HTML."""
+    style = "margin:0 1.2em;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.75em"
+    text = html.escape("\n".join(lines))
+    return f"{panel_html.heading(robot)}<pre style='{style}'>{text}</pre>"

@@ -1,0 +1,398 @@
+"""`deepbots webots --view`: the page of a run, its pace, and keys for a Keyboard."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+import msgspec
+import viser
+import zstandard
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.view import access
+from deepbots_cli.webots import supervisor
+from deepbots_cli.webots.pace import MAX_DELAY_S, Pace
+from deepbots_cli.webots.project import Program
+from deepbots_cli.webots.runner import Runner
+from deepbots_cli.webots.simulation import Simulation
+from deepbots_cli.webots.supervisor import Keyboard
+from deepbots_cli.webots.viewer import FRAME_RATE, Viewer
+from tests.view.browser import CHROMIUM, browser
+from tests.view.test_page import CAMERA
+from tests.webots.worlds_of_webots import HEADER, simulate, solid
+
+ROOT = Path(__file__).parents[2]
+SHAPES = """Solid { children [ Shape { geometry Plane { size 3 3 } } Shape { geometry Cone { } }
+  Shape { geometry ElevationGrid { xDimension 3 yDimension 3 height [ 0 0 0 0 1 0 0 0 0 ] } }
+  Shape { geometry Capsule { } } Shape { geometry Cylinder { } } Shape { geometry Sphere { } }
+  Shape { geometry IndexedFaceSet { coord Coordinate { point [ 0 0 0 1 0 0 0 1 0 0 0 1 ] }
+    coordIndex [ 0 2 1 -1 0 1 3 -1 1 2 3 -1 2 0 3 -1 ] } } ] }"""
+BALL = solid("Sphere { radius 0.2 }", "translation 0 0 2 children [ Shape { geometry Sphere { } } ]")
+
+
+class Page:
+    """What a browser asks a viewer for."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.origin, _, self.token = viewer.address.partition("/?token=")
+        self.port = int(self.origin.rpartition(":")[2])
+
+    def get(self, path: str = "/", cookie: str = "") -> http.client.HTTPResponse:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        connection.request("GET", path, headers={"Cookie": cookie} if cookie else {})
+        answer = connection.getresponse()
+        answer.read()
+        connection.close()
+        return answer
+
+    @property
+    def cookie(self) -> str:
+        return self.get(f"/?token={self.token}").headers["Set-Cookie"].partition(";")[0]
+
+    def open(self, path: str = "/", cookie: str = "") -> ClientConnection:
+        return connect(
+            f"ws://127.0.0.1:{self.port}{path}",
+            origin=self.origin,
+            subprotocols=[f"viser-v{viser.__version__}"],
+            additional_headers={"Cookie": cookie},
+            max_size=None,
+            max_queue=None,
+        )
+
+
+@contextmanager
+def viewed(simulation: Simulation, pace: Pace | None = None) -> Iterator[tuple[Viewer, Page]]:
+    """A viewer of a world, which `supervisor` acts on."""
+    pace = pace or Pace(simulation, is_fast=True)
+    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0) as viewer:
+        supervisor.activate(simulation)
+        try:
+            yield viewer, Page(viewer)
+        finally:
+            supervisor.deactivate()
+
+
+def _messages(wire: ClientConnection) -> list[dict[str, Any]]:
+    """The next messages of viser, which come packed behind a header of 16 bytes."""
+    packet = wire.recv(timeout=20)
+    assert isinstance(packet, bytes)
+    text = zstandard.ZstdDecompressor().decompressobj().decompress(packet[16:])
+    return msgspec.msgpack.decode(text)["messages"]
+
+
+def _positions(wire: ClientConnection) -> dict[str, tuple[float, float, float]]:
+    """The next positions that a browser gets, by node."""
+    while True:
+        moved = [each for each in _messages(wire) if each["type"] == "SetPositionMessage"]
+        if moved:
+            return {each["name"]: each["position"] for each in moved}
+
+
+def _wait(holds: Callable[[], bool], seconds: float = 20.0) -> None:
+    """Wait until a condition holds once."""
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+# The page
+
+
+def test_the_page_and_its_sockets_need_the_token():
+    with viewed(simulate(BALL)) as (_, page):
+        assert len(page.token) > 16
+        assert page.get().status == 403
+        assert page.get("/?token=wrong").status == 403
+        for path in ("/", "/drive"):
+            with pytest.raises(InvalidStatus, match="403"):
+                page.open(path)
+        cookie = page.cookie
+        assert page.get(cookie=cookie).status == 200
+        for path in ("/", "/drive"):
+            page.open(path, cookie).close()
+
+
+def test_a_browser_gets_each_shape_and_then_what_moves():
+    simulation = simulate(SHAPES + BALL)
+    with viewed(simulation) as (viewer, page), page.open(cookie=page.cookie) as wire:
+        wire.send(msgspec.msgpack.encode(CAMERA))
+        kinds = {each["name"]: each["type"] for each in _messages(wire) if "props" in each and "name" in each}
+        assert [kinds[f"/world/0/shape{number}"] for number in range(7)] == [
+            *("MeshMessage", "MeshMessage", "GlbMessage", "MeshMessage", "CylinderMessage"),
+            *("IcosphereMessage", "MeshMessage"),
+        ]
+        assert kinds["/world/1/shape7"] == "IcosphereMessage"
+        _fall(simulation, viewer)
+        moved = _positions(wire)
+        assert moved["/world/1"] == pytest.approx(simulation.physics.poses()[1, :3])
+        assert "/world/0" not in moved
+
+
+def test_the_world_moves_below_a_viewpoint_that_follows():
+    view = 'Viewpoint { position -5 0 1 follow "ball" }'
+    simulation = simulate(view + BALL.replace("DEF BODY Solid {", 'DEF BODY Solid { name "ball"'))
+    with viewed(simulation) as (viewer, page), page.open(cookie=page.cookie) as wire:
+        wire.send(msgspec.msgpack.encode(CAMERA))
+        _messages(wire)
+        _fall(simulation, viewer)
+        moved = _positions(wire)
+        assert moved["/world/0"][2] < 1.9
+        assert moved["/world"] == pytest.approx((0.0, 0.0, 2.0 - moved["/world/0"][2]))
+
+
+def _fall(simulation: Simulation, viewer: Viewer) -> None:
+    """Run for 0.2 s, and let the viewer see where it led."""
+    for _ in range(25):
+        simulation.run_step()
+    time.sleep(1 / FRAME_RATE)
+    viewer()
+
+
+def test_a_busy_port_and_a_missing_extra_are_errors(monkeypatch):
+    simulation = simulate(BALL)
+    pace = Pace(simulation, is_fast=True)
+    with viewed(simulation, pace) as (_, page), pytest.raises(UsageError, match=f"port {page.port} of"):
+        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, page.port)
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(MissingExtraError, match="a page in the browser needs the 'view' extra"):
+        Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0)
+
+
+# Keys
+
+
+def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
+    simulation = simulate(BALL, step=8)
+    with viewed(simulation) as (_, page):
+        keyboard, other = Keyboard(), Keyboard()
+        keyboard.enable(8)
+        other.enable(16)
+        with page.open("/drive", page.cookie) as wire:
+            shift_a = ord("A") + Keyboard.SHIFT
+            wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+
+            def arrived() -> bool:
+                simulation.run_step()
+                wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+                return keyboard.getKey() == shift_a
+
+            _wait(arrived)
+            assert [keyboard.getKey() for _ in range(3)] == [Keyboard.LEFT, -1, -1]
+
+            def arrived_there() -> bool:
+                simulation.run_step()
+                wire.send(f"{shift_a}+{Keyboard.LEFT}|")
+                return [other.getKey() for _ in range(3)] == [shift_a, Keyboard.LEFT, -1]
+
+            _wait(arrived_there)
+
+            def has_seven() -> bool:
+                wire.send("+".join(map(str, range(65, 75))) + "|")
+                simulation.run_step()
+                return [keyboard.getKey() for _ in range(8)] == [*range(65, 72), -1]
+
+            _wait(has_seven)
+
+        def released() -> bool:
+            simulation.run_step()
+            return keyboard.getKey() == -1
+
+        _wait(released, 2.0)
+        keyboard.disable()
+        assert (keyboard.getSamplingPeriod(), keyboard.getKey()) == (0, -1)
+    assert capsys.readouterr().err == ""
+
+
+def test_rubbish_for_keys_presses_none(capfd):
+    simulation = simulate(BALL)
+    with viewed(simulation) as (_, page):
+        keyboard = Keyboard()
+        keyboard.enable(8)
+        for text in ("KeyW|", "65+x|", "1.5|", b"\x00"):
+            with page.open("/drive", page.cookie) as wire:
+                wire.send(text)
+                time.sleep(0.05)
+            simulation.run_step()
+            assert keyboard.getKey() == -1
+    assert capfd.readouterr().err == ""
+
+
+# Time
+
+
+def test_a_world_in_real_time_waits_and_does_not_catch_up():
+    simulation = simulate(BALL, step=20)
+    pace = Pace(simulation, is_fast=False)
+    begin = time.monotonic()
+    for _ in range(10):
+        pace.wait()
+        simulation.run_step()
+    assert time.monotonic() - begin > 0.17
+    time.sleep(0.4)  # such as the training of a controller
+    begin = time.monotonic()
+    for _ in range(20):
+        pace.wait()
+        simulation.run_step()
+    assert time.monotonic() - begin > 0.38 - MAX_DELAY_S
+
+
+def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
+    controller = tmp_path / "controllers" / "c" / "c.py"
+    controller.parent.mkdir(parents=True)
+    controller.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
+    simulation = simulate('Robot { controller "c" }')
+    pace = Pace(simulation, is_fast=True)
+    pace.pause()
+    programs = [(simulation.scene.robots[0], Program("c", controller))]
+    runner = Runner(simulation, programs, steps=40, timeout=0.3, pace=pace)
+    outcomes = []
+    thread = threading.Thread(target=lambda: outcomes.append(runner.run()))
+    thread.start()
+    time.sleep(1.0)
+    assert simulation.ticks == 0
+    for _ in range(3):
+        pace.step_once()
+    _wait(lambda: simulation.ticks == 3 * 8)
+    time.sleep(0.1)
+    assert simulation.ticks == 3 * 8
+    pace.run(is_fast=True)
+    thread.join(20)
+    assert [(outcome.exit_code, outcome.steps) for outcome in outcomes] == [(0, 40)]
+
+
+# Runs
+
+WORLD = f"""{HEADER}WorldInfo {{ basicTimeStep 32 gravity 0 }}
+Viewpoint {{ position -4 0 0 }}
+DEF BALL Solid {{ translation 0 0 0
+  children [ DEF SHAPE Shape {{ appearance PBRAppearance {{ baseColor 1 0 0 }} geometry Sphere {{ radius 0.4 }} }} ]
+  boundingObject USE SHAPE physics Physics {{ }} }}
+Robot {{ name "boss" supervisor TRUE controller "boss" }}"""
+BOSS = """
+from controller import Keyboard, Supervisor
+boss = Supervisor()
+boss.keyboard.enable(32)
+ball = boss.getFromDef("BALL").getField("translation")
+print("<b>ready</b>")
+for step in range({steps}):
+    boss.step(32)
+    while (key := boss.keyboard.getKey()) != -1:
+        print("pressed", key)
+        ball.setSFVec3f([0, 1.0 if key == Keyboard.LEFT else -1.0, 0])
+        if key == ord("Q") + Keyboard.CONTROL:
+            raise SystemExit(3)
+print(boss.getFromDef("BALL").getPosition())
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    (tmp_path / "worlds").mkdir()
+    (tmp_path / "worlds" / "w.wbt").write_text(WORLD, encoding="utf-8")
+    (tmp_path / "controllers" / "boss").mkdir(parents=True)
+    return tmp_path
+
+
+def _start(project: Path, steps: int, *options: str) -> subprocess.Popen[str]:
+    project.joinpath("controllers", "boss", "boss.py").write_text(BOSS.format(steps=steps), encoding="utf-8")
+    words = [sys.executable, "-m", "deepbots_cli", "webots", str(project / "worlds" / "w.wbt")]
+    return subprocess.Popen(
+        [*words, "--allow-code", *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+
+
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[None]:
+    """End a process that a failed test leaves."""
+    try:
+        yield
+    finally:
+        process.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--processes"]])
+def test_a_run_with_a_page_is_the_same_run(project: Path, options: list[str]):
+    plain, seen = (
+        _start(project, 60, "--fast", *options, *more).communicate(timeout=120)
+        for more in ([], ["--view", "--port", "0"])
+    )
+    assert seen[0] == plain[0]
+    assert "no key of the Keyboard is ever pressed: there is no window; with --view" in plain[1]
+    assert re.search(r"^http://127\.0\.0\.1:\d+/\?token=\S{20,}$", seen[1], re.MULTILINE)
+    assert "Keyboard" not in seen[1]
+
+
+def test_a_port_needs_the_page(project: Path):
+    process = _start(project, 1, "--port", "0")
+    assert "--port needs --view" in process.communicate(timeout=60)[1]
+    assert process.returncode == 2
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
+@pytest.mark.parametrize("options", [[], ["--processes"]])
+def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path, options: list[str]):
+    process = _start(project, 100_000, "--view", "--port", "0", *options)
+    assert process.stderr is not None
+
+    def press(key: str, code: str, modifiers: int = 0, *, down: bool = True) -> None:
+        kind = "rawKeyDown" if down else "keyUp"
+        tab.call("Input.dispatchKeyEvent", type=kind, key=key, code=code, modifiers=modifiers)
+
+    def reds() -> int:
+        """The mean column of the ball."""
+        image = tab.see()[:, :450].astype(int)
+        columns = np.flatnonzero((image[..., 0] - image[..., 1:].max(axis=2) > 60).any(axis=0))
+        return int(columns.mean()) if len(columns) > 10 else -1
+
+    with ended(process), browser() as new_tab:
+        tab = new_tab()
+        tab.open(process.stderr.readline().strip())
+        tab.wait("document.body.innerText.includes('<b>ready</b>')")
+        _wait(lambda: reds() > 0, 120)
+        middle = reds()
+        press("ArrowLeft", "ArrowLeft")
+        tab.wait("document.body.innerText.includes('pressed 314')")
+        press("ArrowLeft", "ArrowLeft", down=False)
+        _wait(lambda: 0 < reds() < middle - 30, 60)
+        press("A", "KeyA", 8)
+        tab.wait(f"document.body.innerText.includes('pressed {ord('A') + Keyboard.SHIFT}')")
+        tab.run("dispatchEvent(new Event('blur')); 1")
+        tab.click("pause")
+        tab.wait("document.body.innerText.includes('paused')")
+        time.sleep(1.0)  # the step that was under way ends
+        state = tab.text
+        time.sleep(0.5)
+        assert tab.text == state
+        tab.click("step")
+        tab.wait(f"document.body.innerText != {state!r}")
+        tab.click("real time")
+        _wait(lambda: reds() > middle + 30, 60)
+        press("q", "KeyQ", 2)
+        tab.wait("document.body.innerText.includes('the run has ended')")
+        assert tab.errors == []
+        process.communicate(timeout=60)
+        assert process.returncode == 3
