@@ -8,10 +8,13 @@ rules.md     every finding, from the registry of rules and the docstrings of lin
 commands.md  every command with its options, from the help of the commands
 glossary.md  terms of reinforcement learning and their place in the language, from the glossary of `deepbots
 explain`
+
+It also writes the table of `deepbots_cli/scenario/isaac_lab.py` from docs/isaac-lab.md.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterable, Iterator
 from inspect import cleandoc
@@ -45,6 +48,7 @@ from deepbots_cli.scenario.base import (
     unit_of,
 )
 from deepbots_cli.scenario.fields import Expression, FieldType, Quantity
+from deepbots_cli.scenario.isaac_lab import TERMS_FILE
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -545,6 +549,32 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for name, text in pages().items():
         (FOLDER / name).write_text(text, encoding="utf-8")
+    TERMS_FILE.write_text(isaac_lab_terms(), encoding="utf-8")
+
+
+def isaac_lab_terms() -> str:
+    """Return the table of terms as JSON, a row a line."""
+    page = (FOLDER.parent / "isaac-lab.md").read_text(encoding="utf-8")
+    rows = ",\n".join(json.dumps(row) for row in _isaac_lab_rows(page))
+    return f"[\n{rows}\n]\n"
+
+
+def _isaac_lab_rows(page: str) -> Iterator[dict[str, Any]]:
+    """The rows of all tables with a column `under`; a row without a name continues the one above."""
+    for table in re.findall(r"^\| \w+ \| under .*\n\|[-|]+\n((?:\|.*\n)+)", page, re.MULTILINE):
+        rows: list[dict[str, Any]] = []
+        for text in table.splitlines():
+            head, under, line, *observed = [
+                cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", text)[1:-1]
+            ]
+            if head:
+                rows.append({"names": re.findall(r"`([^`]+)`", head), "lines": [], "reason": ""})
+            if line.startswith("`"):
+                rows[-1]["lines"].append([under.strip("`"), line.strip("`")])
+            else:
+                rows[-1]["reason"] = line.replace("`", "")
+            rows[-1]["lines"] += [["observation", entry.strip("`")] for entry in observed if entry]
+        yield from rows
 
 
 if __name__ == "__main__":

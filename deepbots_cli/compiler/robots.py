@@ -150,10 +150,18 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, n
     if not set(pattern) & set("*?["):
         values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
     else:
-        near = _similar_pattern(pattern, names)
+        near = _without_regular_expression(pattern, names) or _similar_pattern(pattern, names)
         help = f"did you mean `{near}`? {choices_help('', names)}" if near else choices_help(pattern, names)
+        if ".*" in pattern:
+            help = f"patterns are no regular expressions: `*` stands for any characters; {help}"
         fix = Fix.replacing(span, pattern, near, safe=False) if near else None
         values.add("DB206", span, f"`{pattern}` matches no {what}", help, fix=fix)
+
+
+def _without_regular_expression(pattern: str, names: Sequence[str]) -> str | None:
+    """Return `*_toe` for `.*_toe`; None if this matches nothing either."""
+    plain = pattern.strip("^$").replace(".*", "*")
+    return plain if plain != pattern and matching_names(names, plain) else None
 
 
 def _similar_pattern(pattern: str, names: Sequence[str]) -> str | None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from deepbots_cli.compiler.namespace import Namespace
 from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.document.nodes import NodePath
-from deepbots_cli.program.task import Agent, Mirror, Symmetry
+from deepbots_cli.program.task import ActionRange, Agent, Mirror, Symmetry, action_names
 from deepbots_cli.scenario.training import Symmetry as SymmetrySpec
 
 _PATH: NodePath = ("train", "symmetry")
@@ -39,7 +39,7 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
         return None
     if namespace.values.findings.errors:
         return None  # a name that another mistake has left out is no mistake of the symmetry
-    reader = _SymmetryReader(written, namespace.values)
+    reader = _SymmetryReader(written, namespace.values, _acted_before(agent))
     if not reader.is_inverse:
         return None
     if agent.goal is not None or agent.images:
@@ -65,11 +65,25 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     return Symmetry(observation, ranges, tuple(list(choices).index(name) for name in sources), options)
 
 
+def _acted_before(agent: Agent) -> dict[str, str]:
+    """Return the number of the action that each number of a previous action repeats:
+    `previous_action.left` of an only range `speed` repeats `speed.left`."""
+    acted = [
+        name
+        for part in agent.action
+        for name in (
+            part.names if isinstance(part, ActionRange) else (option.name for option in part.options)
+        )
+    ]
+    return dict(zip((f"{_PREVIOUS}{name}" for name in action_names(agent.action)), acted, strict=True))
+
+
 class _SymmetryReader:
     """Finds mirror images of names. `is_inverse` is false after a finding about the pairs of words."""
 
-    def __init__(self, spec: SymmetrySpec, values: ValueReader) -> None:
+    def __init__(self, spec: SymmetrySpec, values: ValueReader, acted_before: Mapping[str, str]) -> None:
         self._values, self._flips = values, spec.flip
+        self._acted_before = acted_before
         self._words: dict[str, str] = {}
         self.is_inverse = True
         for word, other in spec.swap.items():
@@ -93,7 +107,7 @@ class _SymmetryReader:
 
     def _changes_sign(self, name: str) -> bool:
         """Return whether a number is listed under `flip`; a previous action has the sign of the action."""
-        names = (name, name.removeprefix(_PREVIOUS))
+        names = (name, self._acted_before.get(name, name))
         return any(fnmatchcase(candidate, pattern) for pattern in self._flips for candidate in names)
 
     def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
@@ -119,7 +133,7 @@ class _SymmetryReader:
             factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, image_number, sign)
             factors.append(factor)
             offsets.append(offset)
-        self._report_missing(section, missing)
+        self._report_missing(section, missing, [number.name for number in numbers])
         for name, reason in list(wrong.items())[:1]:
             more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
             self._values.add(
@@ -142,8 +156,8 @@ class _SymmetryReader:
             return "a truth value cannot change its sign"
         return ""
 
-    def _report_missing(self, section: str, missing: Mapping[str, str]) -> None:
-        """Report numbers whose mirror image is not in the section."""
+    def _report_missing(self, section: str, missing: Mapping[str, str], names: Sequence[str]) -> None:
+        """Report numbers whose mirror image is not in the section, which has these names."""
         if not missing:
             return
         name, image = next(iter(missing.items()))
@@ -152,8 +166,25 @@ class _SymmetryReader:
             "DB201",
             (*_PATH, "swap"),
             f"the {section} has no `{image}`, the mirror image of `{name}`{more}",
-            f"change the words under `swap`, or add `{image}` to the {section}",
+            self._longer_words(name, names)
+            or f"change the words under `swap`, or add `{image}` to the {section}",
         )
+
+    def _longer_words(self, name: str, names: Sequence[str]) -> str:
+        """Return the help where a word of a name without mirror image is a part of names that have one; empty
+        for other names."""
+        words = self._pattern.findall(name) if self._pattern else []
+        for other in names:
+            image = self.image(other)
+            pairs = zip(other.split("."), image.split("."), strict=False)
+            shared = set(words) & set(self._pattern.findall(other)) if self._pattern else set()
+            part, part_image = next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
+            if shared and image in names and part not in self._words:
+                return (
+                    f"`{min(shared)}` under `swap` is a word of `{name}` too: write whole parts of the names"
+                    f" that change places, such as `{part}: {part_image}`"
+                )
+        return ""
 
     def options(self, choices: Mapping[str, Sequence[str]]) -> tuple[tuple[int, ...], ...] | None:
         """Return for each choice the mirror image of each option of its source; None after a finding."""

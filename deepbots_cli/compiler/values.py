@@ -41,6 +41,7 @@ from deepbots_cli.expressions.unification import expect_kind, expect_range, expe
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.scenario.base import Section, section_fields
 from deepbots_cli.scenario.fields import FieldType, Quantity, choices_help
+from deepbots_cli.scenario.isaac_lab import term_help
 from deepbots_cli.scenario.keys import replacement_for
 from deepbots_cli.scenario.synonyms import word_for
 
@@ -326,6 +327,8 @@ class ValueReader:
             ):
                 help, replacement = f"a `#` after a space begins a comment, which hides `{hidden[1]}`", None
                 help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
+            if code == "DB402" and "_" in piece:
+                help = term_help(piece) or help
             word = self._word_replacement(text, piece) if code == "DB402" else None
             if word and not (help or "").startswith("did you mean"):
                 help = f"write the word `{word}`, or a value; {help}"
@@ -485,6 +488,12 @@ class ValueReader:
         ):
             odd = low
             help = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+            if text.path[-1:] == ("noise",) and low == -high:
+                help = (
+                    "noise is Gaussian, and `noise` is its standard deviation: write"
+                    f" `noise: {_with_unit(float(f'{high / math.sqrt(3.0):.2g}'), unit)}`, which spreads as"
+                    f" much as this uniform noise; `bias: {text.text}` is drawn once per episode"
+                )
         elif maximum is not None and math.isfinite(high) and high > maximum:
             odd, help = high, f"write at most {_with_unit(maximum, unit)}"
         elif (

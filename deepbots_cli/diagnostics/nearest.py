@@ -17,6 +17,8 @@ _MIN_PREFIX = 3
 `left_hinge`."""
 
 
+_LIKE = 0.5
+"""The likeness from which a word comes before others in a shortened list."""
 MAX_BESIDE = 8
 """The number of words up to which a message lists all of them beside one that is almost certainly meant."""
 
@@ -47,6 +49,26 @@ def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
         else []
     )
     return longer[0] if len(longer) == 1 else None
+
+
+def nearest_first(word: str, known: Iterable[str], limit: int) -> list[str]:
+    """Return the `known` words; of more than `limit`, those like `word` come first, so that a shortened list
+    has them."""
+    words = list(known)
+    if len(words) <= limit or not word:
+        return words
+    from difflib import SequenceMatcher  # as above
+
+    matcher = SequenceMatcher(b=word[:_MAX_LENGTH].lower())
+
+    def likeness(name: str) -> float:
+        matcher.set_seq1(name[:_MAX_LENGTH].lower())
+        return matcher.ratio()
+
+    by_likeness = {name: likeness(name) for name in words[:_MAX_COMPARED]}
+    like = [name for name in by_likeness if by_likeness[name] >= _LIKE]
+    like.sort(key=by_likeness.__getitem__, reverse=True)
+    return [*like, *(name for name in words if by_likeness.get(name, 0.0) < _LIKE)]
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

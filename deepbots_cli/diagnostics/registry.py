@@ -276,6 +276,12 @@ _CATALOG = (
         "warning",
         "a reading of the world that nothing supplies on a real robot",
     ),
+    Rule(
+        "DB618",
+        "wrong-mirror-image",
+        "warning",
+        "a mirror image that contradicts the robot file or the names of its numbers",
+    ),
     Rule("DB701", "reward-unbounded", "warning", "a reward term that is unbounded"),
     Rule(
         "DB702",

@@ -13,7 +13,13 @@ from functools import partial
 from itertools import chain
 from typing import NamedTuple, TypeVar
 
-from deepbots_cli.diagnostics.nearest import MAX_BESIDE, Replacement, is_typo, suggest_replacement
+from deepbots_cli.diagnostics.nearest import (
+    MAX_BESIDE,
+    Replacement,
+    is_typo,
+    nearest_first,
+    suggest_replacement,
+)
 from deepbots_cli.expressions import syntax
 from deepbots_cli.expressions.dimensions import ANGLE, NUMBER, TIME, Dimension, prefixed_unit, suggest_unit
 from deepbots_cli.expressions.functions import (
@@ -121,6 +127,8 @@ _FUNCTION_OF_KIND = {
     Kind.SENSOR: "age",
     Kind.CAMERA: "age",
 }
+_MAX_LISTED = 20
+"""The number of names that a message lists."""
 # Hints for unknown names besides the known ones.
 _NAME_HELP = {"pi": "half a turn is `180 deg`"}
 _CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
@@ -436,7 +444,8 @@ class _Checker:
         names = sorted(choices)
         owned = with_owner(name, names)
         near = owned or suggest_replacement(name, names)
-        listed = "; ".join(filter(None, (_known(names, "no name can be used here"), None if near else also)))
+        shown = _known(names, "no name can be used here", name)
+        listed = "; ".join(filter(None, (shown, None if near else also)))
         is_clear = (
             near is not None and len(names) > MAX_BESIDE and (owned is not None or is_typo(name, near.text))
         )
@@ -884,8 +893,10 @@ def with_owner(name: str, known: Sequence[str]) -> Replacement | None:
     return Replacement(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
 
 
-def _known(names: list[str], none: str) -> str:
-    return f"known names: {shortened_list((f'`{name}`' for name in sorted(names)), 20)}" if names else none
+def _known(names: list[str], none: str, like: str = "") -> str:
+    """Return the names in their order; the most similar ones first, if there are too many to list."""
+    ordered = nearest_first(like, sorted(names), _MAX_LISTED)
+    return f"known names: {shortened_list((f'`{name}`' for name in ordered), _MAX_LISTED)}" if names else none
 
 
 def _one_of(kinds: frozenset[Kind]) -> str:

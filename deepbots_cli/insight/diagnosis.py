@@ -55,6 +55,7 @@ from deepbots_cli.insight.stages import (
     criterion_text,
     easy_stage_counted,
     hides_success,
+    levels_stay_lowest,
     needs_exploration,
     some_starts_fail,
     stage_too_hard,
@@ -636,6 +637,8 @@ def horizon_too_short(evidence: TrainingEvidence) -> Numbers | None:
     if length * (1.0 - gamma) < _HIDDEN:
         return None
     is_far = length * (1.0 - gamma) > 5 * _HIDDEN
+    if not is_far and evidence.facts.pays_in_ordinary_steps_only:
+        return None
     if not (has_successes or is_far) and (
         evidence.facts.terms_towards_success or not evidence.program.defines_success
     ):
@@ -903,6 +906,7 @@ CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
     reward_apart_from_success,
     # Starts, stages and teachers
     stuck_in_stage,
+    levels_stay_lowest,
     script_succeeds,
     teacher_fails,
     teacher_sees_more,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Mapping as Dictionary
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,6 +82,7 @@ def scenario_tables(
             "goal": {key: text for key, text in goal.items() if text} if scenario.agent.goal else {},
             "observation": _observation(scenario),
             "critic": _critic(scenario),
+            "mirror_images": _mirror_images(scenario),
             "timing": timing(scenario),
             **_course(scenario, root),
             **_training(scenario, root, run, learner),
@@ -672,6 +673,47 @@ def _critic(scenario: Program) -> list[Row]:
         for place, row in enumerate(_observation(wide))
         if place < len(wide.agent.inputs) and place not in columns
     ]
+
+
+def _mirror_images(scenario: Program) -> list[Row]:
+    """Return a row per number of the observation and the action, and per option, with its mirror image and
+    the sign of that; none without `symmetry`."""
+    members = {name: member.program for name, member in scenario.members.items()} or {"": scenario}
+    return [
+        {**({"agent": name} if name else {}), **row}
+        for name, program in members.items()
+        for row in _mirror_images_of(program)
+    ]
+
+
+def _mirror_images_of(scenario: Program) -> Iterator[Row]:
+    training = scenario.agent.training
+    if training is None or training.symmetry is None:
+        return
+    symmetry = training.symmetry
+    inputs = scenario.with_critic.agent.inputs
+    observed = [f"{entry.name}{f', {ago} steps ago' if (ago := entry.steps_ago) else ''}" for entry in inputs]
+    acted = list(scenario.agent.range_names)
+    for section, names, mirror in (
+        ("observation", observed, symmetry.observation),
+        ("action", acted, symmetry.ranges),
+    ):
+        for name, source, factor in zip(names, mirror.sources, mirror.factors, strict=True):
+            yield {
+                "of": section,
+                "name": name,
+                "mirror_image": names[source],
+                "sign": -1 if factor < 0 else 1,
+            }
+    choices = scenario.agent.choices
+    for choice, source, options in zip(choices, symmetry.choices, symmetry.options, strict=True):
+        for option, image in zip(choices[source].options, options, strict=True):
+            image_name = f"{choice.name}.{choice.options[image].name}"
+            yield {
+                "of": "action",
+                "name": f"{choices[source].name}.{option.name}",
+                "mirror_image": image_name,
+            }
 
 
 def _reset(scenario: Program, root: Node) -> list[Row]:

@@ -79,6 +79,18 @@ class ScenarioFacts:
             name for name, _ in sorted(towards, key=lambda entry: not is_progress(self._analysis, entry[1]))
         )
 
+    @cached_property
+    def pays_in_ordinary_steps_only(self) -> bool:
+        """Whether ordinary steps can pay, and a success itself does not, so that no reward comes late."""
+        reward = self._analysis.reward
+        running, (ordinary, final) = reward.ranges_while_running(), reward.split_by_end()
+        at_success = [
+            total_range(final, reward.ranges_at(success)).high for success in self.program.successes
+        ]
+        return any(running.of(node).high > 0.0 for _, node in ordinary) and not any(
+            paid > 0.0 for paid in at_success
+        )
+
     def terms_about(self, comparison: str) -> tuple[str, ...]:
         """Return the terms of ordinary steps that depend on the values of a comparison of the success, given
         by its text."""

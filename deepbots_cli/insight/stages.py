@@ -15,6 +15,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
 from deepbots_cli.learning.draws import DrawLabel, DrawnBin, by_drawn_value, draw_labels
+from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
@@ -229,6 +230,30 @@ def easy_stage_counted(evidence: TrainingEvidence) -> Numbers | None:
         "reached": reached,
         "remedy": remedy,
         "value": value,
+    }
+
+
+@statement(
+    "levels_stay_lowest",
+    "All worlds are in level 0 of 0 to {highest}. Of the episodes in the last quarter of the training,"
+    " {share} ended by {up}, which raises the level.",
+    advice="Make level 0 easier, or name under `curriculum.up` an ending that a policy reaches earlier.",
+)
+def levels_stay_lowest(evidence: TrainingEvidence) -> Numbers | None:
+    levels, means = evidence.program.levels, evidence.curve("curriculum/mean_level")
+    late = evidence.episodes_between(0.75, 1.0)
+    if levels is None or levels.count < 2 or len(late) < MIN_EPISODES or len(means) < 4:
+        return None
+    if means[-max(1, len(means) // 4) :].max() > 0.0:
+        return None
+    raises = np.isin(late.endings, sorted(levels.up))
+    if SUCCESS in levels.up:
+        raises |= late.successes > 0
+    return {
+        "likelihood": 0.7,
+        "highest": levels.count - 1,
+        "up": list_text([f"`{name}`" for name in sorted(levels.up)]),
+        "share": Percentage(float(raises.mean())),
     }
 
 

@@ -12,9 +12,10 @@ robots.py        commands, actuators, wheels that slip, rays that pass over ever
                                                                                              DB324, DB325,
                                                                                              DB615
 world.py         objects out of scale, means of engines, how episodes begin                  DB309, DB310, DB316,
-                                                                                             DB323, DB507,
-                                                                                             DB809, DB812
-observations.py  what the policy sees; saturation.py values at the end of their range        DB6
+                                                                                             DB323, DB507, DB809,
+                                                                                             DB812
+observations.py  what the policy sees; saturation.py values at the end of their range;       DB6
+                 mirrors.py mirror images
 rewards.py       the size of the reward; shaping.py its direction; incentives.py what pays   DB7, DB810
 rivals.py        rewards of several agents together                                          DB718
 cycles.py        what a cycle of states earns that never ends in success                     DB716

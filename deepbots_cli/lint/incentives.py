@@ -354,10 +354,21 @@ def hovering(context: RuleContext) -> Finding | None:
                 "DB708",
                 best.span,
                 headline,
-                PROGRESS_HELP,
+                f"{PROGRESS_HELP}{_end_at_one_time(analysis, success)}",
                 labels=(Label(success.span, "ends these payments"),),
             )
     return None
+
+
+def _end_at_one_time(analysis: Analysis, success: Expression) -> str:
+    """Return the help for a success that may wait for the time limit, of a scenario with one."""
+    limit = analysis.last_step * analysis.period
+    if not limit < INF:
+        return ""
+    return (
+        ", or let all episodes last equally long, with"
+        f" `{success.name}: time > {limit - analysis.period / 2.0:.6g} s and ...`"
+    )
 
 
 def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:

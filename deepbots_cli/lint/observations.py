@@ -147,11 +147,11 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
     entries = [(number, _noises(analysis, number)) for number in _seen_numbers(analysis)]
     linear_by_node: dict[int, Linear] = {}
     exact = [
-        (number, _linear(analysis, number.node, linear_by_node)) for number, noises in entries if not noises
+        (number, linear(analysis, number.node, linear_by_node)) for number, noises in entries if not noises
     ]
     reported: set[int] = set()
     for number, noises in entries:
-        hidden = _linear(analysis, number.node, linear_by_node)
+        hidden = linear(analysis, number.node, linear_by_node)
         shown = next((other for other, form in exact if noises and _shows(other, form, number, hidden)), None)
         if shown is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
@@ -207,7 +207,7 @@ def _noises(analysis: Analysis, number: RangedNumber) -> list[Noise]:
     ]
 
 
-def _linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear]) -> Linear:
+def linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear]) -> Linear:
     """Return the value without noise; anything but a sum of products with fixed factors is one measurement.
     `linear_by_node` is a cache."""
     node = analysis.resolve_aliases(node)
@@ -219,7 +219,7 @@ def _linear(analysis: Analysis, node: Scalar, linear_by_node: dict[int, Linear])
             else None
         )
         parts = [
-            _linear(analysis, part, linear_by_node)
+            linear(analysis, part, linear_by_node)
             for part in ((exact,) if exact is not None else parts_of(node))
         ]
         match node:

@@ -13,6 +13,7 @@ from deepbots_cli.lint import (
     cycles,
     endings,
     incentives,
+    mirrors,
     names,
     observations,
     rewards,
@@ -28,7 +29,19 @@ from deepbots_cli.lint.exploits import EXPLOIT_RULES, Exploit, ExploitContext
 from deepbots_cli.lint.report import SimulationReport
 from deepbots_cli.lint.simulation import EXPLOIT_LIMITS, Limits, measure
 
-_MODULES = (names, world, robots, observations, saturation, rewards, incentives, cycles, shaping, endings)
+_MODULES = (
+    names,
+    world,
+    robots,
+    observations,
+    mirrors,
+    saturation,
+    rewards,
+    incentives,
+    cycles,
+    shaping,
+    endings,
+)
 STATIC_RULES: tuple[StaticRule, ...] = tuple(
     rule for module in _MODULES for rule in getattr(module, "STATIC_RULES", ())
 )

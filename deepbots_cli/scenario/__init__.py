@@ -13,6 +13,8 @@ training.py     the sections of training
 agent.py        what an agent does, sees and is rewarded for; several agents
 scenario.py     Scenario, the whole file: robots, messages, the task
 synonyms.py     words that people write instead of a word of the language: the table synonyms.yaml
+isaac_lab.py    terms of Isaac Lab with their lines, the table isaac_lab.json; advice for sections that are
+                written as there
 keys.py         the texts of findings about a key, and about an unknown one
 validate.py     nodes to a Scenario; validation errors become findings with exact places
 json_schema.py  the JSON Schema for editors: `python -m deepbots_cli.scenario.json_schema` writes it

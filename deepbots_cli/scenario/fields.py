@@ -31,13 +31,14 @@ from deepbots_cli.diagnostics.nearest import (
     MAX_BESIDE,
     Replacement,
     is_typo,
+    nearest_first,
     nearest_word,
     suggest_replacement,
 )
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
-from deepbots_cli.scenario.synonyms import word_for
+from deepbots_cli.scenario.synonyms import line_for, word_for
 
 Scalar = str | int | float
 JsonSchema = dict[str, object]
@@ -106,16 +107,22 @@ def counted_noun(number: int, noun: str) -> str:
 def choices_help(word: str, words: Sequence[str]) -> str:
     """Return the help for an unknown word: the probable word, and all known words; a long list is left out
     beside a word that is hardly wrong."""
+    line = line_for(word, words)
+    if line is not None:
+        return f"write `{line}`"
     synonym = word_for(word, words)
     near = synonym or nearest_word(word, words)
     if near and len(words) > MAX_BESIDE and (synonym or is_typo(word, near)):
         return f"did you mean `{near}`?"
-    listed = shortened_list((f"`{choice}`" for choice in words), _MAX_LISTED)
+    ordered = nearest_first(word, words, _MAX_LISTED)
+    listed = shortened_list((f"`{choice}`" for choice in ordered), _MAX_LISTED)
     return f"did you mean `{near}`? known names: {listed}" if near else f"known names: {listed}"
 
 
 def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
     """Return the probable word of the language, as a replacement."""
+    if line_for(word, words) is not None:
+        return None
     synonym = word_for(word, words)
     return Replacement(synonym, safe=False) if synonym else suggest_replacement(word, words, of_language=True)
 

@@ -3,6 +3,7 @@ way to a finding."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -17,10 +18,11 @@ SYNONYMS_FILE = Path(__file__).with_name("synonyms.yaml")
 
 class Synonyms(NamedTuple):
     """The words that are written instead of each key (`xyz`, or `Model.key` for the sections of one model),
-    and instead of each word that a key takes."""
+    and instead of each word that a key takes; and lines for words that need more than one word."""
 
     keys: Mapping[str, frozenset[str]]
     words: Mapping[str, frozenset[str]]
+    lines: Mapping[str, str]
 
 
 @cache
@@ -30,12 +32,11 @@ def synonyms() -> Synonyms:
     tables = to_data(root) if root is not None else None
     if not isinstance(tables, dict) or list(findings):
         raise ValueError(f"{SYNONYMS_FILE} is broken: {[finding.headline for finding in findings]}")
-    return Synonyms(
-        *(
-            {word: frozenset(others.split()) for word, others in tables[name].items()}
-            for name in Synonyms._fields
-        )
+    keys, words = (
+        {word: frozenset(others.split()) for word, others in tables[name].items()}
+        for name in ("keys", "words")
     )
+    return Synonyms(keys, words, tables["lines"])
 
 
 def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str | None:
@@ -61,3 +62,10 @@ def word_for(word: str, words: Iterable[str]) -> str | None:
     there is none."""
     plain = word.lower().replace("-", "_").replace(" ", "_")
     return next((candidate for candidate in words if plain in synonyms().words.get(candidate, ())), None)
+
+
+def line_for(word: str, words: Iterable[str]) -> str | None:
+    """Return the line for a name from another tool that no single one of the `words` stands for, such as
+    `type: stairs, inverted: true`; None if there is none."""
+    line = synonyms().lines.get(word)
+    return line if line is not None and re.split("[:,] ", line)[1] in words else None

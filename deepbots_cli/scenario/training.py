@@ -520,6 +520,12 @@ SET_ELSEWHERE_HELP: Mapping[str, str] = {
     "policy": "remove it: deepbots chooses the policy class; `network: {hidden: [64, 64]}` sets its layers",
     "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
     "net_arch": "write `network: {hidden: [64, 64]}`",
+    **dict.fromkeys(
+        ("hidden_dims", "actor_hidden_dims", "critic_hidden_dims"),
+        "write `network: {hidden: [512, 256, 128]}`",
+    ),
+    "max_iterations": "write `total_timesteps`: `max_iterations` * `environments` * the steps of each"
+    " environment",
     "replay_buffer_class": "write `replay: her`",
     "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
     "lstm_hidden_size": "write `lstm: 64`",

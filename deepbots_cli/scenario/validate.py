@@ -30,6 +30,7 @@ from deepbots_cli.scenario.base import (
     shape_at,
 )
 from deepbots_cli.scenario.fields import FieldType, error, mismatch
+from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
     about_key,
@@ -99,6 +100,7 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
                 for problem in problems
                 if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))
             ]
+            new = _merge_forms_of_isaac_lab(root, data, new)
             outcome = [
                 problem.finding
                 for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))
@@ -306,6 +308,17 @@ def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
         other.replacement for other in problems if problem.missing and other.path[:-1] == problem.path
     )
     return any(near is not None and near.text in problem.missing for near in misspelled)
+
+
+def _merge_forms_of_isaac_lab(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
+    """Replace all problems of a section that is written as in Isaac Lab by a single one."""
+    for path, paths, headline, help in advice(data):
+        inside = [problem for problem in problems if any(problem.path[: len(at)] == at for at in paths)]
+        if inside:
+            finding = Finding("DB101", _key_span(root, path), headline, help)
+            merged = _Problem(path, finding)
+            problems = [merged, *(problem for problem in problems if problem not in inside)]
+    return problems
 
 
 def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:

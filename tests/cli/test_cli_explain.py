@@ -90,6 +90,7 @@ def test_json_has_the_text_of_each_meaning_of_a_word(deepbots):
         ("record", "video"),
         ("normalise", "normalization"),
         ("mask", "action mask"),
+        ("observation group", "privileged information"),
     ],
 )
 def test_a_concept_is_explained_by_its_name_and_by_usual_others(deepbots, word, concept):
@@ -143,3 +144,10 @@ def test_a_term_that_a_beginner_meets_is_explained(deepbots, word, concept):
 
 def test_two_words_need_no_quotes(deepbots):
     assert deepbots("explain", "success", "rate").out == deepbots("explain", "success rate").out
+
+
+def test_a_term_of_isaac_lab_is_explained_by_the_lines_of_its_page(deepbots):
+    lines = deepbots("explain", "illegal_contact").out.splitlines()
+    assert lines[0] == "illegal_contact: a term of Isaac Lab"
+    assert lines[2:4] == ["    termination.failure:", "      trunk_down: contact_force(dog.trunk) > 1 N"]
+    assert lines[-1] == "Read more: docs/isaac-lab.md"

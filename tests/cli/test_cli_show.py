@@ -67,6 +67,20 @@ def test_inspect_shows_the_noise_of_a_measurement_and_of_the_goal(deepbots):
     assert (x["is"], x["noise"], tables["goal"]["noise"]) == ("position(cart).x", "2 mm", "1 %")
 
 
+def test_inspect_shows_the_mirror_image_and_the_sign_of_each_number(deepbots):
+    rows = json.loads(deepbots("inspect", "biped", "--json").out)["mirror_images"]
+    images = {(row["of"], row["name"]): (row["mirror_image"], row["sign"]) for row in rows}
+    assert images["observation", "walker.q.left_hip_roll"] == ("walker.q.right_hip_roll", -1)
+    assert images["observation", "walker.down.x"] == ("walker.down.x", 1)
+    assert images["action", "stride.left_knee"] == ("stride.right_knee", 1)
+
+
+def test_inspect_shows_the_mirror_images_of_options(deepbots):
+    words = "train.symmetry={swap: {forward: backward}, flip: [x, '*speed', '*_angle']}"
+    rows = inspected(deepbots, "--set", words)["mirror_images"]
+    assert {"of": "action", "name": "drive.forward", "mirror_image": "drive.backward"} in rows
+
+
 def test_inspect_shows_which_signals_the_policy_may_see(deepbots):
     rows = json.loads(deepbots("inspect", "find_ball", "--json").out)["signals"]
     visible = {row["signal"]: row["policy_may_see_it"] for row in rows}

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from deepbots_cli.cli import main
+from deepbots_cli.cli import main, terminal
 from deepbots_cli.cli.command import without_old_spelling
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
@@ -251,6 +251,23 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
         deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out
     )
     assert all(episode["length"] < 15 for episode in ran["episodes"])
+
+
+def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, monkeypatch):
+    class InterruptedInSteep(terminal.ProgressBar):
+        def __init__(self, total, unit):
+            if unit == "episodes of case steep":
+                raise KeyboardInterrupt
+            super().__init__(total, unit)
+
+    monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
+    cases = "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"
+    ran = deepbots("eval", "mine", "--episodes", "3", "--set", cases, "--json")
+    assert ran.code == 130
+    report = json.loads(ran.out)
+    assert [case["case"] for case in report["cases"]] == ["short"]
+    assert report["unfinished"] == ["case steep"]
+    assert "not evaluated: case steep" in ran.err
 
 
 def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):

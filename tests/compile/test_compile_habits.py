@@ -9,7 +9,7 @@ from deepbots_cli.program.identity import to_json
 from deepbots_cli.scenario.actuators import ACTUATORS
 from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.synonyms import synonyms, word_for
-from deepbots_cli.scenario.world import OBJECTS
+from deepbots_cli.scenario.world import OBJECTS, TILES
 from tests.compile.conftest import shipped_text
 from tests.few import every
 
@@ -64,9 +64,9 @@ def test_a_word_for_inverse_kinematics_is_corrected_to_cartesian(workshop, head,
 
 
 def test_synonyms_name_words_of_the_language_and_are_no_words_themselves():
-    words = {*ACTUATORS, *SENSORS, *OBJECTS, *ENGINES, "any"}
+    words = {*ACTUATORS, *SENSORS, *OBJECTS, *TILES, *ENGINES, "any"}
     assert words.issuperset(synonyms().words)
-    for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS)):
+    for kinds in (tuple(ACTUATORS), tuple(SENSORS), tuple(OBJECTS), tuple(TILES)):
         assert not [kind for kind in kinds if word_for(kind, kinds)]
 
 
@@ -188,3 +188,29 @@ def test_a_share_in_hundredths_has_a_finding_with_the_percent_sign(workshop, hea
 def test_a_percentage_out_of_bounds_or_none_is_refused(workshop, head, line):
     assert set(workshop.codes(f"{head}{line}\n")) <= {"DB103", "DB105"}
     assert workshop.codes(f"{head}{line}\n")
+
+
+OF_ISAAC_LAB = {
+    "reward: {smooth: {func: mdp.action_rate_l2, weight: -0.01}}": "`jerk: -0.01 * sum(delta(stride, 0)^2)`",
+    "reward: {smooth: -0.01 * action_rate_l2}": "`deepbots explain action_rate_l2` shows its line",
+    "observation: {policy: {x: -1 .. 1 m, speed: -1 .. 1 m/s}, critic: {tip_speed: -1 .. 1 m/s}}": (
+        "list the entries of the policy directly under `observation`"
+    ),
+    "disturbances: {push: {body: cart, velocity: uniform(-1 -1 0 .. 1 1 0 m/s)}}": (
+        "mass * change of velocity / duration"
+    ),
+    "robots: {cart: {sensors: {pole_angle: {noise: uniform(-0.1 .. 0.1 rad)}}}}": "write `noise: 0.058 rad`",
+    "train: {algorithm: rsl_rl.PPO, total_timesteps: 1000, n_steps: 24}": "write `num_steps_per_env: 24`",
+    "train: {network: {actor_hidden_dims: [64, 64]}}": "write `hidden: [64, 64]`",
+    "robots: {cart: {links: {'.*le': {color: red}}}}": "did you mean `*le`?",
+    "world: {terrain: {type: tiles, tiles: {up: {type: pyramid_stairs_inv, height: 2 .. 4 cm}}}}": (
+        "write `type: stairs, inverted: true`"
+    ),
+}
+
+
+@pytest.mark.parametrize("line", OF_ISAAC_LAB)
+def test_what_is_written_as_in_isaac_lab_is_one_finding_with_the_line_of_a_scenario(workshop, head, line):
+    findings = workshop.lint(f"{head}{line}\n")
+    (error,) = (finding for finding in findings if finding.severity == "error" and finding.code != "DB612")
+    assert OF_ISAAC_LAB[line] in error.help

@@ -25,6 +25,7 @@ from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import loads
 from deepbots_cli.lint import static_findings as run_rules
 from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.scenario.isaac_lab import TERMS_FILE
 from tests.docs.test_docs_tutorials import TUTORIALS
 
 ROOT = Path(__file__).parents[2]
@@ -202,6 +203,12 @@ def test_the_reference_is_current(name: str, monkeypatch: pytest.MonkeyPatch):
     )  # an engine of the tests
     written = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")
     assert written == load_reference().pages()[name], "run: python docs/build_reference.py"
+
+
+def test_the_terms_of_isaac_lab_are_those_of_its_page():
+    assert TERMS_FILE.read_text(encoding="utf-8") == load_reference().isaac_lab_terms(), (
+        "run: python docs/build_reference.py"
+    )
 
 
 def test_every_algorithm_of_the_language_can_be_trained_with():

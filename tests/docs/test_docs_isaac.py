@@ -127,8 +127,10 @@ def errors(folder: Path, lines: tuple[Line, ...]) -> list[str]:
 
 
 def exclude_each_other(row: Row, other_row: Row) -> bool:
-    """Whether two rows define the same name differently; the mirror image does not know pictures."""
-    return any(line.name == "symmetry" for line in (*row.lines, *other_row.lines)) or any(
+    """Whether two rows define the same name differently; the mirror image does not know pictures, and another
+    algorithm has other keys.
+    """
+    return any(line.name in ("symmetry", "algorithm") for line in (*row.lines, *other_row.lines)) or any(
         a.name == b.name and a != b and (a.place == ("observation",)) == (b.place == ("observation",))
         for a in row.lines
         for b in other_row.lines

@@ -335,6 +335,26 @@ def test_a_discount_factor_that_hides_the_success_is_raised_by_the_length_of_an_
     )
 
 
+def test_a_discount_factor_is_no_cause_where_no_reward_comes_late(tmp_path):
+    half = outcomes(400, 0.5, 0.5)
+    flat = {"returns": returns_of(half, 0), "lengths": np.full(400, 60), "success": half}
+    late = train_shuttle(tmp_path / "late", "train.gamma=0.85")
+    assert "horizon_too_short" in causes_of(with_logs(late, **flat))
+    dense = train_shuttle(tmp_path / "dense", "train.gamma=0.85", "reward={near: exp(-abs(gap) / m)}")
+    assert "horizon_too_short" not in causes_of(with_logs(dense, **flat))
+
+
+def test_worlds_that_stay_at_the_lowest_level_are_named(tmp_path):
+    levels = "curriculum={set: {mark: 0.1 .. 0.4 m}, levels: 4, up: parked, down: truncation}"
+    run = train_shuttle(tmp_path, levels)
+    logs = {"returns": returns_of(np.zeros(400), 0), "lengths": np.full(400, 60), "ending": "max_steps"}
+    low = diagnose(with_logs(run, **logs, curriculum__mean_level=[1.0, 0.5, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    (statement,) = [each for each in low if each.cause == "levels_stay_lowest"]
+    assert "in level 0 of 0 to 3" in statement.text
+    assert "0% ended by `parked`" in statement.text
+    assert "levels_stay_lowest" not in causes_of(with_logs(run, **logs, curriculum__mean_level=[0.2] * 8))
+
+
 def test_a_success_that_needs_exploration_is_named(carriage):
     """Without noise on its actions, the policy stood still."""
     good = outcomes(400, 0.2, 0.9, 1.0, 1.0)

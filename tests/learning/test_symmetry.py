@@ -189,3 +189,14 @@ def test_the_previous_action_has_the_sign_of_the_action(tmp_path: Path) -> None:
     symmetry = symmetry_of(program)
     assert symmetry.ranges.factors == (-1.0,)
     assert symmetry.observation.factors[names.index("previous_action.drive")] == -1.0
+
+
+def test_the_previous_action_has_the_sign_of_a_component_that_is_named_with_its_action(
+    tmp_path: Path,
+) -> None:
+    text = DOG.replace('flip: ["*_hip_joint"', 'flip: ["dog.*_hip_joint", "stride.*_hip_joint"')
+    program = compiled(tmp_path, text)
+    names = [entry.name for entry in program.with_critic.agent.inputs]
+    factors = symmetry_of(program).observation.factors
+    assert factors[names.index("previous_action.FL_hip_joint")] == -1.0
+    assert factors[names.index("previous_action.FL_upper_joint")] == 1.0

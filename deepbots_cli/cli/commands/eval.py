@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from shlex import quote
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult, GroupResult
     from deepbots_cli.learning.executor import Executor
     from deepbots_cli.learning.keeping import KeptModel
+    from deepbots_cli.program import Program
     from deepbots_cli.rollout.policies import StopCondition
 
 
@@ -308,24 +309,31 @@ def _evaluate_run(
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
             further_options = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
-            evaluations.append(
-                _evaluate_in_engine(
+            try:
+                evaluation = _evaluate_in_engine(
                     request, run, further_options, until, executor, baselines=baselines, details=details
                 )
-            )
+            except KeyboardInterrupt:
+                if not evaluations:
+                    raise
+                evaluations[-1] = replace(evaluations[-1], unfinished=(f"engine {name}",))
+                break
+            evaluations.append(evaluation)
             result = evaluations[-1].result
             records.write_evaluation(run, evaluations[-1].as_json())
             prefix = f"{result.engine}: " if len(scenarios) > 1 else ""
             requirements += [
                 requirement.with_words(prefix) for requirement in gates.requirements(result, count)
             ]
+            if evaluation.unfinished:
+                break
     if request.csv is not None:
-        rows = [
-            result
-            for evaluation in evaluations
-            for result in (evaluation.result, *evaluation.cases, *evaluation.baselines)
-        ]
-        records.write_csv(request.csv, rows)
+        records.write_csv(
+            request.csv, [result for evaluation in evaluations for result in evaluation.results]
+        )
+    if evaluations[-1].unfinished:
+        _show_unfinished(evaluations, details=details, as_json=request.as_json)
+        raise KeyboardInterrupt
     if len(evaluations) > 1:
         _show_engines(run, evaluations, as_json=request.as_json)
     else:
@@ -347,34 +355,66 @@ def _evaluate_in_engine(
     details: bool,
 ) -> _EngineEvaluations:
     """Evaluate a model of a run, and the models that it is compared with; `further_options` are options of
-    `evaluate`."""
+    `evaluate`. An interruption ends it, and is raised if nothing is finished."""
     case, stage, engine = request.case, request.stage, further_options["engine"]
+    judged = further_options["scenario"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
+    options = {**request.options, **further_options}
     with terminal.progress(unit, always=False) as show_episode:
-        options = {**request.options, **further_options, "on_episode": show_episode}
-        result = learning.evaluate(run, case=case, stage=stage, until=until, executor=executor, **options)
-        cases: Sequence[EvaluationResult] = ()
-        if case is None and stage is None:
-            cases = learning.evaluate_cases(run, stages=details, executor=executor, **options)
-        scripted: Sequence[EvaluationResult] = ()
+        result = learning.evaluate(
+            run, case=case, stage=stage, until=until, executor=executor, on_episode=show_episode, **options
+        )
+    cases: list[EvaluationResult] = []
+    scripted: Sequence[EvaluationResult] = ()
+    variants = _variants(run.program if judged is None else judged.program, stages=details)
+    if case is not None or stage is not None:
+        variants = {}
+    unfinished = [*variants, *(["baselines"] if baselines else [])]
+    try:
+        for name, variant in variants.items():
+            with terminal.progress(f"{unit} of {name}", always=False) as show_episode:
+                cases.append(
+                    learning.evaluate(run, executor=executor, on_episode=show_episode, **variant, **options)
+                )
+            unfinished.remove(name)
         if baselines:
             of_policy = ("model", "deterministic")
             baseline_options = {name: value for name, value in options.items() if name not in of_policy}
             baseline_options["episodes"] = result.episodes
-            scripted = learning.evaluate_baselines(run, case=case, stage=stage, **baseline_options)
-    label = scenario_label(run, request.scenario, request.overrides, further_options["scenario"])
-    return _EngineEvaluations(result, cases, scripted, label)
+            with terminal.progress(f"{unit} of baselines", always=False) as show_episode:
+                scripted = learning.evaluate_baselines(
+                    run, case=case, stage=stage, on_episode=show_episode, **baseline_options
+                )
+            unfinished.remove("baselines")
+    except KeyboardInterrupt:
+        if not unfinished:
+            raise
+    label = scenario_label(run, request.scenario, request.overrides, judged)
+    return _EngineEvaluations(result, cases, scripted, label, tuple(unfinished))
+
+
+def _variants(program: Program, *, stages: bool) -> dict[str, dict[str, Any]]:
+    """Return the options of `evaluate` for each case of the scenario, and with `stages` for each stage of its
+    curriculum."""
+    cases = {f"case {case.name}": {"case": case.name} for case in program.cases}
+    of_stages = {f"stage {stage.name}": {"stage": stage.name} for stage in program.curriculum if stages}
+    return {**cases, **of_stages}
 
 
 @dataclass(frozen=True)
 class _EngineEvaluations:
     """The evaluations of a run in one engine. `scenario` is a text for a scenario that replaces the scenario
-    of the run."""
+    of the run; `unfinished` are the cases, stages and engines that an interruption left out."""
 
     result: EvaluationResult
     cases: Sequence[EvaluationResult]
     baselines: Sequence[EvaluationResult]
     scenario: str | None
+    unfinished: tuple[str, ...] = ()
+
+    @property
+    def results(self) -> tuple[EvaluationResult, ...]:
+        return (self.result, *self.cases, *self.baselines)
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -392,6 +432,16 @@ class _EngineEvaluations:
             yield "\nbaselines, on the same starts\n" + table(records.evaluation_rows("policy", policies))
         if details:
             yield "\n" + records.drawn_text(self.result)
+
+
+def _show_unfinished(evaluations: Sequence[_EngineEvaluations], *, details: bool, as_json: bool) -> None:
+    """Show what was evaluated before an interruption, and name the rest."""
+    unfinished = evaluations[-1].unfinished
+    parts = [evaluation.as_json() for evaluation in evaluations]
+    data = parts[0] if len(parts) == 1 else {"evaluations": parts}
+    lines = [line for evaluation in evaluations for line in evaluation.lines(details=details)]
+    terminal.show(data | {"unfinished": list(unfinished)}, *lines, as_json=as_json)
+    terminal.note(f"not evaluated: {', '.join(unfinished)}")
 
 
 def _kept(

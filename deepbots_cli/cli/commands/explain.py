@@ -23,6 +23,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.scenario import isaac_lab
 from deepbots_cli.scenario.base import (
     Kinds,
     Section,
@@ -215,6 +216,8 @@ def explain_word(word: str) -> Explained:
     if not matching and word not in _words():
         matching = [topic for topic in topics() if plain in map(_plain, topic.names)]
     blocks = [*map(_of_topic, matching), *blocks]
+    if not blocks and word in isaac_lab.terms():
+        blocks = [_of_isaac_lab(word, isaac_lab.terms()[word])]
     unit = None if blocks else suggest_unit(plain)
     if unit is not None and unit.safe:  # a unit that is written out, such as `radian`
         blocks = list(_blocks(unit.text))
@@ -265,6 +268,18 @@ def _of_topic(topic: Topic) -> list[str]:
         *(_example(topic.example)),
         f"Read more: {topic.read}",
     ]
+
+
+def _of_isaac_lab(name: str, term: isaac_lab.Term) -> list[str]:
+    """Return the lines of a scenario for a term of Isaac Lab, each below its section."""
+    lines: list[str] = []
+    for line in term.lines:
+        section = f"    {line.section}:"
+        if line.section and section not in lines:
+            lines.append(section)
+        lines.append(f"      {line.text}" if line.section else f"    {line.text}")
+    head = ["For the robot of the page below:", *lines] if lines else [term.reason]
+    return [f"{name}: a term of Isaac Lab", *head, f"Read more: {isaac_lab.PAGE}"]
 
 
 def _example(text: str) -> list[str]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 CAPTIONS = {
     "observation": "low .. high is mapped to the range in `seen_as`; values outside are clipped",
     "critic": "what only the value function sees, in training",
+    "mirror_images": "the value of a number in the mirror image is `sign` times the value of `mirror_image`",
     "poses": "end links of the robots at the start of the episode with seed 0, in the world frame",
     "drawn": "values that each reset draws",
     "hyperparameters": "`from` names the source of each value: the scenario, or the default of deepbots or"
@@ -47,6 +48,7 @@ _BRIEF = (
     "observation",
     "critic",
     "action",
+    "mirror_images",
     "reward",
     "endings",
     "training",

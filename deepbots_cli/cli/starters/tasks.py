@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from itertools import product
 from math import atan2, cos, degrees, hypot, inf, radians, sqrt
@@ -179,6 +180,7 @@ def walk(draft: Draft) -> dict[str, object]:
     feet = {"first": draft.links("feet_a", first), "second": draft.links("feet_b", second)}
     hips = [frames.rotate(tilt, build.frames[limb.joints[0].child][0]) for limb in build.limbs]
     along, across = (max(hip[axis] for hip in hips) - min(hip[axis] for hip in hips) for axis in (0, 1))
+    axis = 0 if along >= across else 1
     height = build.height(positions, tilt)
     turns = {
         name: f"{short_number(angle)} deg" for name, angle in (("roll", roll), ("pitch", pitch)) if angle
@@ -186,7 +188,8 @@ def walk(draft: Draft) -> dict[str, object]:
     place = {"z": f"{short_number(height * 1.02)} m", **turns, "yaw": "uniform(-5 .. 5 deg)"}
     return {
         "legs": group,
-        "axis": "x" if along >= across else "y",
+        "axis": "xy"[axis],
+        "front": _front(build, [hip[axis] for hip in hips]),
         "height": height,
         "chassis": build.chassis,
         "place": place,
@@ -199,6 +202,27 @@ def walk(draft: Draft) -> dict[str, object]:
         "load": load / 4,
         "engine": "mujoco" if ENGINES["mujoco"].is_installed else "",
     }
+
+
+_FRONT = re.compile(r"(?<![A-Za-z])(?:FL|FR|LF|RF)(?![a-z])|front|fore", re.ASCII)
+_REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind|back", re.ASCII)
+"""The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
+
+
+def _front(build: Build, places: Sequence[float]) -> int:
+    """Return 1 if the front of the robot is at the larger `places` of its limbs, -1 if at the smaller ones; 0
+    if the names of the limbs do not say which are in front."""
+    fronts: list[float] = []
+    rears: list[float] = []
+    for limb, place in zip(build.limbs, places, strict=True):
+        names = " ".join(f"{joint.name} {joint.child}" for joint in limb.joints)
+        is_front, is_rear = bool(_FRONT.search(names)), bool(_REAR.search(names))
+        if is_front is is_rear:
+            return 0
+        (fronts if is_front else rears).append(place)
+    if not fronts or not rears:
+        return 0
+    return (min(fronts) > max(rears)) - (max(fronts) < min(rears))
 
 
 def _stance_remark(off: float) -> str:

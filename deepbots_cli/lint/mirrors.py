@@ -1,0 +1,340 @@
+"""Mirror images that contradict the robot file, or the names of their numbers (DB618)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from functools import cached_property
+from math import copysign
+from typing import NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.analysis import Analysis
+from deepbots_cli.diagnostics import Finding
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
+from deepbots_cli.footprint import link_frames
+from deepbots_cli.frames import Triple
+from deepbots_cli.lint.context import RuleContext, rule
+from deepbots_cli.lint.observations import linear
+from deepbots_cli.program.robots import Motor
+from deepbots_cli.program.task import Mirror, ObservedNumber, Symmetry
+from deepbots_cli.robots.model import Joint, RobotModel
+
+_JOINT_READINGS = frozenset({"joint_position", "joint_velocity", "joint_torque"})
+_TOLERANCE_M = 0.005
+"""The distance below which two places are the same: robot files have rounded and measured numbers."""
+_MIN_PARALLEL = 0.99
+"""The cosine of the angle from which two axes are parallel."""
+_MAX_LISTED = 3
+
+
+class JointNumber(NamedTuple):
+    """A number that is proportional to a reading of a joint or commands it; with the sign of its factor."""
+
+    robot: str
+    joint: str
+    sign: int
+
+
+class JointPlace(NamedTuple):
+    """A joint, its place (m) and its axis in the frame of the root link, with all joints at 0."""
+
+    joint: Joint
+    position: Triple
+    axis: Triple
+
+
+class MirrorPlane(NamedTuple):
+    """The plane on which one coordinate (0 to 2) of the frame of the root link has a value, in m."""
+
+    coordinate: int
+    value: float
+
+    def __str__(self) -> str:
+        return f"{'xyz'[self.coordinate]} = {round(self.value, 4) + 0.0:g} m"
+
+    def distance(self, place: JointPlace) -> float:
+        return place.position[self.coordinate] - self.value
+
+    def are_opposite(self, place: JointPlace, other: JointPlace) -> bool:
+        """Return whether the places of two joints are mirror images of each other."""
+        return all(
+            abs(self.distance(place) + self.distance(other) if k == self.coordinate else a - b) < _TOLERANCE_M
+            for k, (a, b) in enumerate(zip(place.position, other.position, strict=True))
+        )
+
+    def sign(self, place: JointPlace, other: JointPlace) -> int | None:
+        """Return the sign with which the position of a joint is that of its mirror image; None if their axes
+        are no mirror images of each other.
+
+        A rotation is mirrored in the other direction than a vector.
+        """
+        turns = place.joint.type != "prismatic"
+        x, y, z = (-a if (k == self.coordinate) != turns else a for k, a in enumerate(place.axis))
+        cosine = frames.dot((x, y, z), other.axis)
+        return None if abs(cosine) < _MIN_PARALLEL else round(cosine)
+
+
+class _MirroredNumber(NamedTuple):
+    """A number and its mirror image, with the sign between them, and the joints of both."""
+
+    name: str
+    image: str
+    sign: int
+    joint: JointNumber | None
+    image_joint: JointNumber | None
+
+
+class _Mirrors:
+    """The mirrored numbers of an agent."""
+
+    def __init__(self, analysis: Analysis, symmetry: Symmetry) -> None:
+        self._analysis = analysis
+        wide = analysis.program.with_critic.agent
+        trees = self._observed_trees(wide.numbers)
+        observed = [self._measured_joint(trees[index]) for index, _ in wide.seen]
+        names = [entry.name for entry in wide.inputs]
+        agent = analysis.program.agent
+        parts = [(part.name, component) for part in agent.ranges for component in part.components or (None,)]
+        driven = [self._driven_joints.get(part) for part in parts]
+        self.of_observation = list(_mirrored(names, observed, symmetry.observation))
+        self.of_action = list(_mirrored(agent.range_names, driven, symmetry.ranges))
+
+    def _observed_trees(self, numbers: Sequence[ObservedNumber]) -> list[Scalar]:
+        agent = self._analysis.program.with_critic.agent
+        trees = [
+            tree
+            for entry in agent.observation
+            for tree, _ in zip(self._analysis.scalars(entry.value), entry.numbers, strict=False)
+        ]
+        assert len(trees) == len(numbers)
+        return trees
+
+    def _measured_joint(self, tree: Scalar) -> JointNumber | None:
+        leaves = [leaf for leaf in self._analysis.walk_definitions(tree) if self._joint_of(leaf) is not None]
+        joint = self._joint_of(leaves[0]) if len(leaves) == 1 else None
+        sign = self._sign(tree, leaves[0]) if joint is not None else None
+        return None if joint is None or sign is None else JointNumber(*joint, sign)
+
+    def _joint_of(self, leaf: Scalar) -> tuple[str, str] | None:
+        """Return the robot and the joint that a leaf reads."""
+        if isinstance(leaf, EngineRead) and leaf.function in _JOINT_READINGS and len(leaf.subjects) == 1:
+            robot, _, joint = leaf.subjects[0].partition(".")
+            return robot, joint
+        reading = self._analysis.sensor(leaf)
+        if reading is None or reading[1].kind not in _JOINT_READINGS:
+            return None
+        component = leaf.component if isinstance(leaf, Name) else None
+        return reading[0], component or reading[1].subjects[0]
+
+    def _sign(self, tree: Scalar, leaf: Scalar) -> int | None:
+        """Return the sign of the factor of a leaf in a sum; None if the value is another function of it."""
+        factor = linear(self._analysis, tree, {}).terms.get(self._analysis.identity(leaf))
+        return None if factor is None else round(copysign(1.0, factor))
+
+    @cached_property
+    def _driven_joints(self) -> Mapping[tuple[str, str | None], JointNumber]:
+        """The joint that a number of the action commands, of numbers that command one joint."""
+        several: dict[tuple[str, str | None], list[JointNumber]] = {}
+        for robot in self._analysis.program.robots:
+            for command in robot.commands:
+                if not isinstance(command.actuator, Motor):
+                    continue
+                joints = command.actuator.joints
+                trees = self._analysis.value_on_robot(command.target, robot.name)
+                if len(trees) != len(joints):
+                    continue
+                for joint, tree in zip(joints, trees, strict=True):
+                    for leaf, sign in self._factors(tree, robot.name):
+                        several.setdefault(leaf, []).append(JointNumber(robot.name, joint, sign))
+        return {leaf: numbers[0] for leaf, numbers in several.items() if len(numbers) == 1}
+
+    def _factors(self, tree: Scalar, robot: str) -> Iterator[tuple[tuple[str, str | None], int]]:
+        variables = {part.name for part in self._analysis.program.agent.ranges}
+        for leaf in self._analysis.walk_definitions(tree):
+            if not isinstance(leaf, Name):
+                continue
+            variable = leaf.name.removeprefix(f"{robot}:")
+            sign = self._sign(tree, leaf) if variable in variables else None
+            if sign is not None:
+                yield (variable, leaf.component), sign
+
+
+def _mirrored(
+    names: Sequence[str], joints: Sequence[JointNumber | None], mirror: Mirror
+) -> Iterator[_MirroredNumber]:
+    for place, (source, factor) in enumerate(zip(mirror.sources, mirror.factors, strict=True)):
+        sign = -1 if factor < 0.0 else 1
+        yield _MirroredNumber(names[place], names[source], sign, joints[place], joints[source])
+
+
+@rule("DB618")
+def wrong_mirror_image(context: RuleContext) -> Iterator[Finding]:
+    """Report mirror images that contradict the names of numbers, or the places and axes of joints."""
+    training = context.program.agent.training
+    if training is None or training.symmetry is None:
+        return
+    mirrors = _Mirrors(context.analysis, training.symmetry)
+    numbers = [*mirrors.of_observation, *mirrors.of_action]
+    yield from _unmatched_words(context, mirrors)
+    for robot in context.program.world.robots:
+        joint_numbers = [number for number in numbers if number.joint and number.joint.robot == robot.name]
+        yield from _wrong_joints(context, joint_numbers, robot.model)
+
+
+def _unmatched_words(context: RuleContext, mirrors: _Mirrors) -> Iterator[Finding]:
+    """Report numbers that are their own mirror image, although their name has a word of `swap` in another
+    spelling, and the name with the other word exists."""
+    spec = context.checked.spec
+    written = spec.train.symmetry.swap if spec and spec.train and spec.train.symmetry else {}
+    pairs = {**written, **{other: word for word, other in written.items()}}
+    images: dict[str, str] = {}
+    for numbers in (mirrors.of_observation, mirrors.of_action):
+        names = {number.name for number in numbers}
+        images |= {
+            number.name: other
+            for number in numbers
+            if number.image == number.name and (other := _respelled(number.name, pairs, names))
+        }
+    if images:
+        name, other = next(iter(images.items()))
+        yield Finding(
+            "DB618",
+            context.values.key_span(("train", "symmetry", "swap")),
+            f"`{name}` is its own mirror image, but there is also `{other}`{_more(images)}",
+            "a word ends at `_`, at `.` and at the ends of a name: write the whole part of the name under"
+            f" `swap`, with its mirror image: `{_part(name, other)}: ...`",
+        )
+
+
+def _respelled(name: str, pairs: Mapping[str, str], names: Iterable[str]) -> str | None:
+    """Return the name with a word in place of its partner, where neither begins and ends at `_` or `.`, or
+    both are in another case."""
+    for word, other in pairs.items():
+        for spell in (str, str.lower, str.upper, str.capitalize):
+            changed = re.sub(re.escape(spell(word)), spell(other), name)
+            if word.isalpha() and changed != name and changed in names:
+                return changed
+    return None
+
+
+def _part(name: str, other: str) -> str:
+    """Return the first part of a name, between `.` and `_`, that differs from that of another name."""
+    pairs = zip(re.split("[._]", name), re.split("[._]", other), strict=False)
+    return next((part for part, different in pairs if part != different), name)
+
+
+class _PlacedNumber(NamedTuple):
+    """A number of a joint, and the places of its joint and of that of its mirror image."""
+
+    name: str
+    sign: int
+    place: JointPlace
+    image: JointPlace
+
+
+def _wrong_joints(
+    context: RuleContext, numbers: Sequence[_MirroredNumber], model: RobotModel
+) -> Iterator[Finding]:
+    """Report numbers of joints of a robot whose mirror image is another joint, or has the other sign."""
+    turned = link_frames(model)
+    places = {
+        joint.name: JointPlace(
+            joint, turned[joint.child][0], frames.rotate(turned[joint.child][1], joint.axis)
+        )
+        for joint in model.moving_joints
+    }
+    placed = [
+        _PlacedNumber(
+            number.name,
+            number.sign * number.joint.sign * number.image_joint.sign,
+            places[number.joint.joint],
+            places[number.image_joint.joint],
+        )
+        for number in numbers
+        if number.joint and number.image_joint and number.joint.robot == number.image_joint.robot
+    ]
+    plane = _mirror_plane([(entry.place, entry.image) for entry in placed if entry.place is not entry.image])
+    if plane is not None:
+        yield from _lone_joints(context, placed, plane, places.values())
+        yield from _wrong_signs(context, placed, plane)
+
+
+def _lone_joints(
+    context: RuleContext, numbers: Iterable[_PlacedNumber], plane: MirrorPlane, places: Iterable[JointPlace]
+) -> Iterator[Finding]:
+    """Report numbers that are their own mirror image, although another joint is opposite of theirs."""
+    notes: dict[str, str] = {}
+    for name, _, place, image in numbers:
+        if place is not image or abs(plane.distance(place)) < _TOLERANCE_M:
+            continue
+        partner = next((other for other in places if plane.are_opposite(place, other)), None)
+        if partner is not None:
+            notes[name] = (
+                f"`{place.joint.name}` is {abs(plane.distance(place)):.3g} m from the mirror plane {plane};"
+                f" `{partner.joint.name}` is opposite"
+            )
+    if notes:
+        name, note = next(iter(notes.items()))
+        yield Finding(
+            "DB618",
+            context.values.key_span(("train", "symmetry", "swap")),
+            f"`{name}` is its own mirror image, but its joint is on one side of the robot{_more(notes)}",
+            "write under `swap` the words in which the names of the two sides differ",
+            notes=(note,),
+        )
+
+
+def _wrong_signs(
+    context: RuleContext, numbers: Iterable[_PlacedNumber], plane: MirrorPlane
+) -> Iterator[Finding]:
+    """Report numbers with a sign that contradicts the axes of their joints."""
+    wrong = [
+        entry
+        for entry in numbers
+        if (entry.place is not entry.image or abs(plane.distance(entry.place)) < _TOLERANCE_M)
+        and plane.sign(entry.place, entry.image) == -entry.sign
+    ]
+    if not wrong:
+        return
+    first = wrong[0]
+    remedies = [
+        f"{verb} `flip`: {_listed(names)}"
+        for verb, sign in (("list under", 1), ("leave out of", -1))
+        if (names := [entry.name for entry in wrong if entry.sign == sign])
+    ]
+    axes = " and ".join(dict.fromkeys((_axis(first.place), _axis(first.image))))
+    yield Finding(
+        "DB618",
+        context.values.key_span(("train", "symmetry", "flip")),
+        f"the sign of the mirror image of `{first.name}` contradicts the axes of the joints{_more(wrong)}",
+        "; ".join(remedies),
+        notes=(f"with all joints at 0, {axes}, and the mirror plane is {plane}",),
+    )
+
+
+def _mirror_plane(pairs: Sequence[tuple[JointPlace, JointPlace]]) -> MirrorPlane | None:
+    """Return the plane that mirrors the places of all pairs of joints; None if there is none, or several."""
+    planes = []
+    for k in range(3):
+        middles = [(place.position[k] + other.position[k]) / 2.0 for place, other in pairs]
+        plane = MirrorPlane(k, sum(middles) / len(middles)) if middles else None
+        if plane and all(plane.are_opposite(*pair) for pair in pairs):
+            planes.append(plane)
+    return planes[0] if len(planes) == 1 else None
+
+
+def _axis(place: JointPlace) -> str:
+    x, y, z = (round(part, 3) + 0.0 for part in place.axis)
+    return f"`{place.joint.name}` has the axis {x:g} {y:g} {z:g}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names[:_MAX_LISTED]) + _more(names, _MAX_LISTED)
+
+
+def _more(names: Sized, shown: int = 1) -> str:
+    return f", and {len(names) - shown} more" if len(names) > shown else ""
+
+
+STATIC_RULES = (wrong_mirror_image,)
