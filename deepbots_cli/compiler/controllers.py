@@ -167,17 +167,9 @@ class Actuators(NamespaceReader):
                     return None
                 low, high = (end if math.isfinite(end) else None for end in spec.interval)
                 response = self._response(spec, names)
+                limits = max_torque, max_velocity
                 motor = CustomActuator(
-                    name,
-                    spec.type,
-                    names,
-                    max_torque,
-                    max_velocity,
-                    spec.drive,
-                    parameters,
-                    low,
-                    high,
-                    response,
+                    name, spec.type, names, *limits, spec.drive, parameters, low, high, response
                 )
         return ResolvedActuator(
             motor, dimension, names if len(names) > 1 or spec.joints is not None else None

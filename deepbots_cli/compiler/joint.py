@@ -74,15 +74,11 @@ def joint_program(
     agents = {name: renamings[name].agent(action[name]) for name in programs}
     joint = _joint_agent(agents)
     owners = {robot: programs[agent] for robot, agent in drivers.items()}
+    bodies = (_named(owners.get(body.name, first).world.robots, body.name) for body in first.world.robots)
     program = replace(
         first,
         agents={ONLY_AGENT: joint},
-        world=replace(
-            first.world,
-            robots=tuple(
-                _named(owners.get(body.name, first).world.robots, body.name) for body in first.world.robots
-            ),
-        ),
+        world=replace(first.world, robots=tuple(bodies)),
         robots=tuple(
             renamings[drivers[robot.name]].robot(_named(owners[robot.name].robots, robot.name))
             if robot.name in drivers

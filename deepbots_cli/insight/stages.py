@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 _MIN_QUARTER = 30
 """Episodes in a quarter of a stage, below which its success rate is too uncertain to be called flat."""
@@ -536,6 +539,11 @@ def needs_exploration(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessR
     return explored, without
 
 
+def _late_mean(curve: NDArray[np.float64]) -> float:
+    """Return the mean of the last quarter of a curve."""
+    return float(curve[-max(1, len(curve) // 4) :].mean())
+
+
 @statement(
     "success_never_seen",
     "{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns differ by"
@@ -548,11 +556,7 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
     flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
     names = evidence.program.agent.success or ("goal_reached",)
     late = {term.name: evidence.curve(f"reward/{term.name}") for term in evidence.program.agent.reward}
-    paid = {
-        name: max(0.0, float(curve[-max(1, len(curve) // 4) :].mean()))
-        for name, curve in late.items()
-        if len(curve)
-    }
+    paid = {name: max(0.0, _late_mean(curve)) for name, curve in late.items() if len(curve)}
     name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
     though, remedy, terms = (
@@ -561,18 +565,11 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         evidence.facts.terms_towards_success,
     )
     if terms:
-        other_reward = sum(
-            float(curve[-max(1, len(curve) // 4) :].mean())
-            for term, curve in late.items()
-            if len(curve) and term != terms[0]
-        )
-        late_part = late[terms[0]][-max(1, len(late[terms[0]]) // 4) :]
+        others = sum(_late_mean(curve) for term, curve in late.items() if len(curve) and term != terms[0])
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
-        if len(late_part):
-            remedy += (
-                f" (per late episode it gives {float(late_part.mean()):.3g}, and they give"
-                f" {other_reward:.3g})"
-            )
+        if len(late[terms[0]]):
+            mean = _late_mean(late[terms[0]])
+            remedy += f" (per late episode it gives {mean:.3g}, and they give {others:.3g})"
         remedy += " and raise it,"
     uses_path = any(
         "path_distance" in term.text for term in evidence.program.agent.reward if term.name == name

@@ -191,11 +191,8 @@ def command(
     present = _given_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
-        options = [
-            name
-            for name in present
-            if name not in ("episodes", "force", "as_json", "allow_paths", "allow_code")
-        ]
+        allowed = ("episodes", "force", "as_json", "allow_paths", "allow_code")
+        options = [name for name in present if name not in allowed]
         _refuse(
             "cannot be combined with --episodes failed, which repeats the last evaluation unchanged",
             present,

@@ -245,11 +245,7 @@ def command(
         selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
     else:
         selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
-    files = [file]
-    if episodes is not None and kind != RECORDING_SUFFIX:
-        files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in selection.numbers]
-    for drawn in files:
-        pictures.check_target(drawn, SUFFIXES, force=force)
+    files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
     source = Showing(
         shown if ref is None else str(ref.run.path),
         overrides or (),
@@ -266,6 +262,22 @@ def command(
         have_rivals = world.program.has_rivals
     rows = records.recorded_rows(zip(selection.numbers, ends, strict=True), have_rivals=have_rivals)
     _show_files(kind, files, rows, as_json=as_json)
+
+
+def _files(file: Path, kind: str, numbers: Sequence[int] | None, *, force: bool) -> list[Path]:
+    """Return the files to write: one for each of several episodes; a recording has all of them.
+
+    Raises:
+        UsageError: A file exists, or cannot be written.
+    """
+    from deepbots_cli.view.pictures import check_target
+
+    files = [file]
+    if numbers is not None and kind != RECORDING_SUFFIX:
+        files = [file.with_name(f"{file.stem}-{number}{file.suffix}") for number in numbers]
+    for path in files:
+        check_target(path, SUFFIXES, force=force)
+    return files
 
 
 def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:

@@ -220,9 +220,7 @@ class Motor:
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
         # The third bound is the error at which the largest gain exerts the limit.
-        bounds = [
-            (stiffest, limit, limit / stiffest) for stiffest, limit in zip(stiff, self._limits, strict=True)
-        ]
+        bounds = [(most, limit, limit / most) for most, limit in zip(stiff, self._limits, strict=True)]
         # Gains below these are renewed in each engine step.
         least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
