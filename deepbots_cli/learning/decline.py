@@ -93,10 +93,9 @@ def decline_of(run: Path, record: RunRecord) -> Decline | None:
         RunError: Its evaluations cannot be read.
     """
     best = record.result.best_model if record.result is not None else None
-    # A rival that has learned more is no decline.
-    return (
-        None if best is None or best.chosen_by == "newest" else decline(read_evaluations(run), best.measure)
-    )
+    if best is None or best.chosen_by == "newest":  # of rivals: the other one may have learned more
+        return None
+    return decline(read_evaluations(run), best.measure)
 
 
 def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decline | None:
@@ -109,15 +108,17 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
         measure: The measure of the task.
     """
     rows = [row for row in evaluations if "steps" in row]
-    before = [number for number, row in enumerate(rows) if row["stage"] != rows[-1]["stage"]]
-    begin, rows = (rows[before[-1]]["steps"], rows[before[-1] + 1 :]) if before else (0.0, rows)
+    earlier = [number for number, row in enumerate(rows) if row["stage"] != rows[-1]["stage"]]
+    stage_start = 0.0
+    if earlier:
+        stage_start, rows = rows[earlier[-1]]["steps"], rows[earlier[-1] + 1 :]
     if len(rows) < 2:
         return None
-    border = rows[-1]["steps"] - LAST_SHARE * (rows[-1]["steps"] - begin)
-    quarter = sum(row["steps"] <= border for row in rows)
-    splits = {quarter: "the last quarter"} | (
-        {len(rows) - 2: "the last two evaluations"} if quarter < len(rows) - 2 else {}
-    )
+    quarter_start = rows[-1]["steps"] - LAST_SHARE * (rows[-1]["steps"] - stage_start)
+    first_late = min(len(rows) - 1, sum(row["steps"] <= quarter_start for row in rows))
+    splits = {first_late: "the last quarter"}
+    if first_late < len(rows) - 2:
+        splits[len(rows) - 2] = "the last two evaluations"
     for split, last in splits.items():
         if (fall := _fall(rows, split, last, measure, level=FALSE_ALARMS / len(splits))) is not None:
             return fall
@@ -132,7 +133,7 @@ def _fall(
     is_rate = measure == "success_rate"
     scores = [list(map(float, row["successes" if is_rate else "returns"])) for row in rows]
     late = _joined(scores[split:])
-    is_few = len(rows) - split == 1 or last != "the last quarter"
+    is_few = len(rows) - split <= 2
     least, share = (MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW) if is_few else (MIN_EFFECT, MIN_SHARE)
     windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
     better: list[tuple[float, range]] = []

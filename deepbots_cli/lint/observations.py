@@ -60,8 +60,11 @@ class RangedNumber(NamedTuple):
         return _RELATIVE_ROUNDING * (self.high - self.low)
 
     def is_outside(self, known: Interval) -> bool:
-        """Return whether values of this range never lie in the range of the observation (DB602)."""
-        return known.low >= self.high or known.high <= self.low
+        """Return whether values of this range never lie in the range of the observation (DB602), except at an
+        end that they touch."""
+        above = known.low >= self.high and known.high > self.high
+        below = known.high <= self.low and known.low < self.low
+        return above or below
 
 
 def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNumber]:
@@ -325,11 +328,8 @@ def outside_space(simulation: Simulation) -> Iterator[Finding]:
     stop = simulation.report.stop
     if stop is not None and stop.kind == "space":
         for entry in simulation.program.agent.observation:
-            names = [
-                name
-                for name in stop.numbers
-                if name.partition(".")[0] == entry.value.name or name == entry.value.name
-            ]
+            full_names = {entry.value.name, *(number.full_name for number in entry.numbers)}
+            names = [name for name in stop.numbers if name in full_names]
             if names:
                 headline = f"`{names[0]}` is outside of the observation space"
                 yield Finding(
@@ -365,11 +365,10 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         numbers = list(group)
         entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
         is_whole = len(numbers) == parts
-        name = (
-            entry.value.name if is_whole and parts > 1 else ", ".join(number.full_name for number in numbers)
-        )
+        names = [entry.value.name] if is_whole and parts > 1 else [number.full_name for number in numbers]
+        name, verb = "` and `".join(names), "never changes" if len(names) == 1 else "never change"
         value = with_unit(_in_units(simulation, numbers[0]), numbers[0].dimension)
-        headline = f"`{name}` never changes" + (f": it is {value} in every step" if len(numbers) == 1 else "")
+        headline = f"`{name}` {verb}" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = (
             "remove it" if is_whole else "observe only the other components"
         ) + ", or add a script under `scripts` that changes it"

@@ -32,30 +32,29 @@ def nearly_zero_sum(program: Program) -> Iterator[Finding]:
     if not program.has_rivals:
         return
     for member, rival in combinations(program.members.values(), 2):
-        for multiple, opposite in _opposite_terms(member, rival):
-            (a, first), (b, second) = multiple, opposite
+        factors, rival_factors = _factors(member), _factors(rival)
+        for quantity in factors.keys() & rival_factors.keys():
+            (factor, term), (rival_factor, rival_term) = factors[quantity], rival_factors[quantity]
+            if factor * rival_factor >= 0.0 or isclose(factor, -rival_factor, rel_tol=1e-9):
+                continue
             yield Finding(
                 "DB718",
-                second.span,
-                f"`{second.name}` of `{rival.name}` pays {_number(b)} where `{first.name}` of `{member.name}`"
-                f" pays {_number(a)}, so the rewards of the two do not add up to zero",
-                f"write {_number(-a)} here if one agent should gain what the other loses",
-                labels=(Label(first.span, "the same value for the other agent"),),
+                rival_term.span,
+                f"`{rival_term.name}` of `{rival.name}` pays {_number(rival_factor)} where `{term.name}` of"
+                f" `{member.name}` pays {_number(factor)}, so the rewards of the two do not add up to zero",
+                f"write {_number(-factor)} here if one agent should gain what the other loses",
+                labels=(Label(term.span, "the same value for the other agent"),),
             )
 
 
-def _opposite_terms(
-    member: Member, rival: Member
-) -> Iterator[tuple[tuple[float, Expression], tuple[float, Expression]]]:
-    """Yield pairs of terms of two agents that are opposite multiples of the same value, with the multiples,
-    unless they cancel."""
-    rival_multiples = {multiple.of: (multiple.factor, term) for multiple, term in _multiples(rival)}
+def _factors(member: Member) -> dict[Hashable, tuple[float, Expression]]:
+    """Return what an agent gets for each quantity, the sum of the factors of its terms, with the first
+    term."""
+    factors: dict[Hashable, tuple[float, Expression]] = {}
     for multiple, term in _multiples(member):
-        if multiple.of in rival_multiples:
-            factor, rival_term = rival_multiples[multiple.of]
-            opposite = multiple.factor * factor < 0.0
-            if opposite and not isclose(multiple.factor, -factor, rel_tol=1e-9):
-                yield (multiple.factor, term), (factor, rival_term)
+        sum_before, first = factors.get(multiple.of, (0.0, term))
+        factors[multiple.of] = sum_before + multiple.factor, first
+    return factors
 
 
 def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -158,23 +158,9 @@ def verify(
             time = begun + round(frame.time * NS_PER_S)
             new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):
-                for topic in sorted(new, key=_topic_rank):
-                    if (
-                        topic.startswith("/image/")
-                        or new[topic] == old.get(topic)
-                        or (tolerance and topic.startswith("/scan/"))
-                    ):
-                        continue
-                    before = msgspec.json.decode(old.get(topic, b"{}"))
-                    after = msgspec.json.decode(new[topic])
-                    if tolerance:
-                        before, after = (
-                            {k: v for k, v in side.items() if k not in _EXACT_PARTS.get(topic, ())}
-                            for side in (before, after)
-                        )
-                    # Other programs write the same numbers in another way.
-                    if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
-                        return Divergence(recorded.number, place, *difference)
+                difference = _first_difference(old, new, tolerance)
+            if difference is not None:
+                return Divergence(recorded.number, place, *difference)
         time += NS_PER_S
         on_episode(done)
     return None
@@ -189,8 +175,30 @@ def version_changes(recording: Recording) -> list[str]:
     ]
 
 
+def _first_difference(
+    old: Mapping[str, bytes], new: Mapping[str, bytes], tolerance: float
+) -> tuple[str, str, str] | None:
+    """Return the first difference between the topics of a recorded step and those of now: its path, and both
+    values; None if there is none."""
+    for topic in sorted({**old, **new}, key=_topic_rank):
+        is_left_out = topic.startswith("/image/") or (tolerance and topic.startswith("/scan/"))
+        if is_left_out or new.get(topic) == old.get(topic):
+            continue
+        # Other programs write the same numbers in another way.
+        before, after = (msgspec.json.decode(topics.get(topic, b"{}")) for topics in (old, new))
+        if tolerance:
+            before, after = (
+                {key: value for key, value in side.items() if key not in _EXACT_PARTS.get(topic, ())}
+                for side in (before, after)
+            )
+        if difference := _difference(topic.removeprefix("/"), before, after, tolerance):
+            return difference
+    return None
+
+
 def _topic_rank(topic: str) -> int:
-    """Return the rank of a topic in a step."""
+    """Return the rank of a topic in a step: causes before effects, so that the first difference is the
+    cause."""
     kind = "/to_robot" if topic.endswith("/to_robot") else topic.split("/")[1]
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
 

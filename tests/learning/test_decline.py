@@ -71,6 +71,11 @@ def test_the_last_evaluation_alone_is_enough_for_a_large_fall():
     assert (fall.best_steps, fall.last_value) == (3000, 0.2)
 
 
+def test_two_evaluations_are_few_also_where_they_are_the_last_quarter():
+    assert decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.85]), "success_rate") is None
+    assert decline(_evaluations([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3]), "success_rate") is not None
+
+
 def test_a_harder_stage_of_the_curriculum_is_no_fall():
     easy = _evaluations([0.9, 1.0, 1.0, 1.0], stage="easy")
     hard = _evaluations([0.1, 0.2, 0.2, 0.3], stage="hard", every=10_000)
