@@ -1,5 +1,5 @@
-"""Rotations as quaternions (x, y, z, w) and as 3 by 3 matrices, in plain floats: faster than numpy on so few
-numbers."""
+"""Vectors, frames, and rotations as quaternions (x, y, z, w) and as 3 by 3 matrices, in plain floats: faster
+than numpy on so few numbers."""
 
 from __future__ import annotations
 
@@ -73,11 +73,11 @@ def roll_pitch_yaw(q: Quaternion) -> Triple:
     0.
     """
     x, y, z, w = q
-    down = 2 * (w * y - z * x)
-    if abs(down) > _VERTICAL:
-        return 0.0, copysign(pi / 2, down), atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z))
+    sin_pitch = 2 * (w * y - z * x)
+    if abs(sin_pitch) > _VERTICAL:
+        return 0.0, copysign(pi / 2, sin_pitch), atan2(2 * (w * z - x * y), 1 - 2 * (x * x + z * z))
     roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = asin(down)
+    pitch = asin(sin_pitch)
     return roll, pitch, atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
@@ -86,9 +86,9 @@ def normalized(q: Quaternion) -> Quaternion:
     return (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
 
 
-def leveled(turned: Quaternion) -> Quaternion:
+def yaw_only(rotation: Quaternion) -> Quaternion:
     """Return the yaw of a rotation alone; the identity where its forward axis is vertical."""
-    x, y, _ = rotate(turned, (1.0, 0.0, 0.0))
+    x, y, _ = rotate(rotation, (1.0, 0.0, 0.0))
     return quaternion(0.0, 0.0, atan2(y, x) if hypot(x, y) > 1e-9 else 0.0)
 
 

@@ -76,7 +76,7 @@ class RayCluster:
             with (
                 tempfile.TemporaryDirectory() as folder,
                 _working_directory(Path(folder)),
-                ray_internals.messages_left_out(),
+                ray_internals.node_messages_silenced(),
             ):
                 ray.init(address=self._address, **_SILENT)
         except (ConnectionError, ValueError) as error:

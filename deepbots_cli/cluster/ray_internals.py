@@ -11,9 +11,8 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def messages_left_out() -> Iterator[None]:
-    """Keep Ray within the block from printing the messages of its nodes. Lost workers are reported by
-    deepbots."""
+def node_messages_silenced() -> Iterator[None]:
+    """Silence the messages of Ray's nodes within the block: deepbots reports lost workers itself."""
     from ray._private import worker
 
     before = worker.listen_error_messages

@@ -24,7 +24,6 @@ from deepbots_cli.robots.model import (
     with_link,
 )
 
-# Of links that state no color, in turn.
 LINK_COLORS = (
     (0.84, 0.44, 0.24, 1.0),
     (0.27, 0.45, 0.66, 1.0),
@@ -32,6 +31,7 @@ LINK_COLORS = (
     (0.86, 0.70, 0.32, 1.0),
     (0.42, 0.60, 0.46, 1.0),
 )
+"""The colors that links without a color of their own get, in turn."""
 ROOT_MASS_FRACTION = 1e-6
 """The mass of a root without mass, as a share of the mass that is attached to it. Its inertia is that of this
 mass at a distance of 1 m."""
@@ -142,17 +142,20 @@ def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> Robo
             )
     root = model.link(model.root).inertial
     if not fixed_base and (root is None or root.mass <= 0.0):
-        model = _with_heavy_root(name, model)
+        model = _with_trace_mass_at_root(name, model)
     return replace(
         model, links=tuple(replace(link, inertial=link.inertial or Inertial(0.0)) for link in model.links)
     )
 
 
-def _with_heavy_root(name: str, model: RobotModel) -> RobotModel:
+def _with_trace_mass_at_root(name: str, model: RobotModel) -> RobotModel:
     """Return the model whose root is a mere frame, as `base_footprint` is, with a trace of the mass that
     fixed joints attach to it.
 
     The engine would take a free root without mass for one that is bolted to the world.
+
+    Raises:
+        EngineError: No link that is rigidly attached to the root has a mass.
     """
     links = [model.link(link).inertial for link in rigid_group(model, model.root)]
     mass = sum(link_mass.mass for link_mass in links if link_mass)

@@ -424,7 +424,7 @@ def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tup
 
     def measured() -> tuple[float, float]:
         (_, _, height), turn = pose()
-        turn = frames.leveled(turn) if upright else turn
+        turn = frames.yaw_only(turn) if upright else turn
         if min(cast()) < reach:
             return -inf, inf
         return height + min(frames.rotate(turn, end)[2] for end in ends), height + max(

@@ -66,7 +66,7 @@ def place_at(text: str, offset: int) -> Place:
         except _EndedError as error:
             at, sign = error.opening, "_"
         else:
-            if len(reader.frames) > MAX_DEPTH:
+            if len(reader.open_containers) > MAX_DEPTH:
                 break
             return Place(reader.path, reader.role, reader.start, text[reader.start :], reader.root[""] or {})
         sound = sound[:at] + sign + sound[at + len(sign) :]
@@ -101,8 +101,8 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
     ):
         return 0, "", text[at]
     if text.startswith((":", "-", "?"), stop):
-        if "\n" in text[reader.since : stop]:
-            return reader.since, "#", behind  # keys below a scalar: drop the scalar
+        if "\n" in text[reader.value_start : stop]:
+            return reader.value_start, "#", behind  # keys below a scalar: drop the scalar
         at = stop
     return (0, "", "") if at >= len(text) else (at, " " if text[at] == "\t" else "_", behind)
 
@@ -118,8 +118,8 @@ def _ends_before(text: str, start: int) -> bool:
 class _Reader:
     """Builds plain values from tokens up to the mark.
 
-    `frames` are the open containers. `slot` is the place of the next value: a container, the key or index in
-    it (None if a key comes next), and its path.
+    At the mark `|` of `a: {b: |`, the open containers are the root and the mapping of `a`, and `slot` is the
+    place of the next value: that mapping, the key `b`, and the path `a.b`. A key is None if a key comes next.
     """
 
     def __init__(self, text: str, offset: int) -> None:
@@ -127,12 +127,12 @@ class _Reader:
         self.offset = offset
         self.root: dict[str, Any] = {"": ""}
         self.slot: tuple[Any, Any, NodePath] = (self.root, "", ())
-        self.frames: list[tuple[Any, Any, NodePath]] = []
+        self.open_containers: list[tuple[Any, Any, NodePath]] = []
         self.flows: list[int] = []  # the offsets of the open brackets
         # The lists in the column of their key, which have no tokens for beginning and end.
-        self.flush: list[Any] = []
+        self.key_column_lists: list[Any] = []
         self.word = ""
-        self.since, self.end = 0, 0  # the end of the last value
+        self.value_start, self.value_end = 0, 0  # of the last value
         self.path: NodePath = ()
         self.role: Role = "aside"
         self.start = offset
@@ -154,7 +154,7 @@ class _Reader:
             else:
                 self._sign(token.id, start, end)
                 last = self.slot[2] if start < self.offset else last
-            if len(self.frames) > MAX_DEPTH:
+            if len(self.open_containers) > MAX_DEPTH:
                 return
         self.path = last  # the mark is in a comment
 
@@ -164,16 +164,20 @@ class _Reader:
         if (
             line > self.flows[0]
             and not self.text[line:start].strip(" ")
-            and len(self.frames) > len(self.flows)
+            and len(self.open_containers) > len(self.flows)
         ):
             above = self.text[self.text.rfind("\n", 0, self.flows[0]) + 1 :]
             if start - line <= len(above) - len(above.lstrip(" ")):
                 raise _EndedError(self.flows[0])
 
     def _sign(self, sign: str, start: int, end: int) -> None:
-        if sign in ("?", "<block end>") and self.flush and self.flush[-1] is self.slot[0]:
-            self.slot = self.frames.pop()
-            self.flush.pop()
+        if (
+            sign in ("?", "<block end>")
+            and self.key_column_lists
+            and self.key_column_lists[-1] is self.slot[0]
+        ):
+            self.slot = self.open_containers.pop()
+            self.key_column_lists.pop()
         holder, key, path = self.slot
         is_list = isinstance(holder, list)
         if sign in _OPENING:
@@ -186,13 +190,13 @@ class _Reader:
             self._close(sign, end)
         elif sign == "-" and not is_list:
             self._open([])
-            self.flush.append(self.slot[0])
+            self.key_column_lists.append(self.slot[0])
             self._item()
         elif sign == "-" or (sign == "," and is_list):
             self._item()
         elif sign == "?" or (sign == "," and self.flows):
-            if not is_list and self.frames:
-                self.slot = (holder, None, self.frames[-1][2])
+            if not is_list and self.open_containers:
+                self.slot = (holder, None, self.open_containers[-1][2])
         elif sign == ":" and not is_list and key is None:
             holder[self.word] = ""
             self.slot = (holder, self.word, (*path, self.word))
@@ -201,23 +205,23 @@ class _Reader:
         holder, key, path = self.slot
         if key is not None:
             holder[key] = node
-        self.frames.append(self.slot)
+        self.open_containers.append(self.slot)
         self.slot = (node, None, path)
 
     def _close(self, sign: str, end: int) -> None:
-        if self.frames and (sign == "<block end>") == (not self.flows):
-            self.slot = self.frames.pop()
+        if self.open_containers and (sign == "<block end>") == (not self.flows):
+            self.slot = self.open_containers.pop()
         if self.flows and sign != "<block end>":
-            self.since, self.end = self.flows.pop(), end
+            self.value_start, self.value_end = self.flows.pop(), end
 
     def _item(self) -> None:
         holder, _, _ = self.slot
         holder.append("")
-        self.slot = (holder, len(holder) - 1, (*self.frames[-1][2], len(holder) - 1))
+        self.slot = (holder, len(holder) - 1, (*self.open_containers[-1][2], len(holder) - 1))
 
     def _scalar(self, text: str, start: int, end: int) -> None:
         holder, key, _ = self.slot
-        self.word, self.since, self.end = text, start, end
+        self.word, self.value_start, self.value_end = text, start, end
         if key is not None:
             holder[key] = text
 
@@ -225,8 +229,8 @@ class _Reader:
         """Finish the scalar that contains the mark."""
         holder, key, path = self.slot
         style = getattr(token, "style", None)
-        if self.end == start and self.text.endswith(("'", '"')):
-            start = self.since
+        if self.value_end == start and self.text.endswith(("'", '"')):
+            start = self.value_start
             if key is not None:
                 holder[key] = ""
         line = self.text[self.text.rfind("\n", 0, start) + 1 :]
@@ -240,9 +244,9 @@ class _Reader:
         self.path, self.start = path, start
         if key is not None and holder[key] != "":  # a complete value, and more
             if on_own_line:
-                self.path, self.role = self.frames[-1][2] if self.frames else (), "key"
-            elif self.end == start and self.text.endswith(("}", "]")):
-                self.role, self.start = "value", self.since
+                self.path, self.role = self.open_containers[-1][2] if self.open_containers else (), "key"
+            elif self.value_end == start and self.text.endswith(("}", "]")):
+                self.role, self.start = "value", self.value_start
             return
         self.role = "key" if key is None or on_own_line else "value"
         if is_block:

@@ -103,9 +103,12 @@ class EngineOfCopy(EngineProxy):
         self.settling = 0
 
     def body(self, name: str) -> str:
+        """Return the name of a body in the world of all copies."""
         return self._copy if name == self._robot else name
 
     def changing(self, body: str = "") -> Engine | None:
+        """Return the engine to set a value of a body with; None for a value that the first copy sets, because
+        each copy would draw another one."""
         return self.engine if self._is_first or body == self._robot else None
 
     def reset(self) -> None:

@@ -241,7 +241,7 @@ def _scan(
             "ranges": list(free),
             "intensities": [0.0] * len(free),
         }
-    level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.leveled(turned)))
+    level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.yaw_only(turned)))
     points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
     # The type 7 is FLOAT32.
     fields = [{"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")]

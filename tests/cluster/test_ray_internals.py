@@ -18,6 +18,6 @@ def test_the_library_starts_the_function_that_is_replaced() -> None:
 
     assert "target=listen_error_messages" in inspect.getsource(worker.connect)
     original = worker.listen_error_messages
-    with ray_internals.messages_left_out():
+    with ray_internals.node_messages_silenced():
         assert worker.listen_error_messages is not original
     assert worker.listen_error_messages is original

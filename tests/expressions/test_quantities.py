@@ -24,7 +24,9 @@ from deepbots_cli.expressions.dimensions import (
 from deepbots_cli.expressions.written import units_in
 
 exponents = st.integers(-4, 4) | st.fractions(-2, 2, max_denominator=4)
-dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents).map(lambda any: any * NUMBER)
+dimensions = st.builds(Dimension, exponents, exponents, exponents, exponents).map(
+    lambda dimension: dimension * NUMBER  # brings exponents into normal form
+)
 
 
 @given(dimensions, dimensions)

@@ -37,7 +37,7 @@ def scenario(folder: Path, text: str) -> api.Compiled:
 def points(environment: Any, *, level: bool = True) -> list[tuple[float, float, float]]:
     """The points of the grid in the world, in the order of the components."""
     position, turned = environment.engine.pose("dog", "trunk")()
-    frame = position, frames.leveled(turned) if level else turned
+    frame = position, frames.yaw_only(turned) if level else turned
     grid = [(0.2 * (i - 1.5), 0.2 * (j - 1.0), 0.0) for i in range(4) for j in range(3)]
     return [frames.compose(frame, (point, frames.IDENTITY_ROTATION))[0] for point in grid]
 

@@ -254,7 +254,7 @@ class Rays:
 
         def read() -> list[float]:
             position, rotation = pose()
-            level = (position, frames.leveled(rotation))
+            level = (position, frames.yaw_only(rotation))
             starts, stops = (
                 [frames.compose(level, (point, frames.IDENTITY_ROTATION))[0] for point in group]
                 for group in points
