@@ -67,11 +67,11 @@ class RangedNumber(NamedTuple):
         return above or below
 
 
-def ranged_numbers(analysis: Analysis, *more: Observation) -> Iterator[RangedNumber]:
-    """Yield all numbers of the observation and of `more` entries, without pictures and truth values."""
+def ranged_numbers(analysis: Analysis, *extra_entries: Observation) -> Iterator[RangedNumber]:
+    """Yield all numbers of the observation and of `extra_entries`, without pictures and truth values."""
     parts = [
         (entry, index, number)
-        for entry in (*analysis.program.agent.observation, *more)
+        for entry in (*analysis.program.agent.observation, *extra_entries)
         for index, number in enumerate(entry.numbers)
     ]
     for place, (entry, index, number) in enumerate(parts):
@@ -182,7 +182,7 @@ def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     program = analysis.program
     is_late = program.timing == "delayed" or any(robot.from_route.settings for robot in program.robots)
     goal = program.agent.goal
-    ends = (
+    goal_entries = (
         [
             Observation(value, goal.low, goal.high, noise=value.noise)
             for value in (goal.achieved, goal.desired)
@@ -192,7 +192,7 @@ def _seen_numbers(analysis: Analysis) -> Iterator[RangedNumber]:
     )
     return (
         number
-        for number in ranged_numbers(analysis, *ends)
+        for number in ranged_numbers(analysis, *goal_entries)
         if not (is_late and any("." in name for name in analysis.dependencies(number.node)))
     )
 
@@ -283,12 +283,12 @@ def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Line
 def observation_unbounded(context: RuleContext) -> Iterator[Finding]:
     """Report an entry of the observation that is not clipped to its range, and can be arbitrarily large."""
     analysis = context.analysis
-    loose = [
+    unclipped = [
         number
         for number in ranged_numbers(analysis)
         if not number.entry.clip and not analysis.ranges.of(number.node).is_finite
     ]
-    for entry in {id(number.entry): number.entry for number in loose}.values():
+    for entry in {id(number.entry): number.entry for number in unclipped}.values():
         headline = f"`{entry.value.name}` is not clipped to its range, and can be arbitrarily large"
         fix = removal_fix(context.values.root, ("observation", entry.value.name, "clip"))
         yield Finding(
@@ -355,13 +355,13 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     """Report a number that was the same in every step."""
     if not simulation.is_complete or simulation.steps < _MIN_STEPS:
         return
-    still = [
+    constant = [
         number
         for number in ranged_numbers(simulation.analysis)
         if number.place in simulation.report.summary.constant_numbers
     ]
-    still = [number for number in still if -1.0 < _constant(simulation, number) < 1.0]
-    for _, group in groupby(still, key=lambda number: number.entry.value.name):
+    constant = [number for number in constant if -1.0 < _constant(simulation, number) < 1.0]
+    for _, group in groupby(constant, key=lambda number: number.entry.value.name):
         numbers = list(group)
         entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
         is_whole = len(numbers) == parts
