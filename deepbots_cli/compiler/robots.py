@@ -617,6 +617,14 @@ def load_robot(name: str, spec: RobotSpec, namespace: Namespace) -> ResolvedRobo
     file_at = locate_file(spec.urdf, values.field(spec, "urdf").span, document, values, robot=True)
     if file_at is None:
         return None
+    if file_at.suffix in (".yaml", ".yml"):
+        values.add(
+            "DB301",
+            values.field(spec, "urdf").span,
+            f"`{spec.urdf}` is no robot file",
+            "write the path of a URDF file, or the name of a shipped robot, such as `cartpole`",
+        )
+        return None
     resolve_mesh = meshes.mesh_resolver(file_at.parent, (*document.roots, *meshes.package_folders(spec.urdf)))
     findings = Findings()
     file = read(file_at, files.display_path(file_at), findings, resolve_mesh=resolve_mesh)

@@ -90,7 +90,7 @@ class UnusableFile:
             )
         if self.reason == "outside":
             return self._help_outside()
-        if near := _similar(self.path, self.by):
+        if near := self._similar_file():
             return f"did you mean {near}?"
         if self.nearest_name:
             hint = f"did you mean `{self.nearest_name}`, which is shipped with deepbots?"
@@ -139,6 +139,15 @@ class UnusableFile:
             else Path(os.path.relpath(candidates, self.base)).as_posix()
         )
 
+    def _similar_file(self) -> str | None:
+        """Return a file in the folder whose name is similar; None where a name of a shipped file is, and for a
+        robot if it is a scenario."""
+        if self.is_name and self.nearest_name:
+            return None
+        near = _similar(self.path, self.by)
+        is_scenario = near is not None and near.endswith((".yaml", ".yml"))
+        return None if is_scenario and self.library is shipped.ROBOTS else near
+
     @property
     def meant(self) -> str | None:
         """What to write instead of the reference, if a file that exists was probably meant."""
@@ -148,7 +157,7 @@ class UnusableFile:
             return instead
         if self.reason == "outside" or shipped.is_shipped_path(self.reference):
             return None
-        if near := _similar(self.path, self.by):
+        if near := self._similar_file():
             folder, slash, _ = self.reference.rpartition("/")
             return f"{folder}{slash}{near}"
         return self.nearest_name

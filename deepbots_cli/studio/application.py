@@ -18,7 +18,12 @@ from deepbots_cli.studio.session import Session
 from deepbots_cli.view import access
 
 _MEDIA_TYPES = {".html": "text/html", ".mp4": "video/mp4", ".gif": "image/gif", ".png": "image/png"}
-_OUTPUT_POLICY = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:; frame-ancestors 'none'"
+_PAGE_POLICY = "sandbox allow-scripts; default-src 'unsafe-inline' data: blob:; frame-ancestors 'none'"
+_MEDIA_POLICY = (
+    "default-src 'none'; img-src 'self'; media-src 'self'; style-src 'unsafe-inline'; frame-ancestors 'none'"
+)
+"""For pictures and videos, which have no scripts: in a sandbox, the player would ask for a video without the
+token."""
 
 
 def application_of(session: Session, gate: access.Gate, first: Path | None) -> Guarded:
@@ -108,7 +113,8 @@ class _Routes:
             content = await asyncio.to_thread(file.read_bytes)
         except OSError:
             return Response("the file is gone\n", 404)
-        return Response(content, media_type=kind, headers={"Content-Security-Policy": _OUTPUT_POLICY})
+        policy = _PAGE_POLICY if kind == "text/html" else _MEDIA_POLICY
+        return Response(content, media_type=kind, headers={"Content-Security-Policy": policy})
 
 
 def _json(value: object) -> Response:

@@ -76,9 +76,17 @@ def _entry(title: str, text: list[str]) -> str:
         # Lines of an example are one block.
         is_example = line.startswith("    ")
         separator = "\n" if is_example and lines[-1].rpartition("\n")[2].startswith("    ") else "\n\n"
-        shown = line if is_example else _with_links(line, name)
+        shown = line if is_example else _with_links(_escaped(line), name)
         lines = [*lines[:-1], f"{lines[-1]}{separator}{shown}"]
     return lines[0]
+
+
+def _escaped(text: str) -> str:
+    """Return plain text as Markdown: `n_steps` and `2 * x` mean no emphasis, except in quoted code."""
+    parts = text.split("`")
+    return "`".join(
+        part if number % 2 else re.sub(r"([_*])", r"\\\1", part) for number, part in enumerate(parts)
+    )
 
 
 def _with_links(text: str, itself: str = "") -> str:
