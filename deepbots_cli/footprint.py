@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from math import cos, hypot, sin
+from math import cos, hypot, pi, sin
 from typing import NamedTuple
 
 from deepbots_cli import frames
@@ -49,7 +49,7 @@ class Footprint(NamedTuple):
     @property
     def area(self) -> float:
         """The area, in m^2."""
-        return 4.0 * self.half[0] * self.half[1] if self.half else 3.141592653589793 * self.radius**2
+        return 4.0 * self.half[0] * self.half[1] if self.half else pi * self.radius**2
 
     @property
     def inradius(self) -> float:
@@ -224,6 +224,9 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
             yield x, y
         case Cylinder(_, length) | Capsule(_, length) if abs(axis[2]) < 0.1:  # a wheel touches along a line
             yield from ((x + end * axis[0], y + end * axis[1]) for end in (-length / 2, length / 2))
+        case Capsule(_, length):
+            end = -length / 2 if axis[2] > 0.0 else length / 2
+            yield x + end * axis[0], y + end * axis[1]
         case _:
             corners = _corners(shape, frame)
             lowest = min(corner[2] for corner in corners)
@@ -371,6 +374,8 @@ def _own_bounds(shape: Shape) -> Bounds:
             a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
         case Cylinder(radius, length):
             a, b, c = radius, radius, length / 2
-        case _:
-            a = b = c = 0.0
+        case Capsule(radius, length):
+            a, b, c = radius, radius, length / 2 + radius
+        case Sphere(radius):
+            a = b = c = radius
     return (-a, -b, -c), (a, b, c)

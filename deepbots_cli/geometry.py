@@ -31,8 +31,8 @@ from deepbots_cli.errors import DeepbotsError, EngineError
 from deepbots_cli.expressions.scalar import Name
 from deepbots_cli.pictures import MAX_PICTURE_BYTES, picture_problem
 from deepbots_cli.program.world import Formula, Picture, Pit, Terrain, TerrainShape, Tiles
-from deepbots_cli.robots.meshes import read_verified
-from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, to_urdf, with_link
+from deepbots_cli.robots.meshes import mesh_bounds, read_verified
+from deepbots_cli.robots.model import Inertial, Link, Mesh, Pose, RobotModel, Vector, to_urdf, with_link
 
 if TYPE_CHECKING:
     import trimesh
@@ -172,6 +172,21 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
     if not np.all(np.abs(grid.heights) < _HIGHEST):  # false for NaN
         raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
     return grid
+
+
+@lru_cache(maxsize=4)
+def terrain_bounds(terrain_shape: TerrainShape) -> tuple[Vector, Vector]:
+    """Return the lowest and the highest coordinates (m) of a terrain; those of a COLLADA mesh are 0.
+
+    Raises:
+        EngineError: As for `height_grid`.
+    """
+    grid = height_grid(terrain_shape)
+    if grid is None:
+        assert isinstance(terrain_shape, Mesh)  # all others are grids
+        return mesh_bounds(terrain_shape) or ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    x, y = (side / 2 for side in grid.size)
+    return (-x, -y, float(grid.heights.min())), (x, y, float(grid.heights.max()))
 
 
 def ground_height(terrain: Terrain | None, diagonal: Diagonal = "falling") -> Height:

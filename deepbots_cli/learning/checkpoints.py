@@ -302,7 +302,7 @@ class Checkpoints:
                 self.note(f"{name} changed at {state.steps:,} steps from {value} to {here.get(name)}")
         if state.digest != self.run.digest:
             self.note(f"the scenario now compiles to a different program than at {state.steps:,} steps")
-        self._learner.restore(state, arrays, self._repeat_episodes(state, arrays))
+        self._learner.restore(state, arrays, same=self._repeat_episodes(state, arrays))
         self._collector.stale = {
             name.removeprefix("stale/"): array for name, array in arrays.items() if name.startswith("stale/")
         }

@@ -333,11 +333,13 @@ class JointLearner(Learner):
             for key, spec in learner.specs(self._own_state(state, name, learner)).items()
         }
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         self.steps = kept.steps
         for name, learner in self._own.items():
             learner.restore(
-                self._own_state(kept, name, learner), own_entries(arrays, _array_name(name, "")[:-1]), same
+                self._own_state(kept, name, learner),
+                own_entries(arrays, _array_name(name, "")[:-1]),
+                same=same,
             )
 
     def _own_state(self, state: Any, name: str, learner: Learner) -> Any:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 from deepbots_cli.errors import UsageError
@@ -97,14 +98,21 @@ class Policy:
                     f" {numbers[tuple(wrong[0])]}"
                 )
         masks = action_mask if self._model.takes_masks else None
-        rows = len(observation) if np.ndim(observation) > 1 and not isinstance(observation, dict) else 1
         action, self._memory = self._model.predict(
-            observation, self._memory, np.full(rows, self._begins), deterministic, masks
+            observation, self._memory, np.full(self._rows(observation), self._begins), deterministic, masks
         )
         self._begins = False
         return action
 
     __call__ = predict
+
+    def _rows(self, observation: Any) -> int:
+        """Return the number of rows of an observation; 1 for a single observation."""
+        part, space = observation, self.observation_space
+        if isinstance(space, gym.spaces.Dict):
+            name, space = next(iter(space.spaces.items()))
+            part = observation[name]
+        return len(part) if np.ndim(part) > len(space.shape or ()) else 1
 
     def observe(self, values: Mapping[str, float], desired: Sequence[float] | None = None) -> Any:
         """Return the observation for values by name, in their units (SI). Values beyond a range are clipped.

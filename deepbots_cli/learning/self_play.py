@@ -418,8 +418,8 @@ class SelfPlayLearner(JointLearner):
             for name, spec in weights.items()
         }
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
-        super().restore(kept, arrays, same)
+    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        super().restore(kept, arrays, same=same)
         names = [*self._learner.weights()]
         self.pool = []
         for number, past in enumerate(kept.pool):

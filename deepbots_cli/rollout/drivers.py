@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import UsageError, counted
 from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver, Start
@@ -142,8 +142,8 @@ def sequence_driver(actions: Iterable[Any]) -> Driver:
 
 
 def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
-    """Return a driver with the actions in `text`, repeated without end. Commas separate actions, colons the
-    parts of one action.
+    """Return a driver with the actions in `text`, repeated without end; each episode begins with the first.
+    Commas separate actions, colons the parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight
     steps of the same action. In place of an action, the name of a script lets the script act. All copies of a
@@ -152,8 +152,25 @@ def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
     Raises:
         UsageError: The scenario has no such action.
     """
-    parts = [_read_repeated(world, word.strip()) for word in text.split(",")]
-    return sequence_driver(act() for act, times in cycle(parts) for _ in range(times))
+    return _RepeatedActions([_read_repeated(world, word.strip()) for word in text.split(",")])
+
+
+class _RepeatedActions(Driver):
+    """Repeats its parts without end; each episode begins with the first part. A part is a function for the
+    action of each step, and the number of steps."""
+
+    def __init__(self, parts: Sequence[tuple[Callable[[], Any], int]]) -> None:
+        self._parts = parts
+        self._following = self._acts()
+
+    def begin(self, start: Start) -> None:
+        self._following = self._acts()
+
+    def act(self, observation: Any) -> Any:
+        return next(self._following)()
+
+    def _acts(self) -> Iterator[Callable[[], Any]]:
+        return (act for act, times in cycle(self._parts) for _ in range(times))
 
 
 _MAX_DIGITS = 6
@@ -161,7 +178,7 @@ _MAX_DIGITS = 6
 
 def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:
     """Return a function for the action of each step, and the number of steps."""
-    text, star, times = word.partition("*")
+    text, star, times = (piece.strip() for piece in word.partition("*"))
     if star and not (times.isdecimal() and len(times) <= _MAX_DIGITS and int(times)):
         raise UsageError(
             f"'{word}' is not valid; write the number of steps after the asterisk, such as {text}*8"
@@ -178,9 +195,10 @@ def _read_action(world: gym.Env[Any, Any], text: str) -> Any:
     parts = [width for part in world.get_wrapper_attr("scenario").agent.action for width in _slots(part)]
     words = text.split(":")
     if len(words) != len(parts):
+        hint = "; separate the parts by colons" if len(words) < len(parts) else ""
         raise UsageError(
-            f"the action '{text}' has {len(words)} parts, but this scenario needs {len(parts)}; separate the"
-            " parts by colons"
+            f"the action '{text}' has {counted(len(words), 'part')}, but this scenario needs"
+            f" {len(parts)}{hint}"
         )
     values = [_read_part(part, word.strip()) for part, word in zip(parts, words, strict=True)]
     ranges = [value for part, value in zip(parts, values, strict=True) if isinstance(part, ActionRange)]
@@ -209,7 +227,8 @@ def _read_part(part: Choices | ActionRange, word: str) -> float:
         order = (
             f"; the order of its numbers is {':'.join(part.components)}" if len(part.components) > 1 else ""
         )
-        scale = f"-1 is {part.low:g} {part.unit}, 1 is {part.high:g} {part.unit}"
+        unit = "" if part.unit == "1" else f" {part.unit}"
+        scale = f"-1 is {part.low:g}{unit}, 1 is {part.high:g}{unit}"
         raise UsageError(
             f"'{word}' is not valid for '{part.name}': write a number from -1 to 1 ({scale}){order}"
         )

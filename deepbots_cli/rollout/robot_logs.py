@@ -6,7 +6,7 @@ from __future__ import annotations
 import shutil
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -56,13 +56,15 @@ class LoggedEpisode:
 
 @dataclass(frozen=True, eq=False)
 class RobotLog:
-    """A log that was read; `folder` has the scenario, as long as the log is in use."""
+    """A log that was read; `folder` has the scenario, as long as the log is in use. `notes` say which steps
+    were left out."""
 
     path: Path
     metadata: Mapping[str, str]
     info: BundleInfo
     episodes: Sequence[LoggedEpisode]
     folder: Path
+    notes: tuple[str, ...] = ()
 
     @staticmethod
     def read(path: Path) -> RobotLog:
@@ -87,18 +89,20 @@ class RobotLog:
                     f" deepbots, or read the log with: deepbots diagnose {path}"
                 )
             info = decode(description)
-            episodes = list(_episodes(read_log(path)))
-            folder = scenario_folder(path, {safe_name(name): content for name, content in files.items()})
+            files = {safe_name(name): content for name, content in files.items()}
+            notes: list[str] = []
+            episodes = list(_episodes(read_log(path), notes.append))
+            if not episodes:
+                raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
+            folder = scenario_folder(path, files)
         except (OSError, ValueError, TypeError, msgspec.MsgspecError, BundleError) as error:
             if isinstance(error, UsageError):
                 raise
             raise RecordingError(
                 f"{path} cannot be read as the log of a robot: {' '.join(str(error).split())[:120]}"
             ) from error
-        if not episodes:
-            raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
         metadata = {"scenario": info.scenario.name, "digest": info.scenario.digest}
-        log = RobotLog(path, metadata, info, episodes, folder)
+        log = RobotLog(path, metadata, info, episodes, folder, tuple(notes))
         weakref.finalize(log, shutil.rmtree, folder, ignore_errors=True)
         return log
 
@@ -133,9 +137,11 @@ def is_robot_log(path: Path) -> bool:
         return False
 
 
-def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator[LoggedEpisode]:
+def _episodes(
+    messages: Iterator[tuple[str, float, dict[str, Any]]], note: Callable[[str], object]
+) -> Iterator[LoggedEpisode]:
     """Yield the episodes with a step. They have the numbers of the log, or their places if a number occurs
-    twice."""
+    twice. Calls `note` if there are more than `MAX_STEPS` steps, of which the others are left out."""
     episodes: list[tuple[int, list[LoggedStep]]] = []
     begun, events, count = 0.0, list[str](), 0
     for topic, stamp, content in messages:
@@ -151,6 +157,7 @@ def _episodes(messages: Iterator[tuple[str, float, dict[str, Any]]]) -> Iterator
                 begun = stamp
             count += 1
             if count > MAX_STEPS:
+                note(f"the log is longer than {MAX_STEPS:,} steps; later steps are left out")
                 break
             content = {"ages": {}, **content, "time": max(0.0, stamp - begun), "events": events}
             episodes[-1][1].append(msgspec.convert(content, LoggedStep))

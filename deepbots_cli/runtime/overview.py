@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
 from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, quaternion, rotate, scaled
+from deepbots_cli.geometry import ground_height, terrain_bounds
 from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
-from deepbots_cli.program.world import ObjectBody, Picture, Pit, WorldModel
+from deepbots_cli.program.world import ObjectBody, Picture, Pit, Terrain, WorldModel
 from deepbots_cli.runtime.placement import copy_offset
 
 # The direction of the eye from the middle: the right, a little to the front, above.
@@ -22,12 +24,19 @@ _EYE_DIRECTION = (0.25, -0.94, 0.34)
 _MIN_FRONT_ASPECT = 2.0  # how many times as long as wide a scene is that is seen from the front
 _FLAT_EYE_RISE = 0.9  # how much higher the eye is over flat scenes
 _VIEW_MARGIN = 1.08
-_SCENE_SPACING = 1.1  # how far apart two scenes stand, as a factor
+_SCENE_GAP = 0.1
+"""The gap between two scenes that stand side by side, as a share of the wider one."""
 _MIN_HALF_SIDE_M = 0.05  # m; half the side of the smallest scene
-# Multiples of the side of a robot: the size that dwarfs it, and the part of it that is shown on each side.
-_LARGE, _ROOM_IN_THE_LARGE = (15.0, 3.0)
-# Shares of the largest side, as room around a robot that the view follows, and one with a fixed base.
-_LEG_ROOM, _ARM_ROOM = (0.2, 0.12)
+_LARGE = 15.0
+"""The size of a box that is cropped to the robots, as a multiple of the largest side of a robot."""
+_CROP_MARGIN = 3.0
+"""The part of a cropped box that is shown on each side of the robots, as a multiple of the same side."""
+_LEG_ROOM = 0.2
+"""The room around a robot that the view follows, as a share of its largest side."""
+_ARM_ROOM = 0.12
+"""The room around a robot with a fixed base, as a share of its largest side."""
+_GROUND_SAMPLES = 9
+"""The number of samples of the ground along x and y, within the area where a body may begin."""
 
 Parameters = Mapping[tuple[str, str | None], Scalar]
 """The tree of each component of a parameter."""
@@ -52,19 +61,14 @@ def extent(scenario: Program) -> list[Bounds]:
         )
     }
     world = scenario.world
-    robots = list(_robots(scenario, places, parameters))
+    robots = list(_robot_boxes(scenario, places, parameters))
     around = [
         *_surroundings(world),
-        *(box for thing in world.objects for box in _object(thing, world, places, parameters)),
+        *(box for thing in world.objects for box in _object_boxes(thing, world, places, parameters)),
     ]
     if world.arena is None and robots:
-        around = list(_near(robots, around))
-    boxes = [*robots, *around]
-    if world.arena is None:
-        return boxes
-    # Bodies that look for a place stay within the walls.
-    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
-    return [((max(a[0], -x), max(a[1], -y), a[2]), (min(b[0], x), min(b[1], y), b[2])) for a, b in boxes]
+        around = list(_crop_to_robots(robots, around))
+    return [*robots, *around]
 
 
 def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) -> View:
@@ -91,10 +95,14 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
 def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
     """Return the shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
-    gap = max(dot(corner, right) for corner in _corners([box_around(boxes)])) - min(
-        dot(corner, right) for corner in _corners([box_around(others)])
+    (left_start, left_end), (right_start, right_end) = (
+        (min(along), max(along))
+        for along in (
+            [dot(corner, right) for corner in _corners([box_around(scene)])] for scene in (boxes, others)
+        )
     )
-    return scaled(right, _SCENE_SPACING * gap)
+    gap = _SCENE_GAP * max(left_end - left_start, right_end - right_start)
+    return scaled(right, left_end - right_start + gap)
 
 
 def _axes(boxes: Sequence[Bounds]) -> tuple[Triple, tuple[Triple, Triple, Triple]]:
@@ -114,7 +122,7 @@ def _corners(boxes: Iterable[Bounds]) -> list[Triple]:
 
 
 def _surroundings(world: WorldModel) -> Iterator[Bounds]:
-    """Yield walls, painted lines, and the part of a terrain that is not level."""
+    """Yield walls, painted lines, and a terrain, of a pit its uneven part."""
     if world.arena is not None:
         x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
         yield (-x, -y, 0.0), (x, y, world.arena.wall_height)
@@ -128,8 +136,7 @@ def _surroundings(world: WorldModel) -> Iterator[Bounds]:
             case Picture(size=(x, y), height=height):
                 yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, height)
             case relief:
-                x, y = getattr(relief, "size", (0.0, 0.0))
-                yield (-x / 2, -y / 2, 0.0), (x / 2, y / 2, 0.0)
+                yield terrain_bounds(relief)
 
 
 def follows_robot(world: WorldModel) -> bool:
@@ -142,7 +149,7 @@ def follows_robot(world: WorldModel) -> bool:
     )
 
 
-def _robots(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
+def _robot_boxes(scenario: Program, places: dict[str, Placement], parameters: Parameters) -> Iterator[Bounds]:
     """Yield robots, wherever they may be when an episode begins; for copies the two at the ends of their
     row."""
     copies = scenario.agent.copies
@@ -154,7 +161,7 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
             if start.robot == robot.name
             for state in start.states
         ]
-        joints = {joint: sum(_ends(position, parameters)) / 2 for joint, position, _ in states}
+        joints = {joint: sum(_value_range(position, parameters)) / 2 for joint, position, _ in states}
         box = _tilted(robot_bounds(robot.model, joints), robot.pose.rpy, places.get(robot.name), parameters)
         turns = robot.name in places or robot.pose.rpy[2] != 0.0
         box = _all_round(box) if turns else box
@@ -164,18 +171,20 @@ def _robots(scenario: Program, places: dict[str, Placement], parameters: Paramet
                 high - low for low, high in zip(*box, strict=True)
             )
             box = add(box[0], (-room, -room, 0.0)), add(box[1], (room, room, room))
-        low, high = _placed(box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters)
+        low, high = _box_where_placed(
+            box, robot.pose.xyz, places.get(robot.name), scenario.world, places, parameters
+        )
         yield from ((add(low, shift), add(high, shift)) for shift in shifts)
 
 
-def _object(
+def _object_boxes(
     thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters
 ) -> Iterator[Bounds]:
     """Yield an object in each of its forms, wherever it may be."""
     place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
     for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
         low, high = _tilted(bounds_of_shape(shape), thing.pose.rpy, place, parameters)
-        yield _placed(
+        yield _box_where_placed(
             _all_round((low, high)) if thing.pose.rpy[2] else (low, high),
             thing.pose.xyz,
             place,
@@ -185,12 +194,12 @@ def _object(
         )
 
 
-def _near(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]:
+def _crop_to_robots(robots: Sequence[Bounds], boxes: Iterable[Bounds]) -> Iterator[Bounds]:
     """Yield the boxes, of which those that dwarf the robots are cut to the part around them: on a field of 20
     m, a robot is a dot."""
     side = max(high - low for box in robots for low, high in zip(*box, strict=True))
     low, high = box_around(robots)
-    room = (_ROOM_IN_THE_LARGE * side,) * 3
+    room = (_CROP_MARGIN * side,) * 3
     low, high = add(low, scaled(room, -1.0)), add(high, room)
     for start, end in boxes:
         cut = tuple(map(max, start, low)), tuple(map(min, end, high))
@@ -206,7 +215,7 @@ def _tilted(box: Bounds, rpy: Triple, place: Placement | None, parameters: Param
     if place is None:
         roll, pitch, _ = rpy
     else:
-        roll, pitch = (sum(_ends(angle, parameters)) / 2 for angle in place.rpy[:2])
+        roll, pitch = (sum(_value_range(angle, parameters)) / 2 for angle in place.rpy[:2])
     if roll == pitch == 0.0:
         return box
     rotation = quaternion(roll, pitch, 0.0)
@@ -224,7 +233,7 @@ def _all_round(box: Bounds) -> Bounds:
     return (-reach, -reach, low[2]), (reach, reach, high[2])
 
 
-def _placed(
+def _box_where_placed(
     box: Bounds,
     own_position: Triple,
     place: Placement | None,
@@ -235,36 +244,64 @@ def _placed(
     low, high = box
     if place is None:
         return add(low, own_position), add(high, own_position)
-    ends = [_ends(scalar, parameters) for scalar in place.xyz]
+    ends = [_value_range(scalar, parameters) for scalar in place.xyz]
     if isinstance(place.spot, Top):
         support = next(thing for thing in world.objects if thing.name == place.spot.of)
-        (x, y, _), (x_end, y_end, top) = next(_object(support, world, places, parameters))
+        (x, y, _), (x_end, y_end, top) = next(_object_boxes(support, world, places, parameters))
         ends = [(x, x_end), (y, y_end), (ends[2][0] + top, ends[2][1] + top)]
         low, high = (0.0, 0.0, low[2]), (0.0, 0.0, high[2])  # it stands within the top
     elif isinstance(place.spot, Region):
         ends[:2] = list(zip(place.spot.low, place.spot.high, strict=True))
     elif place.spot is not None:
         ends[:2] = [(min(along), max(along)) for along in zip(*place.spot.spots, strict=True)]
+    if world.terrain is not None and not isinstance(place.spot, Top):
+        ground_low, ground_high = _ground_range(world.terrain, ends[0], ends[1])
+        ends[2] = (ends[2][0] + ground_low, ends[2][1] + ground_high)
     if place.seeks_height:
         ends[2] = (ends[2][0] - low[2], ends[2][1] - low[2])
     (x, x_end), (y, y_end), (z, z_end) = ends
-    return add(low, (x, y, z)), add(high, (x_end, y_end, z_end))
+    box = add(low, (x, y, z)), add(high, (x_end, y_end, z_end))
+    return box if place.spot is None else _within_walls(box, world)
 
 
-def _ends(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
+def _within_walls(box: Bounds, world: WorldModel) -> Bounds:
+    """Return the part of a box within the walls of the arena: bodies that look for a place stay there."""
+    if world.arena is None:
+        return box
+    low, high = box
+    x, y = (side / 2 + world.arena.wall_thickness for side in world.arena.size)
+    return (max(low[0], -x), max(low[1], -y), low[2]), (min(high[0], x), min(high[1], y), high[2])
+
+
+@lru_cache(maxsize=1000)  # a view that follows a robot is computed in every frame
+def _ground_range(terrain: Terrain, xs: tuple[float, float], ys: tuple[float, float]) -> tuple[float, float]:
+    """Return the lowest and the highest sample (m) of the ground in a rectangle; 0 for a pit, whose box has
+    room for bodies on its sides."""
+    if isinstance(terrain.shape, Pit):
+        return 0.0, 0.0
+    height = ground_height(terrain)
+    along_x, along_y = (
+        {low + (high - low) * step / (_GROUND_SAMPLES - 1) for step in range(_GROUND_SAMPLES)}
+        for low, high in (xs, ys)
+    )
+    heights = [height(x, y) for x in along_x for y in along_y]
+    return min(heights), max(heights)
+
+
+def _value_range(scalar: Scalar, parameters: Parameters) -> tuple[float, float]:
     """Return roughly the least and the greatest value of a coordinate; 0 if nothing is known of it."""
     match scalar:
         case Const(value=value):
             return float(value), float(value)
         case Draw(distribution="normal", args=(mean, _)):
-            return _ends(mean, parameters)
+            return _value_range(mean, parameters)
         case Draw(args=args):
-            ends = [end for arg in args for end in _ends(arg, parameters)]
+            ends = [end for arg in args for end in _value_range(arg, parameters)]
             return min(ends), max(ends)
         case Name(name, component) if (name, component) in parameters:
-            return _ends(parameters[name, component], parameters)
+            return _value_range(parameters[name, component], parameters)
         case Op():
-            interval = interval_of(scalar, lambda argument: Interval(*_ends(argument, parameters)))
+            interval = interval_of(scalar, lambda argument: Interval(*_value_range(argument, parameters)))
             return (interval.low, interval.high) if interval.is_finite else (0.0, 0.0)
         case _:
             return 0.0, 0.0

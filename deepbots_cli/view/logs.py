@@ -102,14 +102,17 @@ class LogPlayer(ReplayPlayer):
 
     @property
     def note(self) -> str:
-        """The last event, and the drawn values."""
+        """The last event, the drawn values, and whether the log was read in part."""
         last = next((event for step in self._rows[self._place :: -1] for event in step.events[::-1]), "")
         drawn = (
             f"the log moves {', '.join(self._drawn)}"
             if self._drawn
             else "the log has no joint position and no pose"
         )
-        return f"{last or 'no event so far'}. Drawn: {drawn}; all else stands as the scenario places it."
+        partly = "".join(f" Note: {note}." for note in self.log.notes)
+        return (
+            f"{last or 'no event so far'}. Drawn: {drawn}; all else stands as the scenario places it.{partly}"
+        )
 
     def _frame_of(self, number: int, place: int) -> WorldFrame:
         steps = self.log.episode(number).steps

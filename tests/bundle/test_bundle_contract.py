@@ -110,7 +110,7 @@ def test_scenarios_of_other_tests_too(name, overrides):
         ),
         (
             ["observation={previous_reward: -1 .. 1}"],
-            "the policy sees 'previous_reward', and the reward is known in a training alone",
+            "the policy sees 'previous_reward', but the reward is known only during training",
         ),
     ],
 )

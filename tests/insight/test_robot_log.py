@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tempfile
 from collections.abc import Callable
 from contextlib import closing
 from itertools import islice
@@ -18,6 +19,8 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.robot_log import compare_log, distance, logged_episodes
 from deepbots_cli.learning import policy, train
 from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout import robot_logs
+from deepbots_cli.rollout.robot_logs import RobotLog
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
 
@@ -290,11 +293,30 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(cut_log: Pa
         assert "reported by the robot" in page.panel.values.content
 
 
+def test_steps_beyond_the_limit_are_left_out_with_a_note(
+    cut_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert RobotLog.read(cut_log).notes == ()
+    monkeypatch.setattr(robot_logs, "MAX_STEPS", 4)
+    log = RobotLog.read(cut_log)
+    assert [len(episode.steps) for episode in log.episodes] == [3, 1]
+    assert log.notes == ("the log is longer than 4 steps; later steps are left out",)
+    with closing(open_player(Showing(str(cut_log)).open())) as player:
+        player.begin(0, 1)
+        assert log.notes[0] in player.note
+
+
 def test_a_log_with_damaged_content_is_refused_in_one_sentence(
-    cut_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cut_log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     from deepbots_robot.log import LogWriter, read_attached
 
+    unpacked = tmp_path / "unpacked"
+    unpacked.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(unpacked))
     files = read_attached(cut_log)
     wrong = {
         "a description": {**files, "bundle.json": b"{}"},
@@ -309,3 +331,4 @@ def test_a_log_with_damaged_content_is_refused_in_one_sentence(
     error = capsys.readouterr().err
     assert error.count("cannot be read as the log of a robot: ") == 2
     assert "contains no step" in error
+    assert list(unpacked.iterdir()) == []

@@ -47,7 +47,6 @@ def answer_all(workspace: Workspace, document: Document, position: Position) -> 
     CodeActions(workspace, document, versioned=True).at(Range(position, position))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("path", few(SCENARIOS, LIGHT, lambda path: path.stem))
 def test_a_scenario_cut_off_anywhere_is_answered_for(path):
     text = path.read_text(encoding="utf-8")
@@ -67,7 +66,6 @@ def test_a_scenario_cut_off_anywhere_is_answered_for(path):
         answer_all(workspace, document, document.lines.position(end))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", few(range(3), "0"))
 def test_a_scenario_with_random_slips_is_answered_for(seed):
     drawn = random.Random(seed)
@@ -87,7 +85,6 @@ def test_a_scenario_with_random_slips_is_answered_for(seed):
                 answer_all(workspace, document, document.lines.position(drawn.randrange(len(slips))))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "step", [pytest.param(4 * STEP, id="few"), pytest.param(STEP, id="all", marks=pytest.mark.slow)]
 )

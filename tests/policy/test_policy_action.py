@@ -84,6 +84,20 @@ def test_an_action_of_both_can_be_scripted_and_left_alone(small: Make) -> None:
     assert environment.step(zero_action(environment.action_space))[1] == 0 + 10 + 200
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("2:low:0", r"-1 is -1, 1 is 1\)"),
+        ("0:low:0:0", "has 4 parts, but this scenario needs 3$"),
+        ("0", "has 1 part, but this scenario needs 3; separate the parts by colons"),
+        ("0:low:0 *x", r"such as 0:low:0\*8"),
+    ],
+)
+def test_an_action_that_cannot_be_read_is_explained(small: Make, text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        repeated_actions(small(REWARD, MIXED), text)
+
+
 # Options that are forbidden: the masks, where conditions come from, and a state without a way out
 
 

@@ -10,6 +10,9 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.errors import ScenarioError
+from deepbots_cli.learning import learner
+from deepbots_cli.learning.learner import Setup
+from deepbots_cli.learning.policy import Policy
 from deepbots_cli.runtime import Supervisor
 from tests.worlds import Make
 
@@ -115,3 +118,22 @@ def test_a_goal_sees_the_ball_until_the_robot_has_turned_away() -> None:
     assert rewards[0] == 1.0
     assert rewards[-1] == 0.0
     assert rewards == sorted(rewards, reverse=True)
+
+
+def test_a_recurrent_policy_takes_rows_of_pictures(small: Make) -> None:
+    train = "train={algorithm: RecurrentPPO, lstm: 8, total_timesteps: 100}"
+    larger = "robots.cart.sensors.eye.resolution=36 36"
+    environment = look(small, "{cart.place: -2 .. 2 m, cart.eye: auto}", larger, train)
+    program = environment.scenario
+    spaces = environment.observation_space, environment.action_space
+    policy = Policy(program, learner.create(Setup(program.agent.training, *spaces, program=program)))
+    environment.reset(seed=0)
+    observations = [environment.step(np.full(1, drive, np.float32))[0] for drive in (-1, 1, 1)]
+    expected = []
+    for observation in observations:
+        policy.reset()
+        expected.append([policy.predict(observation) for _ in range(2)])
+    policy.reset()
+    rows = {name: np.stack([each[name] for each in observations]) for name in observations[0]}
+    predicted = [policy.predict(rows) for _ in range(2)]
+    np.testing.assert_allclose(np.stack(predicted, axis=1), expected, atol=1e-5)

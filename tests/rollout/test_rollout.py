@@ -97,6 +97,14 @@ def test_a_driver_receives_the_number_of_the_episode_that_begins() -> None:
     assert start.number == 2
 
 
+def test_repeated_actions_begin_with_the_first_in_each_episode() -> None:
+    with closing(deepbots_cli.make("cartpole")) as world:
+        driver = named_driver(world, "forward * 3, backward*40")
+        for _ in range(2):
+            cut = islice(steps(world, driver, Start(0)), 1, 5)
+            assert [step.action for step in cut] == [0, 0, 0, 1]
+
+
 def test_an_episode_that_goes_on_after_the_last_action_is_an_error() -> None:
     with (
         closing(deepbots_cli.make("cartpole")) as world,

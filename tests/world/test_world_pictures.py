@@ -12,8 +12,9 @@ from deepbots_cli.document import shipped
 from deepbots_cli.frames import add, cross, dot, scaled, subtract
 from deepbots_cli.port import View
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.runtime.overview import overview, shift_beside, view_around
+from deepbots_cli.runtime.overview import extent, overview, shift_beside, view_around
 from tests.few import few
+from tests.worlds import Make
 
 
 def place_in_picture(view: View, point: tuple[float, float, float]) -> tuple[float, float]:
@@ -63,6 +64,65 @@ def test_scenes_stand_side_by_side_and_long_ones_lie_across() -> None:
     row = view_around([((-0.5, -4.0, 0.0), (0.5, 4.0, 0.2))])
     ends = [place_in_picture(row, (0.0, y, 0.0)) for y in (-4.0, 4.0)]
     assert abs(ends[1][0] - ends[0][0]) > 1.5
+
+
+def test_a_scene_stands_clear_of_another_wherever_each_is() -> None:
+    left = ((-1.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+    view = view_around([left])
+    right = cross(subtract(view.target, view.eye), (0.0, 0.0, 1.0))
+    for x in (-20.0, 0.0, 10.0):
+        other = ((x, -1.0, 0.0), (x + 1.0, 0.0, 1.0))
+        shift = shift_beside([left], [other])
+        ends = [dot((a, b, 0.0), right) for a in (-1.0, 0.0) for b in (-1.0, 0.0)]
+        others = [dot(add((a, b, 0.0), shift), right) for a in (x, x + 1.0) for b in (-1.0, 0.0)]
+        assert min(others) > max(ends)
+
+
+HILL = """
+deepbots: 1
+name: Hill
+summary: A box and a cart on high ground.
+world: {timestep: 32 ms, substeps: 8, terrain: TERRAIN}
+objects: {block: {shape: box, size: 10 10 10 cm, mass: 1 kg}}
+robots: {cart: {urdf: cartpole}}
+action: {idle: -1 .. 1}
+augment: {height: position(block).z}
+observation: {height: 0 .. 10 m}
+reward: {idle: idle}
+truncation: {max_steps: 50}
+reset: {place: {cart: {}, block: {region: {x: -1 .. 1 m, y: -1 .. 1 m}}}}
+"""
+TILES = "{type: tiles, levels: 1, side: 8 m, tiles: {up: {type: stairs, height: 0.5 .. 0.6 m, tread: 0.5 m}}}"
+
+
+@pytest.mark.parametrize("kind", ["formula", "tiles", "mesh"])
+def test_bodies_that_begin_on_high_ground_are_in_the_picture(kind: str, make: Make, tmp_path: Path) -> None:
+    corners = [(-4, -4, 3), (4, -4, 3), (4, 4, 3), (-4, 4, 3)]
+    faces = "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3\nf 1 3 4\n"
+    (tmp_path / "plateau.obj").write_text(faces)
+    terrain = {
+        "formula": "{type: formula, heights: 3 m, size: 8 8 m}",
+        "tiles": TILES,
+        "mesh": "{type: mesh, file: plateau.obj}",
+    }[kind]
+    environment = make(HILL.replace("TERRAIN", terrain))
+    environment.reset(seed=0)
+    view = overview(environment.scenario)
+    for body in ("cart", "block"):
+        place = environment.engine.pose(body)()[0]
+        assert place[2] > 1.0
+        assert max(map(abs, place_in_picture(view, place))) < 1.0
+    assert view.eye[2] > 3.0
+    highest = max(high[2] for _, high in extent(environment.scenario))
+    assert highest > environment.engine.pose("cart")()[0][2]
+
+
+def test_a_fixed_object_beyond_the_walls_is_in_the_picture(make: Make) -> None:
+    arena = HILL.replace("terrain: TERRAIN", "arena: {size: 4 4 m}").replace("mass: 1 kg", "fixed: true")
+    environment = make(arena, "reset.place={cart: {}, block: {x: 5 m}}")
+    boxes = extent(environment.scenario)
+    assert all(low < high for box in boxes for low, high in zip(*box, strict=True))
+    assert max(high[0] for _, high in boxes) == pytest.approx(5.05)
 
 
 @pytest.mark.parametrize("name", few(shipped.scenario_names()))

@@ -74,18 +74,17 @@ def command(
                 f" deepbots try {quote(str(runs[0]))} --driver NAME"
             )
     if rivals or judged is not None:
-        if case is not None or own or workers is not None or (judged is not None and scenario is not None):
-            raise UsageError(
-                "agents that compete play against each other in one scenario; leave out --case, --own and"
-                " --workers, and write a change as a scenario with `extends` for --scenario"
-            )
+        wrong = {
+            "--case": case is not None,
+            "--own": own,
+            "--workers": workers is not None,
+            "--cluster": address is not None,
+            "--scenario": judged is not None and scenario is not None,
+        }
+        _refuse_options([name for name, is_set in wrong.items() if is_set])
         if scenario is not None:
             judged = _compiled(scenario, permissions)
-        with terminal.transient_line("loading the policies ..."):
-            play_matches = learning.play_matches
-        with terminal.progress(always=False) as show:
-            matches = play_matches(rivals, scenario=judged, episodes=episodes, seed=seed, on_episode=show)
-        terminal.show(matches, *match_lines(matches), as_json=as_json)
+        _show_matches(rivals, judged, episodes, seed, as_json=as_json)
         return
     if scenario is not None:
         judged = _compiled(scenario, permissions)
@@ -105,6 +104,27 @@ def command(
             executor=executor,
         )
     terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+
+
+def _refuse_options(names: Sequence[str]) -> None:
+    """Refuse options that agents that compete do not take."""
+    if names:
+        listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+        hint = ", and write a change as a scenario with `extends` for --scenario" if "--case" in names else ""
+        raise UsageError(
+            f"agents that compete play against each other in one scenario; leave out {listed}{hint}"
+        )
+
+
+def _show_matches(
+    rivals: Sequence[ModelRef], judged: Compiled | None, episodes: int | None, seed: int, *, as_json: bool
+) -> None:
+    """Let agents that compete play against each other, and print the matches."""
+    with terminal.transient_line("loading the policies ..."):
+        play_matches = learning.play_matches
+    with terminal.progress(always=False) as show:
+        matches = play_matches(rivals, scenario=judged, episodes=episodes, seed=seed, on_episode=show)
+    terminal.show(matches, *match_lines(matches), as_json=as_json)
 
 
 def _compiled(scenario: str, permissions: Permissions) -> Compiled:
@@ -159,10 +179,10 @@ def _lines(comparison: Comparison) -> Iterator[str]:
     rows: list[Row] = []
     for entry in comparison.differences:
         steps = None if entry.solved_after is None else f"{entry.solved_after.mean:+,.0f}"
-        share = "probability_of_improvement" if entry.between_seeds else "episodes_better"
+        improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
         measured = None if entry.compared is None else getattr(entry, entry.compared)
-        rows.append(row | {share: None if measured is None else measured.improvement})
+        rows.append(row | {improvement_column: None if measured is None else measured.improvement})
     yield table(rows)
     if not all(entry.between_seeds for entry in comparison.differences):
         yield (

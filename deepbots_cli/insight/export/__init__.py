@@ -7,7 +7,7 @@ network.py    the networks of a policy as nodes, compared with the learner
 readings.py   the inputs: sensors, readings of the world, goals
 actuators.py  the outputs: the command of each actuator, its limits, its safe posture
 memories.py   the values that a control step passes to the next one
-names.py      the meaning of names while the policy observes, and on board of a robot
+names.py      the meaning of names while the policy observes, and on board a robot
 control.py    a whole control step as one graph
 recording.py  steps of a simulation for an exported policy
 parity.py     the check that an exported policy acts as in the scenario, and the recorded steps of a bundle

@@ -1,5 +1,4 @@
-"""The meaning of names and readings of the world in a control step: while the policy observes, and on board
-of a robot."""
+"""Resolves the names in expression trees to tensors of the exported graph."""
 
 from __future__ import annotations
 
@@ -91,7 +90,8 @@ class ObservedNames:
             return Item(clock)
         if name in _LATER or any(ending.name == name for ending in self._program.endings):
             raise UsageError(
-                f"the policy sees '{name}', and {_LATER.get(name, 'an ending')} is known in a training alone"
+                f"the policy sees '{name}', but {_LATER.get(name, 'an ending')} is known only during training;"
+                " remove it from the observation"
             )
         if name in self.definitions.parameters:
             value = self.definitions.parameters[name]

@@ -238,8 +238,8 @@ class RslLearner(ArrayLearner):
     def _parameters(self) -> list[nn.Parameter]:
         return [parameter for group in self.algorithm.optimizer.param_groups for parameter in group["params"]]
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
-        super().restore(kept, arrays, same)
+    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        super().restore(kept, arrays, same=same)
         self.algorithm.learning_rate = float(self._rate[0])
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = self.algorithm.learning_rate

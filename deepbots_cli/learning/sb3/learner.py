@@ -96,7 +96,7 @@ class StableLearner(Learner):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
-            # The rewards are divided by a running standard deviation of the return.
+            # Only rewards are normalized: observations already lie in [-1, 1].
             env = VecNormalize(env, norm_obs=False, gamma=gamma)
         self.model: Any = algorithms.create(
             setup.training,
@@ -269,7 +269,7 @@ class StableLearner(Learner):
         drift = ArraySpec(np.dtype(float), self.model.action_space.shape, is_optional=True)
         return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._actor.noises))}
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         model = self.model
         for counter, value in kept.counts.items():
             setattr(model, counter, type(getattr(model, counter))(value))
@@ -439,13 +439,13 @@ class OnPolicyLearner(StableLearner):
         rate = self._adaptive_rate
         return super().state() | {"learning_rate": None if rate is None else rate.rate}
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], same: bool) -> None:
+    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         if self._adaptive_rate is not None and kept.learning_rate is not None:
             self._adaptive_rate.rate = kept.learning_rate
         is_taught = self.setup.training.teacher is not None or self.setup.teacher is not None
         if self._takes_fragments and is_taught and kept.replay[0]:
             self._lessons = Lessons(self.model)
-        super().restore(kept, arrays, same)
+        super().restore(kept, arrays, same=same)
 
     @property
     def _buffer(self) -> Lessons | None:
