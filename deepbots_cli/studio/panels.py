@@ -31,8 +31,8 @@ _NO_CAUSE = {
     " before the last change",
 }
 _FIRST_STEPS = (
-    "Change the text at the left, and save it with Ctrl+S: the robot begins anew. Below the text is what"
-    " deepbots finds in it.",
+    "Open a scenario at the top, or press New ... for one. Change its text, and save it with Ctrl+S: the robot"
+    " begins anew. Below the text is what deepbots finds in it.",
     "Press Try: the robot plays a few episodes with random actions, and Commands shows their results.",
     "Press Train: the robot learns, and its learning curve appears here.",
     "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn.",
@@ -124,8 +124,9 @@ class TrainingTab:
             self._note.set_visibility(False)
             self._drawn = None
             return
-        evaluates = ", evaluating ..." if is_running and run.state == "finished" else ""
-        text = training.problem or status(run, training.seconds_left)
+        is_evaluating = is_running and (run.state == "finished" or training.stands_still)
+        evaluates = ", evaluating ..." if is_evaluating else ""
+        text = training.problem or status(run, None if is_evaluating else training.seconds_left)
         self._text.set_text(f"{run.path.name}: {text}{evaluates}")
         key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
@@ -190,6 +191,12 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
     marks = [*stages, *_goals(curves)]
     if marks:
         lines[0]["markLine"] = {"data": marks, "symbol": "none", "silent": True, "label": text}
+    # A line of marks does not extend an axis.
+    highest = max(
+        (value for _, value in (*curves.returns, *curves.evaluations) if value is not None), default=None
+    )
+    goal = curves.solved_return
+    top = {"max": goal} if goal is not None and highest is not None and highest < goal else {}
     axis = {
         "nameLocation": "middle",
         "axisLabel": text,
@@ -210,7 +217,7 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
         },
         "xAxis": {"type": "value", "name": "timesteps", "nameGap": 22, **axis},
         "yAxis": [
-            {"type": "value", "name": "return", "nameGap": 46, "scale": True, **axis},
+            {"type": "value", "name": "return", "nameGap": 46, "scale": True, **top, **axis},
             {
                 "type": "value",
                 "name": "success %",

@@ -24,6 +24,7 @@ _MIN_INTERVAL_S = 1.0
 _COST_FACTOR = 25.0
 """The time between two reads over the CPU time of a read: reading takes at most 4 % of a core."""
 _SPEED_WINDOW_S = 30.0
+_STILL_S = 5.0
 
 Point = tuple[float, float | None]
 """The timesteps and the value; None where a line breaks."""
@@ -123,6 +124,14 @@ class WatchedTraining:
         if last <= first:
             return None
         return max(0.0, (run.total_timesteps - last) * (end - begin) / (last - first))
+
+    @property
+    def stands_still(self) -> bool:
+        """Whether the training has made no step for some seconds: it evaluates models, or compares them."""
+        if not self._steps:
+            return False
+        now, steps = self._steps[-1]
+        return any(now - at >= _STILL_S and before == steps for at, before in self._steps)
 
     def read(self) -> None:
         """Read the files; call it in a thread."""
