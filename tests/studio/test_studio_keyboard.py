@@ -44,6 +44,10 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
         while not (tmp_path / "mine.yaml").read_text("utf-8").endswith("n_steps: 128\n# by the keyboard"):
             assert time.monotonic() < end
             time.sleep(0.1)
+        # Saving loads the page of the robot anew: it has nothing to focus before it shows its controls.
+        page.wait(
+            "document.querySelector('iframe').contentDocument.querySelector('button, input') != null", 60
+        )
         # Tab leaves the text, and passes over the controls of the robot.
         _tab_to(page, "Keyboard into the page of the robot")
         page.press(("Enter", 13))
