@@ -184,4 +184,4 @@ except Exception as error:
         env={**os.environ, "MUJOCO_GL": "disable", "PYTHONPATH": ":".join(sys.path)},
         check=False,
     )
-    assert "Camera 'camera' cannot see, because MuJoCo finds no OpenGL" in done.stdout, done.stderr
+    assert "Camera 'camera' cannot draw: MuJoCo finds no OpenGL" in done.stdout, done.stderr
