@@ -104,7 +104,7 @@ class WatchedTraining:
         self.curves = Curves()
         self.problem = ""
         self._steps: deque[tuple[float, int]] = deque()
-        self._due = 0.0
+        self._due, self._took = 0.0, 0.0
         self._ended = False
         self._solved_return: float | None = None
         self._is_compiled = False
@@ -151,7 +151,9 @@ class WatchedTraining:
         while self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
             self._steps.popleft()
         took = time.thread_time() - used
-        self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * took)
+        # A single read may import a package, or compile the scenario; the next one does not.
+        usual, self._took = min(took, self._took), took
+        self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * usual)
 
     def _goal(self) -> float | None:
         """Return the mean return with which the task is solved; the scenario is compiled once."""
