@@ -30,7 +30,8 @@ def _likelihood(share: float, per_share: float) -> float:
 
 @statement(
     "sensor_without_reading",
-    "{count} of {of} measured numbers of the observation never changed in {moments} moments ({values}): {guess}.",
+    "{count} of {of} measured numbers of the observation never changed in {moments} moments ({values}):"
+    " {guess}.",
     advice="Check the position and direction of these sensors, and that something is in their range:"
     " `deepbots view RUN` draws the rays of sensors. Or remove the values from `observation`.",
 )
@@ -84,8 +85,8 @@ def _unscaled(evidence: TrainingEvidence, name: str, value: float) -> str:
 
 @statement(
     "constant_observation",
-    "{count} of {of} measured numbers of the observation hardly change ({names}): in {moments} moments, after mapping"
-    " to [-1, 1], they vary by at most {span}.",
+    "{count} of {of} measured numbers of the observation hardly change ({names}): in {moments} moments, after"
+    " mapping to [-1, 1], they vary by at most {span}.",
     advice="Narrow their ranges under `observation` to the values that occur: `deepbots inspect RUN` lists"
     " the ranges.",
 )
@@ -107,8 +108,8 @@ def constant_observation(evidence: TrainingEvidence) -> Numbers | None:
 
 @statement(
     "saturated_observation",
-    "{count} of {of} clipped numbers of the observation are outside their range in {share} of the moments ({names})."
-    " The clipped values differ by up to {lost} times the range.",
+    "{count} of {of} clipped numbers of the observation are outside their range in {share} of the moments"
+    " ({names}). The clipped values differ by up to {lost} times the range.",
     advice="Widen their ranges under `observation`: the policy cannot distinguish values outside a range.",
 )
 def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:

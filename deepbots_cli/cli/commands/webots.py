@@ -60,7 +60,8 @@ def command(
         bool | None,
         typer.Option(
             "--fast/--real-time",
-            help="Run as fast as the machine can, or at the pace of a clock, which is the default with --view.",
+            help="Run as fast as the machine can, or at the pace of a clock, which is the default with"
+            " --view.",
         ),
     ] = None,
     protos: Annotated[
@@ -119,13 +120,12 @@ def command(
         checked, scene = _read(world, protos or ())
         programs = _programs(checked, scene)
         if not allow_code:
-            if steps is not None or record is not None or view:
-                option_name = (
-                    "--steps" if steps is not None else "--record" if record is not None else "--view"
-                )
-                raise UsageError(
-                    f"{option_name} runs the programs of the project; add --allow-code if you trust them"
-                )
+            of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
+            for name, is_present in of_a_run.items():
+                if is_present:
+                    raise UsageError(
+                        f"{name} runs the programs of the project; add --allow-code if you trust them"
+                    )
             _show_robots(programs, scene, as_json=as_json)
             return
         if processes and os.name == "nt":
