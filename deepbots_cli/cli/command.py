@@ -457,8 +457,12 @@ def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
 
 
 def _with_role_options(command: Callable[..., None], group: str) -> Callable[..., None]:
-    """Return the command with the options --agent and --against, which set the `role` of the scenario."""
+    """Return the command with the options --agent and --against, which set the `role` of the scenario.
+
+    A command with a parameter `agent` gets the name too.
+    """
     signature = inspect.signature(command, eval_str=True)
+    passed = {"agent"} & set(signature.parameters)
 
     @wraps(command)
     def call(*, agent: str | None, against: list[str] | None, **values: Any) -> None:
@@ -472,9 +476,10 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
             values["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
         role = f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"  # in place of one in the file
         settings = [role] if agent is not None else []
-        command(**values | {"overrides": [*(values["overrides"] or ()), *settings] or None})
+        values |= {"overrides": [*(values["overrides"] or ()), *settings] or None}
+        command(**values, **({"agent": agent} if passed else {}))
 
-    parameters = list(signature.parameters.values())
+    parameters = [parameter for name, parameter in signature.parameters.items() if name not in passed]
     after = next(place for place, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)

@@ -162,6 +162,20 @@ def test_an_episode_is_explained_for_one_agent(hopeless: Path, capsys: pytest.Ca
     assert "none of the 20 episodes" in capsys.readouterr().err
 
 
+def test_a_recording_has_the_episodes_that_one_agent_failed(
+    hopeless: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["render", str(hopeless), "-o", str(tmp_path / "failed.mcap"), "--episodes", "failed"]
+    assert main(arguments) == 2
+    assert "--agent left|right" in capsys.readouterr().err
+    assert main([*arguments, "--agent", "right", "--json"]) == 0
+    (recording,) = json.loads(capsys.readouterr().out)["files"]
+    evaluated = evidence_of(hopeless, "right").final_episodes
+    assert [each["return"] for each in recording["episodes"]] == pytest.approx(
+        [each.total_return for each in evaluated]
+    )
+
+
 def test_a_log_without_the_agents_is_refused_with_the_reason(hopeless: Path, tmp_path: Path) -> None:
     run = shutil.copytree(hopeless, tmp_path / "run")
     lines = (run / "monitor.csv").read_text().splitlines()

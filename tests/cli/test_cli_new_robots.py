@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from itertools import product
 from math import cos, dist, pi, sin
 
@@ -348,6 +349,16 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
         "try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json"
     )
     assert json.loads(ran.out)["summary"]["successes"] == 3
+
+
+def test_wheels_of_a_car_push_with_at_most_its_weight(deepbots):
+    """Its robot file allows 10 N*m for each of four wheels of 5 cm, which is 14 times its weight."""
+    pytest.importorskip("pybullet_data")
+    assert deepbots(*RACECAR).code == 0
+    text = Path("car.yaml").read_text()
+    assert "max_torque: 0.723 N*m" in text  # 5.89 kg * 9.81 m/s^2 * 5 cm / 4
+    assert "14 times the weight" in text
+    assert "`chassis` has no collision shape" in text
 
 
 @pytest.mark.slow

@@ -174,22 +174,14 @@ def _trace(
             raise UsageError(f"{shown} contains a single episode; leave out --episode")
         return trace.trace_failure(Path(shown), permissions=permissions)
     ref = ModelRef.open(source, model="last" if last else "best")
-    run, member = ref.run, None
+    run = ref.run
     if agent is not None:
-        member = run.member(agent)
+        run.member(agent)
         run = run.of_agent(agent, beside_policies=True)
     if episode == FAILED_EPISODES:
         if seed is not None or last:
             raise UsageError("--episode failed repeats the last evaluation; leave out --seed and --last")
-        _, record = last_evaluation(ref)
-        if member is not None:
-            outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
-            record = record.model_copy(update={"outcomes": outcomes})
-        failed = record.failed(run.program)
-        if not failed:
-            raise UsageError(
-                f"none of the {len(record.outcomes):,} episodes of the last evaluation of {run.path} failed"
-            )
+        failed, record = failed_episodes(ref, agent)
         return next(trace.trace_episodes(run, failed[:1], **record.replay_options, permissions=permissions))
     evaluation = last_episodes(ref) if seed is None and not last else None
     options = (
@@ -216,6 +208,28 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationWithEpisodes]:
             f" deepbots eval {quote(str(path))}"
         )
     return evaluation
+
+
+def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int], EvaluationWithEpisodes]:
+    """Return the numbers of the failed episodes of the last evaluation, of one of several agents with
+    `agent`, and the evaluation.
+
+    Raises:
+        RunError: The run has no such agent.
+        UsageError: There is no evaluation, or none of its episodes failed.
+    """
+    _, record = last_evaluation(ref)
+    program = ref.run.program
+    if agent is not None:
+        member = ref.run.member(agent)
+        outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
+        record, program = record.model_copy(update={"outcomes": outcomes}), member.program
+    failed = record.failed(program)
+    if not failed:
+        raise UsageError(
+            f"none of the {len(record.outcomes):,} episodes of the last evaluation of {ref.run.path} failed"
+        )
+    return failed, record
 
 
 def _outcome(training: TrainingEvidence) -> str:

@@ -29,7 +29,7 @@ from deepbots_cli.cli.command import (
     option,
     start_values,
 )
-from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, last_evaluation
+from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, failed_episodes
 from deepbots_cli.cli.commands.view import Shown
 from deepbots_cli.cli.sources import is_robot, open_robot
 from deepbots_cli.cli.tables import Row
@@ -202,6 +202,7 @@ def command(
     ] = False,
     force: Force = False,
     permissions: Permissions = Permissions(),
+    agent: str | None = None,
 ) -> None:
     """Make a picture, a video, an offline page or a recording."""
     file = output or Path(f"{Path(shown).stem}{PICTURE}")
@@ -242,7 +243,7 @@ def command(
                 "--episodes failed repeats an evaluation of a run; leave out --seed, --episode, --driver and"
                 " --last"
             )
-        selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS)
+        selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS, agent)
     else:
         selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
     files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
@@ -332,26 +333,20 @@ class _Episodes:
         return _Episodes(default if seed is None else seed, numbers, "best" if ref is None else ref.name)
 
     @staticmethod
-    def failed(ref: ModelRef, maximum: int | None) -> _Episodes:
-        """Choose the first failed episodes of the last evaluation of a run, or of one of its models.
+    def failed(ref: ModelRef, maximum: int | None, agent: str | None) -> _Episodes:
+        """Choose the first failed episodes of the last evaluation of a run, or of one of its models; with
+        `agent`, those that this agent failed.
 
         Raises:
-            UsageError: There is none, or agents compete.
+            UsageError: There is none, or agents compete and none is named.
         """
-        if ref.run.program.has_rivals:
+        if agent is None and ref.run.program.has_rivals:
             raise UsageError(
-                "the agents compete, so what one fails another one wins; draw episodes by number with"
-                f" --episode, or explain one: deepbots diagnose {quote(str(ref.run.path))} --episode failed"
-                " --agent NAME"
+                "the agents compete, so what one fails another one wins; name the agent that failed:"
+                f" --agent {'|'.join(ref.run.program.members)}"
             )
-        _, evaluation = last_evaluation(ref)
-        numbers = evaluation.failed(ref.run.program)[:maximum]
-        if not numbers:
-            raise UsageError(
-                f"none of the {len(evaluation.outcomes):,} episodes of the last evaluation of {ref.run.path}"
-                " failed"
-            )
-        return _Episodes(numbers=numbers, **evaluation.replay_options)
+        numbers, evaluation = failed_episodes(ref, agent)
+        return _Episodes(numbers=numbers[:maximum], **evaluation.replay_options)
 
 
 def _draw_episodes(

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from math import atan2, dist, hypot, inf, pi
+from math import atan2, dist, hypot, inf, pi, prod
 
 from deepbots_cli import frames
 from deepbots_cli.footprint import (
@@ -38,6 +38,8 @@ _MAX_ITERATIONS = 80
 _LEAST_PROGRESS = 1e-3
 """The part of the distance by which a round of a search must shorten it. With a smaller progress the target
 is out of reach."""
+_LARGE_SHARE = 0.2
+"""The share of the box around the robot that the box around a large link fills."""
 _INITIAL_BEND = 0.4
 """The joint positions at which a search begins, in rad. A straight limb is a singular configuration, from
 which the search does not move."""
@@ -322,6 +324,16 @@ class Build:
             name for name in names if frames.rotate(self.frames[name][1], (0.0, 0.0, 1.0))[2] > _MIN_UPRIGHT_Z
         ]
         return upright if len(upright) > 2 else []
+
+    @property
+    def intangible(self) -> list[str]:
+        """The large links that are visible, but have no collision shape."""
+        least = _LARGE_SHARE * prod(box_sides(robot_bounds(self.model)))
+        return [
+            link.name
+            for link in self.model.links
+            if link.visuals and not link.collisions and prod(box_sides(self.boxes[link.name])) > least
+        ]
 
     @cached_property
     def limbs(self) -> list[Limb]:

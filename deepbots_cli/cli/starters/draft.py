@@ -18,7 +18,7 @@ class Draft:
     """The parts of a robot's entry that depend on its joints; the templates read them by these names.
 
     `motors` maps actuators to (type, group, further settings), `commands` to their `apply` expressions,
-    `starts` groups to poses.
+    `starts` groups to poses, `remarks` actuators to comments.
     """
 
     build: Build
@@ -29,7 +29,7 @@ class Draft:
     commands: dict[str, str] = field(default_factory=dict)
     starts: dict[str, str] = field(default_factory=dict)
     positions: dict[str, float] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
 
     @property
     def fixed(self) -> bool:
@@ -71,7 +71,7 @@ class Draft:
         """Add a motor for a group, with the settings `gains`. If the file names no effort, the motor is
         strong enough for the robot's weight."""
         settings = dict(gains or {})
-        if not all(joint.limit.effort for joint in joints):
+        if "max_torque" not in settings and not all(joint.limit.effort for joint in joints):
             weight = max(self.build.model.mass, 0.1) * GRAVITY
             arm = max((wheel.radius for wheel in self.build.wheels), default=self.build.size / 2)
             settings["max_torque"] = (

@@ -78,5 +78,9 @@ def _found(draft: Draft) -> list[str]:
         f"What was found in {draft.urdf}: {', '.join(parts)};",
         f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
         " chosen from these: change them.",
+        *(
+            f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to its link."
+            for link in build.intangible
+        ),
     ]
     return [" ".join(line.split()) for line in lines]  # the name of a file may hold line breaks
