@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from itertools import product
 from math import cos, dist, pi, sin
+from pathlib import Path
 
 import pytest
 
