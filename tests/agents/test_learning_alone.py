@@ -90,7 +90,7 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
     usual = OnPolicyLearner.update
 
     def update(learner: OnPolicyLearner) -> None:
-        buffer, part = learner.model.rollout_buffer, learner._taking_part
+        buffer, part = learner.model.rollout_buffer, learner._participation
         assert part is not None
         ends = part[:-1] & ~part[1:]
         seen.append((ends.sum(), part.sum(), part.size))

@@ -159,18 +159,19 @@ class StableLearner(Learner):
             )
         return self._actor
 
-    def _agrees(self, observations: Any, taught: Array) -> None:
-        self.agreement = agreement(self.model, observations, taught)
+    def _measure_agreement(self, observations: Any, teacher_actions: Array) -> None:
+        self.agreement = agreement(self.model, observations, teacher_actions)
         self.model.logger.record("teacher/agreement", self.agreement)
 
-    def _prepared(self, shown: Demonstrations | None) -> Demonstrations | None:
+    def _prepared(self, demonstrations: Demonstrations | None) -> Demonstrations | None:
         """Return demonstrations in the format of the policy, with the channels of images first."""
-        if shown is None:
+        if demonstrations is None:
             return None
         observations, following = (
-            rollouts.prepared(self.model, part) for part in (shown.observations, shown.following)
+            rollouts.prepared(self.model, part)
+            for part in (demonstrations.observations, demonstrations.following)
         )
-        return replace(shown, observations=observations, following=following)
+        return replace(demonstrations, observations=observations, following=following)
 
     def end(self) -> None:
         self._callback.on_training_end()
@@ -329,9 +330,11 @@ class OnPolicyLearner(StableLearner):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._shown = None if self._demonstrations is None else Lessons(self.model, self._demonstrations)
-        self._taught: Array | None = None
-        self._taking_part: Array | None = None
+        self._demonstration_lessons = (
+            None if self._demonstrations is None else Lessons(self.model, self._demonstrations)
+        )
+        self._teacher_actions: Array | None = None
+        self._participation: Array | None = None
         self._lessons: Lessons | None = None
         rate = self.model.learning_rate
         self._adaptive_rate = rate if isinstance(rate, algorithms.DivergenceRate) else None
@@ -340,7 +343,7 @@ class OnPolicyLearner(StableLearner):
         if not self._takes_fragments or self._memory:
             super().be_taught(plan)
         self._plan = plan
-        if self._shown is None and plan.only != (self._lessons is not None):
+        if self._demonstration_lessons is None and plan.only != (self._lessons is not None):
             self._lessons = Lessons(self.model) if plan.only else None
             self._replay.forget(self.steps // self.model.n_envs)
 
@@ -370,10 +373,10 @@ class OnPolicyLearner(StableLearner):
             if self.setup.training.staleness and isinstance(collector, ShardedCollector):
                 collector.ask_ahead(self._actor, model.n_steps, with_masks=self.takes_masks)
             rollouts.fill(model, fragment)
-            self._taking_part = fragment.taking_part
-            self._taught = fragment.columns.get("taught")
+            self._participation = fragment.taking_part
+            self._teacher_actions = fragment.columns.get("taught")
             if self.setup.teacher is not None and self._plan.weight:
-                self._taught = self.setup.teacher.actions(fragment.observations)
+                self._teacher_actions = self.setup.teacher.actions(fragment.observations)
         self._callback.on_rollout_end()
         return True
 
@@ -399,7 +402,7 @@ class OnPolicyLearner(StableLearner):
             count = model.num_timesteps // (model.n_steps * model.n_envs)
             if count % self._log_interval == 0:
                 model.dump_logs(count)
-            if self._taking_part is None or self._taking_part.any():
+            if self._participation is None or self._participation.any():
                 with self._imitation(), self._samples():
                     model.train()
         divergence = model.logger.name_to_value.get("train/approx_kl")
@@ -409,26 +412,28 @@ class OnPolicyLearner(StableLearner):
     def _samples(self) -> AbstractContextManager[None]:
         """Return the context in which the algorithm learns from the steps in which the agent took part."""
         buffer = self.model.rollout_buffer
-        if self._taking_part is None:
+        if self._participation is None:
             return nullcontext()
         images = buffer.n_envs // self.model.n_envs  # with mirror images, the buffer has twice as many rows
-        return internals.samples_chosen(buffer, np.tile(self._taking_part, images))
+        return internals.samples_chosen(buffer, np.tile(self._participation, images))
 
     def _imitation(self) -> AbstractContextManager[None]:
         """Return the context of an update: with a teacher, or with mirror images."""
         model, plan = self.model, self._plan
         if (symmetry := self.setup.training.symmetry) is not None:
             return mirrored_experience(model, symmetry)
-        if self._shown is not None:
+        if self._demonstration_lessons is not None:
             if plan.only:
-                return only_imitating(model, self._shown, None)
-            return imitating(model, self._shown, plan.weight) if plan.weight else nullcontext()
-        if self._taught is None:
+                return only_imitating(model, self._demonstration_lessons, None)
+            return (
+                imitating(model, self._demonstration_lessons, plan.weight) if plan.weight else nullcontext()
+            )
+        if self._teacher_actions is None:
             return nullcontext()
         if self._lessons is not None:
-            self._agrees(model.rollout_buffer.observations, self._taught)
-            return only_imitating(model, self._lessons, self._taught)
-        return imitating(model, self._taught, plan.weight)
+            self._measure_agreement(model.rollout_buffer.observations, self._teacher_actions)
+            return only_imitating(model, self._lessons, self._teacher_actions)
+        return imitating(model, self._teacher_actions, plan.weight)
 
     def recent(self) -> tuple[Any, Array, Array | None]:
         """Return the experience of the last rollout."""
@@ -479,9 +484,9 @@ class _Explorer(internals.Explorer, SavesPlainly):
             decision = Decision(actions, {"stored": stored})
             decision = decision if self.teach is None else self.teach(decision)
         stored = decision.columns["stored"]
-        return decision.actions, labeled(
-            stored, decision.columns.get("taught")
-        ) if self.keeps_labels else stored
+        if self.keeps_labels:
+            stored = labeled(stored, decision.columns.get("taught"))
+        return decision.actions, stored
 
 
 class OffPolicyLearner(StableLearner):
@@ -549,8 +554,8 @@ class OffPolicyLearner(StableLearner):
             and self.steps // period > (self.steps - new) // period
             and self.setup.demonstrations is None
         ):
-            taught = self._recent_rows(model.replay_buffer.actions)[..., get_action_dim(model.action_space) :]
-            self._agrees(self.recent()[0], taught)
+            columns = self._recent_rows(model.replay_buffer.actions)
+            self._measure_agreement(self.recent()[0], columns[..., get_action_dim(model.action_space) :])
         return imitating_labels(model, plan.weight, only=plan.only, new=new) if plan.weight else nullcontext()
 
     def recent(self) -> tuple[Any, Array, Array | None]:
