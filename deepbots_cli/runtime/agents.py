@@ -39,6 +39,7 @@ class Place:
     Attributes:
         member: The agent.
         observation_space, action_space: The spaces of the agent, as in a scenario with this agent alone.
+        shape: The shape of an action; None for one with choices and ranges.
         masks: The places of its options in a row of truth values about the options of all agents.
     """
 
@@ -46,6 +47,7 @@ class Place:
         self.member = member
         agent = member.program.agent
         self.observation_space, self.action_space = observation_space(agent), action_space(agent)
+        self.shape = self.action_space.shape
         self._columns = _places(member.columns)
         self._pictures = {
             entry.key: joint_name(member.name, entry.name).replace(".", "_") for entry in agent.images
@@ -70,7 +72,7 @@ class Place:
         """Return the part of the agent in actions of all agents, whose last axis has their choices or their
         ranges."""
         first, last = self.member.choices if self._choices else self.member.ranges
-        return of_all[..., first:last].reshape(*of_all.shape[:-1], *(self.action_space.shape or ()))
+        return of_all[..., first:last].reshape(*of_all.shape[:-1], *(self.shape or ()))
 
 
 def _places(columns: Sequence[int]) -> slice | NDArray[np.intp]:
@@ -160,8 +162,8 @@ def own_info(member: Member, of_all: Mapping[str, Any]) -> Info:
         "is_success": member.has_succeeded(of_all["endings"]),
         "reward_terms": {name: terms[joint] for name, joint in member.terms.items()},
     }
-    end = info.pop("agent_endings", {}).get(member.name)
-    if end is not None:
+    ends = info.pop("agent_endings", None)
+    if ends and (end := ends.get(member.name)) is not None:
         info |= {"is_success": end.is_success, "ended_by": end.endings[0], "endings": end.endings}
     return info
 
@@ -177,16 +179,16 @@ def joint_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[
     Raises:
         UsageError: The action of an agent is missing, or does not fit its action space.
     """
-    choices: list[int] = []
-    ranges: list[float] = []
     for name in seats:
         if name not in actions:
             raise UsageError(f"there is no action of the agent '{name}'")
     if isinstance(world.action_space, gym.spaces.Box):
         # A third of the time of the general way; the world refuses what is not finite.
         arrays = [np.asarray(actions[name]) for name in seats]
-        if [array.shape for array in arrays] == [seat.action_space.shape for seat in seats.values()]:
+        if [array.shape for array in arrays] == [seat.shape for seat in seats.values()]:
             return np.concatenate(arrays)
+    choices: list[int] = []
+    ranges: list[float] = []
     for name, seat in seats.items():
         options, numbers = seat.parts(actions[name])
         choices += options

@@ -97,19 +97,18 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         self._observed, _, terminated, truncated, info = self.world.step(together)
         alone = self.world.agent_endings
         ends, cuts = dict.fromkeys(acting, terminated), dict.fromkeys(acting, truncated)
-        for name in alone.keys() & ends.keys():
-            ends[name], cuts[name] = True, False
-        self.agents = [name for name in acting if not (ends[name] or cuts[name])]
+        if terminated or truncated or alone:
+            for name in alone.keys() & ends.keys():
+                ends[name], cuts[name] = True, False
+            self.agents = [name for name in acting if not (ends[name] or cuts[name])]
         self._show()
-        seats = [(name, self._seats[name]) for name in acting]
-        infos = {name: seat.info(info) for name, seat in seats}
-        return (
-            {name: seat.observation(self._observed) for name, seat in seats},
-            {name: sum(agent_info["reward_terms"].values()) for name, agent_info in infos.items()},
-            ends,
-            cuts,
-            infos,
-        )
+        observations, rewards, infos = {}, {}, {}
+        for name in acting:
+            seat = self._seats[name]
+            observations[name] = seat.observation(self._observed)
+            infos[name] = agent_info = seat.info(info)
+            rewards[name] = sum(agent_info["reward_terms"].values())
+        return observations, rewards, ends, cuts, infos
 
     def state(self) -> Any:
         """Return the observations of all agents in a row, float32: for training with a central critic."""
