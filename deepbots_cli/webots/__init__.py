@@ -8,6 +8,7 @@ scene.py          bodies, joints, geometries and devices
 scene_builder.py  the tree as a scene
 shapes.py         geometries: sizes, volumes, meshes
 looks.py          the geometry and the color of what is seen
+textures.py       the pictures on it
 model.py          a scene as a model of MuJoCo
 physics.py        its state: steps, motors, bounces, readings
 simulation.py     time, messages and sampling: what a controller's step does

@@ -44,6 +44,9 @@ class Fields:
             return values
         return [item for item in self._interface[name].default.items if isinstance(item, float)]
 
+    def is_true(self, name: str) -> bool:
+        return self._node.fields.get(name, self._interface[name].default).items[:1] == [True]
+
     def word(self, name: str) -> str:
         item = next(iter(self._node.fields.get(name, self._interface[name].default).items), "")
         return item if isinstance(item, str) else ""
@@ -262,8 +265,24 @@ def _nothing(fields: Fields) -> str:
     return "Group { }"
 
 
+def _sky(fields: Fields) -> str:
+    """Return the sky in one color: about that of the pictures of Webots."""
+    if not fields.is_true("skybox"):
+        return "Background { skyColor IS skyColor }"
+    return "Background { skyColor [ 0.7 0.82 0.92 ] }"
+
+
+_PLAIN = "baseColor 0.8 0.8 0.8 roughness 1 metalness 0"
+
+
 def _plain_appearance(fields: Fields) -> str:
-    return "PBRAppearance { baseColor 0.8 0.8 0.8 roughness 1 metalness 0 }"
+    return f"PBRAppearance {{ {_PLAIN} }}"
+
+
+def _textured(pattern: str) -> Callable[[Fields], str]:
+    """Return the body of an appearance with a pattern of `textures.py`, in place of pictures of Webots."""
+    body = f'PBRAppearance {{ {_PLAIN} baseColorMap ImageTexture {{ url [ "deepbots:{pattern}" ] }} }}'
+    return lambda fields: body
 
 
 _APPEARANCE = (
@@ -273,8 +292,9 @@ _APPEARANCE = (
 
 LIBRARY: dict[str, Entry] = {
     "TexturedBackground": Entry(
-        'field SFString texture "" field SFBool skybox TRUE field SFFloat luminosity 1 field SFColor skyColor 0 0 0',
-        _nothing,
+        """field SFString texture "" field SFBool skybox TRUE field SFFloat luminosity 1
+        field MFColor skyColor [ 0 0 0 ]""",
+        _sky,
     ),
     "TexturedBackgroundLight": Entry(
         'field SFString texture "" field SFFloat luminosity 1 field SFBool castShadows TRUE', _nothing
@@ -316,8 +336,15 @@ LIBRARY: dict[str, Entry] = {
         field SFBool kinematic FALSE""",
         _epuck,
     ),
+    "BrushedAluminium": Entry(_APPEARANCE, _plain_appearance),
     **{
-        name: Entry(_APPEARANCE, _plain_appearance)
-        for name in ("Parquetry", "ChequeredParquetry", "SandyGround", "BrushedAluminium", "Grass", "Asphalt")
+        name: Entry(_APPEARANCE, _textured(pattern))
+        for name, pattern in (
+            ("Parquetry", "parquetry"),
+            ("ChequeredParquetry", "chequered parquetry"),
+            ("SandyGround", "sand"),
+            ("Grass", "grass"),
+            ("Asphalt", "asphalt"),
+        )
     },
 }

@@ -1,14 +1,16 @@
-"""How Shape nodes look: their geometry, and their color."""
+"""How Shape nodes look: their geometry, color and texture; the color of the sky."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import cos, pi, sin
 from typing import TYPE_CHECKING
 
 from deepbots_cli.webots.findings import WorldFindings
-from deepbots_cli.webots.nodes import child, is_a, number, vector
+from deepbots_cli.webots.nodes import child, is_a, number, real, vector
 from deepbots_cli.webots.shapes import Shape, shape_of
+from deepbots_cli.webots.textures import Texture, texture_of
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Triple
@@ -45,14 +47,46 @@ def _cone(radius: float, height: float, scale: Triple) -> Shape:
     return Shape("mesh", vertices=scaled, faces=faces)
 
 
-def color_of(node: Node) -> Sequence[float]:
-    """Return the color and opacity of a Shape node."""
+@dataclass(frozen=True)
+class Look:
+    """The color (red, green, blue, opacity, from 0 to 1) of a Shape node below its texture."""
+
+    base: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    texture: Texture | None = None
+
+    @property
+    def color(self) -> tuple[float, float, float, float]:
+        """The color with the mean of the texture."""
+        if self.texture is None:
+            return self.base
+        red, green, blue = (part * share for part, share in zip(self.base, self.texture.mean, strict=False))
+        return red, green, blue, self.base[3]
+
+
+def look_of(node: Node, files: Files) -> Look:
+    """Return the color and texture of a Shape node."""
     appearance = child(node, "appearance")
     if appearance is None:
-        return (0.8, 0.8, 0.8, 1.0)
+        return Look()
     if is_a(appearance, "PBRAppearance"):
-        return (*vector(appearance, "baseColor"), 1.0 - number(appearance, "transparency"))
-    material = child(appearance, "material") if is_a(appearance, "Appearance") else None
-    if material is None:
-        return (0.8, 0.8, 0.8, 1.0)
-    return (*vector(material, "diffuseColor"), 1.0 - number(material, "transparency"))
+        return _look(appearance, "baseColor", texture_of(appearance, "baseColorMap", files))
+    if not is_a(appearance, "Appearance"):
+        return Look()
+    texture = texture_of(appearance, "texture", files)
+    material = child(appearance, "material")
+    return _look(material, "diffuseColor", texture) if material is not None else Look(texture=texture)
+
+
+def _look(node: Node, field: str, texture: Texture | None) -> Look:
+    return Look((*vector(node, field), 1.0 - number(node, "transparency")), texture)
+
+
+def color_of(node: Node, files: Files) -> Sequence[float]:
+    """Return the color and opacity of a Shape node, with the mean color of its texture."""
+    return look_of(node, files).color
+
+
+def sky_color(nodes: Sequence[Node]) -> Triple | None:
+    """Return the color of the sky; None in a world without a Background."""
+    sky = next((real(node) for node in nodes if real(node).type == "Background"), None)
+    return None if sky is None else vector(sky, "skyColor")

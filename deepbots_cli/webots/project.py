@@ -81,6 +81,24 @@ class Files:
             candidates.append(folder / f"{name}.proto")
         return next((path for path in candidates if path.is_file() and self.allows(path)), None)
 
+    def picture(self, address: str, writer: str) -> Path | None:
+        """Return the file of a picture: at its address beside the file that names it, in `worlds/` of the
+        project, or in a copy of Webots."""
+        candidates = []
+        if "://" not in address:
+            candidates += [Path(writer).parent / address, self.project / "worlds" / address]
+        if _LIBRARY_FOLDER in address:
+            tail = address.rpartition(_LIBRARY_FOLDER)[2]
+            candidates += [folder / _LIBRARY_FOLDER / tail for folder in self.library]
+        return next((path for path in candidates if _is_file(path) and self.allows(path)), None)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or with a null byte
+        return False
+
 
 def _shown(path: Path) -> str:
     """Return a path as messages show it: relative to the working directory where it is in it."""

@@ -1,7 +1,8 @@
 """Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding
 objects.
 
-Shapes have the base color of their appearance, without textures, and are lit from the camera.
+Shapes have the base color of their appearance, with textures on boxes, planes and grids, and are lit from the
+camera.
 """
 
 from __future__ import annotations
@@ -19,9 +20,8 @@ from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_ROTATION
-from deepbots_cli.webots.looks import color_of, visible_shape
+from deepbots_cli.webots.looks import look_of, sky_color, visible_shape
 from deepbots_cli.webots.model import GRID_DEPTH_M
-from deepbots_cli.webots.nodes import numbers, real
 from deepbots_cli.webots.shapes import compose
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.physics import Physics
     from deepbots_cli.webots.scene import Visual
     from deepbots_cli.webots.shapes import Shape
+    from deepbots_cli.webots.syntax import Node
 
     Image = NDArray[np.uint8]
 
@@ -178,8 +179,7 @@ class _VisualModel:
             self._add(visual)
 
     def _add_sky(self) -> None:
-        sky = next((real(node) for node in self._scene.nodes if real(node).type == "Background"), None)
-        color = (*(numbers(sky, "skyColor") if sky is not None else ()), 0.0, 0.0, 0.0)[:3]
+        color = sky_color(self._scene.nodes) or (0.0, 0.0, 0.0)
         self.spec.add_texture(
             name="sky",
             type=mj.mjtTexture.mjTEXTURE_SKYBOX,
@@ -203,12 +203,28 @@ class _VisualModel:
         parent.add_geom(
             pos=place,
             quat=frames.wxyz(rotation),
-            rgba=color_of(visual.node),
+            **self._surface(visual.node, shape),
             contype=0,
             conaffinity=0,
             mass=0.0,
             **fields,
         )
+
+    def _surface(self, node: Node, shape: Shape) -> dict[str, Any]:
+        """Return the color of a shape, or its texture."""
+        look = look_of(node, self._scene.files)
+        if look.texture is None or shape.kind not in ("box", "plane", "grid"):
+            return {"rgba": look.color}
+        rows, columns, _ = look.texture.pixels.shape
+        name = self._name()
+        picture = self.spec.add_texture(
+            name=name, type=mj.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3
+        )
+        picture.data = look.texture.pixels.tobytes()
+        repeats = look.texture.repeats_on(shape.size or (1.0, 1.0))
+        material = self.spec.add_material(name=name, texuniform=False, texrepeat=repeats)
+        material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
+        return {"rgba": look.base, "material": name}
 
     def _fields(self, shape: Shape) -> dict[str, Any]:
         types = mj.mjtGeom

@@ -31,7 +31,7 @@ from deepbots_cli.view.scene import (
     shaded_mesh,
     with_edges,
 )
-from deepbots_cli.webots.looks import color_of, visible_shape
+from deepbots_cli.webots.looks import color_of, sky_color, visible_shape
 from deepbots_cli.webots.recorder import HEIGHT, WIDTH
 from deepbots_cli.webots.viewpoint import Viewpoint
 
@@ -145,7 +145,10 @@ class Viewer:
             shape = visible_shape(visual, world.files)
             if shape is not None:
                 above = "/world" if visual.body is None else f"/world/{visual.body.index}"
-                self._add(f"{above}/shape{number}", shape, color_of(visual.node), visual.frame)
+                self._add(f"{above}/shape{number}", shape, color_of(visual.node, world.files), visual.frame)
+        sky = sky_color(world.nodes)
+        if sky is not None:
+            scene.set_background_image(np.full((1, 1, 3), sky) * 255)
         self._sent = np.full((len(self._nodes), 7), np.nan)
         self._read()
         self._draw()

@@ -7,11 +7,15 @@ import os
 import subprocess
 import sys
 
+import imageio.v3 as iio
+import numpy as np
 import pytest
 
 from deepbots_cli.engines.mujoco import cameras
+from deepbots_cli.webots.scene_builder import build_scene
+from deepbots_cli.webots.simulation import Simulation
 from deepbots_cli.webots.unimplemented import NotImplementedCallError
-from tests.webots.worlds_of_webots import device, simulate
+from tests.webots.worlds_of_webots import device, read, simulate
 
 without_opengl = not (cameras.is_available() and cameras.opens_context())
 needs_opengl = pytest.mark.skipif(without_opengl, reason="there is no OpenGL")
@@ -54,6 +58,88 @@ def test_a_camera_sees_the_sky_and_turns_with_its_robot():
     text = SKY + WALL % ("0", "1 0 0", "8")
     camera = seeing(text + robot("Camera { width 4 height 4 rotation 0 0 1 3.1416 }"), "camera")
     assert camera.getImageArray()[2][2] == [0, 0, 255]
+
+
+def textured(tmp_path, address: str, geometry: str = "Box { size 0.2 4 4 }", transform: str = ""):
+    """Return the picture of a wall ahead, whose texture has this address, in a project in `tmp_path`."""
+    wall = f"""Solid {{ translation 2.1 0 0 children [ Shape {{ appearance PBRAppearance {{ {transform}
+      baseColorMap ImageTexture {{ url [ "{address}" ] }} }} geometry {geometry} }} ] }}"""
+    eye = robot("Camera { width 40 height 40 fieldOfView 1.57 }")
+    world = read(f"WorldInfo {{ basicTimeStep 8 }} {SKY} {wall} {eye}", tmp_path)
+    simulation = Simulation(build_scene(world), world.span)
+    world.findings.require_none()
+    camera = device(simulation, "camera")
+    camera.enable(8)
+    simulation.run_step()
+    return np.array(camera.getImageArray()).transpose(1, 0, 2)
+
+
+@pytest.fixture
+def red_and_green(tmp_path):
+    """A project with a texture that is red on the left, green on the right, and blue below."""
+    pixels = np.zeros((64, 64, 3), np.uint8)
+    pixels[:32, :32], pixels[:32, 32:], pixels[32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+    folder = tmp_path / "project" / "worlds" / "textures"
+    folder.mkdir(parents=True)
+    iio.imwrite(folder / "tiles.png", pixels)
+    return tmp_path / "project"
+
+
+def colors(picture) -> set[str]:
+    """Return the names of the strong colors of a picture."""
+    names = {(True, False, False): "red", (False, True, False): "green", (False, False, True): "blue"}
+    return {names.get(tuple(pixel > 90), "other") for pixel in picture.reshape(-1, 3)}
+
+
+@needs_opengl
+def test_a_wall_has_the_texture_of_the_project(red_and_green):
+    picture = textured(red_and_green, "textures/tiles.png")
+    top, bottom = picture[2:18], picture[22:]
+    assert colors(bottom) == {"blue"}
+    assert {*colors(top[:, :18]), *colors(top[:, 22:])} == {"red", "green"}
+    assert colors(top[:, :18]) != colors(top[:, 22:])
+
+
+@needs_opengl
+def test_a_texture_repeats_as_its_transform_says(red_and_green):
+    transform = "textureTransform TextureTransform { scale 1 2 }"
+    column = textured(red_and_green, "textures/tiles.png", transform=transform)[:, 5]
+    is_blue = (column[:, 2] > 90).astype(int)
+    assert abs(np.diff(is_blue)).sum() == 3
+
+
+@needs_opengl
+def test_a_sphere_has_the_mean_color_of_its_texture(red_and_green):
+    ball = textured(red_and_green, "textures/tiles.png", "Sphere { radius 1 }")[20, 20]
+    assert ball / ball.sum() == pytest.approx([0.25, 0.25, 0.5], abs=0.03)
+
+
+@needs_opengl
+@pytest.mark.parametrize(
+    "address",
+    ["https://example.org/tiles.png", "../../secret.png", "textures/broken.png", "textures/huge.png"],
+)
+def test_a_texture_that_cannot_be_read_is_squares(red_and_green, address: str):
+    folder = red_and_green / "worlds" / "textures"
+    (folder / "broken.png").write_bytes((folder / "tiles.png").read_bytes()[:90])
+    iio.imwrite(folder / "huge.png", np.zeros((1, 5000, 3), np.uint8))
+    iio.imwrite(red_and_green.parent / "secret.png", np.full((8, 8, 3), (255, 0, 0), np.uint8))
+    picture = textured(red_and_green, address)
+    assert (picture.max(axis=2) == picture.min(axis=2)).all()  # gray
+    light, dark = picture[..., 0].max(), picture[..., 0].min()
+    assert light > 1.5 * dark > 0
+
+
+@needs_opengl
+def test_the_background_of_the_library_is_bright_and_its_floor_is_not_gray():
+    lying = "Camera { width 4 height 40 fieldOfView 1 }"
+    camera = seeing(
+        f"TexturedBackground {{ }} Floor {{ }} Robot {{ translation 0 0 1 children [ {lying} ] }}", "camera"
+    )
+    column = camera.getImageArray()[1]
+    assert 150 < column[2][0] < column[2][2]
+    red, _, blue = column[-2]
+    assert red > 1.3 * blue
 
 
 @needs_opengl
@@ -169,7 +255,7 @@ def test_another_projection_says_so(node: str):
 @pytest.mark.slow
 def test_without_opengl_a_camera_says_so():
     script = """
-from tests.webots.worlds_of_webots import device, simulate
+from tests.webots.worlds_of_webots import device, read, simulate
 simulation = simulate("Robot { children [ Camera { } GPS { } ] }")
 device(simulation, "gps").enable(8)
 try:

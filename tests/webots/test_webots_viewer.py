@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("viser")
+import imageio.v3 as iio
 import msgspec
 import viser
 import zstandard
@@ -143,6 +144,16 @@ def test_a_browser_gets_each_shape_and_then_what_moves():
         moved = _positions(wire)
         assert moved["/world/1"] == pytest.approx(simulation.physics.poses()[1, :3])
         assert "/world/0" not in moved
+
+
+def test_a_browser_gets_the_color_of_the_sky():
+    simulation = simulate(BALL + "Background { skyColor [ 0 0 1 ] }")
+    with viewed(simulation) as (_, page), page.open(cookie=page.cookie) as wire:
+        wire.send(msgspec.msgpack.encode(CAMERA))
+        sky = next(each for each in _messages(wire) if each["type"] == "BackgroundImageMessage")
+    red, green, blue = iio.imread(sky["rgb_data"])[0, 0]
+    assert blue > 250
+    assert max(red, green) < 5
 
 
 def test_the_world_moves_below_a_viewpoint_that_follows():

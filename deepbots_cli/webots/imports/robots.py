@@ -173,7 +173,7 @@ def _as_seen(
     for visual, shape in drawn:
         geometry = _shape(shape, built, f"{link.name}_visual")
         if geometry is not None:
-            red, green, blue, opacity = map(_unit, color_of(visual.node))
+            red, green, blue, opacity = map(_unit, color_of(visual.node, scene.files))
             pose = _pose(frames.compose(origin, visual.frame))
             geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
     return replace(link, visuals=tuple(geometries))

@@ -174,7 +174,7 @@ def _color_text(body: Body, scene: Scene) -> str:
     visual = next((visual for visual in scene.visuals if visual.body is body), None)
     if visual is None:
         return ""
-    parts = (round(255 * min(max(part, 0.0), 1.0)) for part in color_of(visual.node)[:3])
+    parts = (round(255 * min(max(part, 0.0), 1.0)) for part in color_of(visual.node, scene.files)[:3])
     return "#" + "".join(f"{part:02x}" for part in parts)
 
 
