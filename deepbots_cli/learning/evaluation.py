@@ -517,6 +517,11 @@ class _Setting:
                 f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
                 " the training"
             )
+        if engine and len(done) > 1 and not program.draws.vary_start:
+            notes.append(
+                f"a reset draws nothing, so all {len(done)} episodes begin in the same state, and intervals"
+                " say nothing about other starts"
+            )
         return EvaluationResult.of_episodes(
             done,
             (low, high),

@@ -127,6 +127,13 @@ class EpisodeDraws:
         """The draws that last for the whole episode."""
         return tuple(entry for entry in self.entries if not entry.changes)
 
+    @property
+    def vary_start(self) -> bool:
+        """Whether episodes may begin differently: a reset draws something, or looks for a position."""
+        reset = self.program.reset
+        arranged = (reset.placements, *(layout.placements for layout in reset.layouts))
+        return bool(self.entries) or any(place.spot is not None for places in arranged for place in places)
+
     @cached_property
     def vectors(self) -> Mapping[str, NamedScalars]:
         """The vectors that are set as a whole, of which some components may be fixed."""

@@ -291,6 +291,14 @@ def test_a_demanded_result_that_is_not_met_ends_with_1(deepbots, trained):
     assert "write 90% for a percentage" in refused.err
 
 
+def test_an_evaluation_whose_resets_draw_nothing_says_so(deepbots, trained):
+    note = "note: a reset draws nothing, so all 3 episodes begin in the same state"
+    fixed = ("--set", "parameters.fall_angle=15 deg", "--set", "reset.joints.cart.pole_hinge=0.01 rad")
+    assert note in deepbots("eval", "mine", "--episodes", "3", *fixed).out
+    assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "3").out
+    assert "draws nothing" not in deepbots("eval", "mine", "--episodes", "1", *fixed).out
+
+
 def test_a_junit_file_needs_a_requirement(deepbots, trained, tmp_path):
     refused = deepbots("eval", "mine", "--episodes", "2", "--junit", "gate.xml")
     assert refused.code == 2
