@@ -452,6 +452,41 @@ def test_an_own_step_keeps_its_lines(tmp_path: Path) -> None:
     assert "#     return self.repeat_it(action, repeat)" in lines_of(text)
 
 
+REPEATED = """    def step(self, action, repeat=1):
+        \"\"\"Do the same several times.\"\"\"
+        if repeat < 1:
+            raise ValueError("repeat must be positive")
+        for _ in range(repeat):
+            if super(CSVSupervisorEnv, self).step(self.timestep) == -1:
+                exit()
+            self.handle_emitter(action)
+        return self.get_observations(), self.get_reward(action), self.is_done(), self.get_info()
+
+    def solved"""
+
+
+@pytest.mark.parametrize(
+    ("changed", "calls", "is_left"),
+    [
+        (("", ""), "judge.step([1])", False),
+        (("", ""), "again = 1\njudge.step([1], again)", False),
+        (("", ""), "judge.step([1], repeat=4)", True),
+        (("", ""), "again = 1\nagain += 1\njudge.step([1], again)", True),
+        (("", ""), "judge.step(*arguments)", True),
+        (("repeat=1", "repeat=4"), "", True),
+        (("self.handle_emitter(action)", "self.handle_emitter([0])"), "", True),
+        (("exit()", "self.stop()"), "", True),
+        (("self.get_reward(action)", "0.5 * self.get_reward(action)"), "", True),
+    ],
+)
+def test_a_step_that_does_what_that_of_deepbots_does_is_no_place_left(
+    tmp_path: Path, changed: tuple[str, str], calls: str, is_left: bool
+) -> None:
+    judge = JUDGE.replace("    def solved", REPEATED.replace(*changed)) + calls
+    _, text = imported(tmp_path, judge=judge)
+    assert ("an own step" in text) is is_left
+
+
 @pytest.mark.parametrize(
     "cart",
     [

@@ -12,6 +12,7 @@ arithmetic.py  operators on numbers and quantities
 calls.py       functions that controllers call: of Webots, deepbots, numpy and Python
 task.py        actions and messages of a project
 judging.py     its observations, rewards and endings
+overrides.py   methods of deepbots that a project writes anew
 draft.py       all of it as one record, which the starters of `new` write as YAML
 
 No code of the project runs. What has no counterpart in the language keeps its place in the Python file.

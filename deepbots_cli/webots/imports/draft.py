@@ -16,11 +16,11 @@ from deepbots_cli.webots.imports.judging import (
     read_endings,
     read_limits,
     read_observation,
-    read_overridden,
     read_reward,
     read_solved,
 )
 from deepbots_cli.webots.imports.names import Names
+from deepbots_cli.webots.imports.overrides import read_overridden
 from deepbots_cli.webots.imports.robots import Built, RobotParts, build, robot_parts
 from deepbots_cli.webots.imports.sensors import SensorEntry, sensor_entry
 from deepbots_cli.webots.imports.task import (
@@ -265,7 +265,7 @@ def _task(
         read_endings(task, reader, names)
         read_limits(task, judging.code, reader)
         read_solved(task, judging.cls, reader)
-        read_overridden(task, judging.cls)
+        read_overridden(task, judging.cls, judging.code)
         used = [node for node in walk(scene.nodes) if node in judging.calls.used]
     return task, used
 

@@ -328,25 +328,3 @@ def _constant(node: ast.expr, module: ModuleCode, reader: Reader) -> Value:
             ):
                 return statement.value.value if isinstance(statement.value, ast.Constant) else None
     return reader.evaluate(Frame(module, {}), node)
-
-
-def read_overridden(task: Task, cls: ClassCode) -> None:
-    """Name methods of deepbots that the project writes anew, whose effect is not read."""
-    for name in ("step", "reset", "handle_emitter", "handle_receiver", "run"):
-        if name in cls.methods:
-            _, function = cls.methods[name]
-            if not _only_sets(function):
-                task.agent.append(whole(cls, name, f"an own {name}"))
-
-
-def _only_sets(function: ast.FunctionDef) -> bool:
-    """Return whether a method sets attributes to constants, and calls the method of its base."""
-    for statement in function.body:
-        match statement:
-            case ast.Assign(value=ast.Constant()) | ast.Expr(value=ast.Constant()):
-                pass
-            case ast.Return(value=ast.Call(func=ast.Attribute(value=ast.Call(func=ast.Name(id="super"))))):
-                pass
-            case _:
-                return False
-    return True
