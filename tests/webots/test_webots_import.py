@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from pathlib import Path
 
@@ -13,9 +14,11 @@ from deepbots_cli import api
 from deepbots_cli.cli.starters.webots import Starter, from_webots
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.geometry import ground_height
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.scenario.fields import Name
+from deepbots_cli.webots.imports import hints
 from deepbots_cli.webots.imports.names import scenario_name
 from tests.webots.worlds_of_webots import HEADER
 
@@ -450,6 +453,48 @@ def test_an_own_step_keeps_its_lines(tmp_path: Path) -> None:
     )
     _, text = imported(tmp_path, judge=judge)
     assert "#     return self.repeat_it(action, repeat)" in lines_of(text)
+
+
+HELPERS = """
+def unevenness(node):
+    return node.getOrientation()[0] + node.getField("rotation").getSFRotation()[3]
+
+class Judge("""
+
+
+def hints_of(text: str) -> list[str]:
+    return [line.strip("# ") for line in text.splitlines() if line.lstrip().startswith("#   Write ")]
+
+
+def test_a_place_that_is_left_names_the_words_for_its_python(tmp_path: Path) -> None:
+    _, text = imported(
+        tmp_path,
+        judge=JUDGE.replace("\nclass Judge(", HELPERS),
+        init="self.tip, self.far, self.best = self.getFromDef('TIP'), 0.7, 0.0",
+        reward="""before = self.best
+self.best = max(self.best, unevenness(self.tip))
+goal = self.getFromDef("GOAL")
+touches = len(goal.getContactPoints()) + self.getTime() // self.far
+return self.best - before + touches""",
+    )
+    angles = "roll({0}), pitch({0}), yaw({0}) or tilt({0})".format("cart.tip")
+    assert hints_of(text) == [
+        f"Write {angles} for node.getOrientation()",
+        f"Write {angles} for node.getField('rotation').getSFRotation()",
+        "Write contact(goal, OTHER) or collided(goal) for goal.getContactPoints()",
+        "Write time for self.getTime()",
+        "Write 0.7 for self.far",
+        "Write previous(x), delta(x) or running_max(x) for values of earlier steps: self.best",
+    ]
+    assert "goal:" in text
+    assert 'name="tip"' in (tmp_path / "out" / "cart_cart.urdf").read_text()
+
+
+def test_hints_name_functions_of_the_language() -> None:
+    sentences = [*hints._OF_NODES.values(), *hints._OF_FIELDS.values(), *hints._WORDS.values()]
+    words = {word for sentence in sentences for word in re.findall(r"([a-z_0-9]+)\(", sentence)}
+    assert len(words) > 10
+    assert words <= {*FUNCTIONS}
 
 
 REPEATED = """    def step(self, action, repeat=1):

@@ -236,6 +236,7 @@ def _comments(items: Sequence[Item], indent: str) -> list[str]:
             where = f"from {item.place}" if item.place.line else f"of {item.place.python}"
             lines.append(f"{indent}{FILL_IN}: {about}{_one_line(where)}")
             lines += [f"{indent}#     {_visible(line)}" for line in item.python]
+            lines += [f"{indent}#   Write {_visible(hint)}" for hint in item.hints]
     return lines
 
 

@@ -13,6 +13,7 @@ calls.py       functions that controllers call: of Webots, deepbots, numpy and P
 task.py        actions and messages of a project
 judging.py     its observations, rewards and endings
 overrides.py   methods of deepbots that a project writes anew
+hints.py       words of the language for places that are left to a person
 draft.py       all of it as one record, which the starters of `new` write as YAML
 
 No code of the project runs. What has no counterpart in the language keeps its place in the Python file.

@@ -12,6 +12,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import RobotModel, to_urdf
 from deepbots_cli.webots.imports.calls import Calls
 from deepbots_cli.webots.imports.code import BOTH_BASES, ROBOT_BASES, SUPERVISOR_BASES, Code, read_code
+from deepbots_cli.webots.imports.hints import add_hints
 from deepbots_cli.webots.imports.judging import (
     read_endings,
     read_limits,
@@ -266,6 +267,7 @@ def _task(
         read_limits(task, judging.code, reader)
         read_solved(task, judging.cls, reader)
         read_overridden(task, judging.cls, judging.code)
+        add_hints(task, reader)
         used = [node for node in walk(scene.nodes) if node in judging.calls.used]
     return task, used
 

@@ -56,6 +56,8 @@ class Todo:
     about: str = ""
     python: tuple[str, ...] = ()
     """The lines of a method that is left whole."""
+    hints: tuple[str, ...] = ()
+    """What the language has for its Python, such as `time for self.getTime()`."""
 
 
 Item = Entry | Todo

@@ -1,0 +1,237 @@
+"""Hints at the words of the language that say what the Python of a place does that is left to a person."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from deepbots_cli.webots.imports.reader import Frame, TooLongError
+from deepbots_cli.webots.imports.task import Item, Task, Todo
+from deepbots_cli.webots.imports.values import (
+    Instance,
+    ProjectFunction,
+    WorldField,
+    WorldNode,
+    is_number,
+    number_text,
+)
+from deepbots_cli.webots.nodes import real
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.imports.code import ModuleCode
+    from deepbots_cli.webots.imports.reader import Reader
+    from deepbots_cli.webots.imports.values import Value
+
+MAX_HINTS = 8
+_MAX_DEPTH = 3
+_SHOWN = 60
+"""The largest number of hints at one place, of calls that are followed, and of characters of Python."""
+_ATTITUDE = "roll({0}), pitch({0}), yaw({0}) or tilt({0})"
+_OF_NODES: Mapping[str, str] = {
+    "getPosition": "position({0})",
+    "getOrientation": _ATTITUDE,
+    "getPose": f"position({{0}}), {_ATTITUDE}",
+    "getVelocity": "velocity({0}) and angular_velocity({0})",
+    "getContactPoints": "contact({0}, OTHER) or collided({0})",
+    "getNumberOfContactPoints": "contact({0}, OTHER) or collided({0})",
+}
+_OF_FIELDS: Mapping[str, str] = {"translation": "position({0})", "rotation": _ATTITUDE}
+_WORDS: Mapping[str, str] = {
+    "getTime": "time",
+    "atan2": "bearing(BODY, OTHER) or atan2(y, x)",
+    "arctan2": "bearing(BODY, OTHER) or atan2(y, x)",
+    "hypot": "ground_distance(BODY, OTHER) or hypot(x, y)",
+    "norm": "distance(BODY, OTHER) or norm(x)",
+    "dist": "distance(BODY, OTHER)",
+    "remainder": "wrap(angle)",
+}
+_OF_READERS = ("getSFVec3f", "getSFRotation")
+_RESET = ("__init__", "reset")
+
+
+def add_hints(task: Task, reader: Reader) -> None:
+    """Add hints to the places that are left of observation, reward and endings."""
+    for section in ("observation", "reward", "success", "failure"):
+        items: list[Item] = getattr(task, section)
+        items[:] = [
+            replace(item, hints=_hints(item, reader)) if isinstance(item, Todo) else item for item in items
+        ]
+
+
+def _hints(place: Todo, reader: Reader) -> tuple[str, ...]:
+    for module in reader.code.modules.values():
+        function = _function_at(module, place) if module.file == place.place.file else None
+        if function is not None:
+            finder = _Finder(reader)
+            try:
+                finder.search(module, _part(function, place, reader), function, finder.arguments(function))
+            except (TooLongError, RecursionError):
+                return ()
+            return tuple(finder.hints)[:MAX_HINTS]
+    return ()
+
+
+def _function_at(module: ModuleCode, place: Todo) -> ast.FunctionDef | None:
+    """Return the innermost function around a place."""
+    around = [
+        node
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.FunctionDef) and node.lineno <= place.place.line <= (node.end_lineno or 0)
+    ]
+    return around[-1] if around else None
+
+
+def _part(function: ast.FunctionDef, place: Todo, reader: Reader) -> list[ast.AST]:
+    """Return what to search: a statement of a method that deepbots reads, or else the whole function."""
+    is_read = any(function is method for _, method in reader.cls.methods.values())
+    if not is_read or place.place.line == function.lineno:
+        return list(function.body)
+    return [
+        node
+        for node in ast.walk(function)
+        if isinstance(node, ast.expr) and getattr(node, "lineno", 0) == place.place.line
+    ]
+
+
+class _Finder:
+    """Collects hints, each once."""
+
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+        self.hints: dict[str, None] = {}
+        self._searched: set[int] = set()
+
+    def search(
+        self,
+        module: ModuleCode,
+        part: list[ast.AST],
+        function: ast.FunctionDef,
+        local: dict[str, Value],
+        depth: int = 0,
+    ) -> None:
+        if id(function) in self._searched or depth > _MAX_DEPTH:
+            return
+        self._searched.add(id(function))
+        frame = self._frame(module, local)
+        self._assign(frame, function)
+        inside = [node for top in part for node in ast.walk(top)]
+        for node in inside:
+            if isinstance(node, ast.Call):
+                self._call(frame, node, depth)
+        self._attributes({*_loaded(inside)})
+
+    def _attributes(self, names: set[str]) -> None:
+        """Hint at the numbers of attributes, and at those that keep something for later steps."""
+        kept = sorted(names & {*self._kept()})
+        for name in sorted(names - {*kept}):
+            value: Value = self._reader.attributes.get(name)
+            if is_number(value):
+                self.hints[f"{number_text(value)} for self.{name}"] = None
+        if kept:
+            words = "previous(x), delta(x) or running_max(x)"
+            attributes = ", ".join(f"self.{name}" for name in kept)
+            self.hints[f"{words} for values of earlier steps: {attributes}"] = None
+
+    def arguments(self, function: ast.FunctionDef) -> dict[str, Value]:
+        """Return what a method of the class calls a function with; nothing for a method."""
+        for module, method in self._reader.cls.methods.values():
+            frame = self._frame(module, {})
+            self._assign(frame, method)
+            for node in ast.walk(method):
+                called = self._called(frame, node) if isinstance(node, ast.Call) else None
+                if isinstance(node, ast.Call) and called is not None and called.function is function:
+                    return {} if isinstance(called.owner, Instance) else self._values(frame, node, called)
+        return {}
+
+    def _frame(self, module: ModuleCode, local: dict[str, Value]) -> Frame:
+        owner = Instance(self._reader.cls)
+        return Frame(module, {"self": owner, **local}, owner)
+
+    def _assign(self, frame: Frame, function: ast.FunctionDef) -> None:
+        """Note names of nodes, as in `robot = self.robot`."""
+        for node in ast.walk(function):
+            match node:
+                case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                    owner = self._owner(frame, value)
+                    if isinstance(owner, WorldNode | WorldField):
+                        frame.local[name] = owner
+
+    def _owner(self, frame: Frame, node: ast.expr) -> Value:
+        """Return the value of a name, an attribute, or a call that gets a node or a field."""
+        match node:
+            case ast.Name() | ast.Attribute(value=ast.Name()):
+                return self._reader.evaluate(frame, node)
+            case ast.Call(func=ast.Attribute(attr="getFromDef" | "getSelf" | "getField")):
+                return self._reader.evaluate(frame, node)
+        return None
+
+    def _call(self, frame: Frame, node: ast.Call, depth: int) -> None:
+        match node.func:
+            case ast.Attribute(value=value, attr=name):
+                owner = self._owner(frame, value)
+            case ast.Name(id=name):
+                owner = None
+            case _:
+                return
+        if name in _OF_NODES:
+            self._add(node, _OF_NODES[name], owner)
+        elif name in _OF_READERS:
+            field = owner.name if isinstance(owner, WorldField) else _field_of(name)
+            if field in _OF_FIELDS:
+                self._add(node, _OF_FIELDS[field], owner)
+        elif name in _WORDS:
+            self._add(node, _WORDS[name], None)
+        else:
+            self._follow(frame, node, depth)
+
+    def _follow(self, frame: Frame, node: ast.Call, depth: int) -> None:
+        if (called := self._called(frame, node)) is not None:
+            local = self._values(frame, node, called)
+            self.search(called.module, list(called.function.body), called.function, local, depth + 1)
+
+    def _called(self, frame: Frame, node: ast.Call) -> ProjectFunction | None:
+        """Return the function of the project that a call names."""
+        match node.func:
+            case ast.Name() | ast.Attribute(value=ast.Name()):
+                called = self._reader.evaluate(frame, node.func)
+                return called if isinstance(called, ProjectFunction) else None
+        return None
+
+    def _values(self, frame: Frame, node: ast.Call, called: ProjectFunction) -> dict[str, Value]:
+        """Return the nodes that a call gives to the arguments of a function."""
+        names = [argument.arg for argument in called.function.args.args]
+        if isinstance(called.owner, Instance):
+            names = names[1:]
+        return dict(zip(names, (self._owner(frame, argument) for argument in node.args), strict=False))
+
+    def _add(self, node: ast.Call, words: str, owner: Value) -> None:
+        calls = self._reader.calls
+        written = real(owner.node) if isinstance(owner, WorldNode | WorldField) else None
+        body = calls.names.get(written) if written is not None else None
+        if written is not None and body is not None:
+            calls.used.add(written)  # so that the link or marker is in the scenario
+        python = " ".join(ast.unparse(node).split())
+        shown = "".join(letter if letter.isprintable() else "?" for letter in python)[:_SHOWN]
+        self.hints[f"{words.format(body or 'BODY')} for {shown}"] = None
+
+    def _kept(self) -> Iterator[str]:
+        """Yield the attributes that methods of the class set after the start."""
+        for name, (_, function) in self._reader.cls.methods.items():
+            for node in ast.walk(function) if name not in _RESET else ():
+                match node:
+                    case ast.Attribute(value=ast.Name(id="self"), attr=attribute, ctx=ast.Store()):
+                        yield attribute
+
+
+def _loaded(nodes: list[ast.AST]) -> Iterator[str]:
+    for node in nodes:
+        match node:
+            case ast.Attribute(value=ast.Name(id="self"), attr=attribute, ctx=ast.Load()):
+                yield attribute
+
+
+def _field_of(name: str) -> str:
+    """Return the field that a call most likely reads."""
+    return "rotation" if name == "getSFRotation" else ""
