@@ -22,11 +22,11 @@ _NUMBERS = (int, float, type(None))
 _EMPTY_VALUES: tuple[object, ...] = (None, "", [], ())
 
 
-def table(rows: Sequence[Row], indent: str = "  ") -> str:
+def table(rows: Sequence[Row], indent: str = "  ", *, is_prose: bool = False) -> str:
     """Format rows under the names of their keys. Columns of numbers are aligned to the right.
 
     The keys of the first row are the columns. A column that is empty in every row is left out. On a terminal
-    that is too narrow, long cells continue on further lines.
+    that is too narrow, long cells continue on further lines; with `is_prose`, also without a terminal.
     """
     columns = [*rows[0]] if rows else []
     names = [name for name in columns if any(row.get(name) not in _EMPTY_VALUES for row in rows)] or columns
@@ -46,7 +46,8 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
         grid.add_row(*(Text(text) for text in line))
         if line is names:
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
-    return _lines(grid, sum(min_widths) + 2 * len(min_widths), sum(widths) + 2 * len(widths), indent)
+    min_width, width = (sum(each) + 2 * len(each) for each in (min_widths, widths))
+    return _lines(grid, min_width, width, indent, fits_terminal=is_prose or sys.stdout.isatty())
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
@@ -58,13 +59,14 @@ def row_as_lines(row: Row, indent: str = "  ") -> str:
     for name, value in shown.items():
         grid.add_row(Text(name), Text(value))
     name_width, value_width = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
-    return _lines(grid, name_width + _MIN_TEXT_WIDTH + 4, name_width + value_width + 4, indent)
+    widths = name_width + _MIN_TEXT_WIDTH + 4, name_width + value_width + 4
+    return _lines(grid, *widths, indent, fits_terminal=sys.stdout.isatty())
 
 
-def _lines(grid: Table, min_width: int, needed: int, indent: str) -> str:
-    """A grid as text, no wider than the terminal that standard output is, unless that leaves less than the
+def _lines(grid: Table, min_width: int, needed: int, indent: str, *, fits_terminal: bool) -> str:
+    """A grid as text, no wider than the terminal if it `fits_terminal`, unless that leaves less than the
     `min_width`."""
-    room = terminal.width() - len(indent) if sys.stdout.isatty() else needed
+    room = terminal.width() - len(indent) if fits_terminal else needed
     out = StringIO()
     console = Console(
         file=out,

@@ -118,6 +118,17 @@ def test_no_code_runs_without_permission(project: Project):
     assert not list(project.folder.rglob("ran"))
 
 
+def test_the_devices_of_a_large_robot_fit_the_page(project: Project):
+    project.write("worlds/w.wbt", f'{HEADER}WorldInfo {{ }} E-puck {{ controller "cart" }}')
+    project.controller("cart", CART)
+    ran = project.run(allow=False)
+    assert max(map(len, ran.stdout.splitlines())) <= 100
+    words = " ".join(ran.stdout.split())
+    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in words
+    (row,) = json.loads(project.run("--json", allow=False).stdout)
+    assert "ps3, ls3, ps4" in row["devices"]
+
+
 def test_controllers_have_their_own_modules_folders_and_arguments(project: Project):
     project.write(
         "worlds/w.wbt",

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import time
 import webbrowser
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 _ENGINE = "mujoco"
 _MAX_NAMED = 5
+_NUMBERED = re.compile(r"(.*[^0-9])(0|[1-9][0-9]{0,5})")
 """The maximum number of worlds that a message names."""
 
 
@@ -193,8 +195,26 @@ def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json
         }
         for robot in scene.robots
     ]
+    shown = [row | {"devices": _short(robot.devices)} for row, robot in zip(rows, scene.robots, strict=True)]
     note = "add --allow-code to run these controllers, if you trust the project"
-    terminal.show(rows, table(rows), *([note] if not as_json else []), as_json=as_json)
+    terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
+
+
+def _short(names: Iterable[str]) -> str:
+    """Return names as a text, of which consecutive ones such as `ps0`, `ps1` and `ps2` are `ps0 .. ps2`."""
+    numbers: dict[tuple[str, bool], list[int]] = {}
+    for name in names:
+        match = _NUMBERED.fullmatch(name)
+        stem, number = match.groups() if match else (name, None)
+        each = numbers.setdefault((stem, match is not None), [])
+        each += [] if number is None else [int(number)]
+    entries = []
+    for (stem, _), each in numbers.items():
+        if len(each) > 2 and each == [*range(each[0], each[-1] + 1)]:
+            entries.append(f"{stem}{each[0]} .. {stem}{each[-1]}")
+        else:
+            entries += [f"{stem}{number}" for number in each] or [stem]
+    return ", ".join(entries)
 
 
 @dataclass(frozen=True)
