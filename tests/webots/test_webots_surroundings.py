@@ -53,6 +53,21 @@ def test_the_power_of_a_target_follows_the_radar_equation():
     assert target_seen.received_power == pytest.approx(10 * math.log10(milliwatts))
 
 
+def test_the_noise_of_an_azimuth_may_leave_the_field_of_view():
+    """As in Webots, which limits an azimuth to the field of view, and then adds the noise."""
+    at_the_edge = target("10 -3.9 0").replace("radius 0.001", "radius 1")
+    robot = RADAR % ("", "horizontalFieldOfView 0.6 angularNoise 0.05")
+    simulation = simulate(robot + at_the_edge, gravity=0)
+    radar = device(simulation, "radar")
+    radar.enable(8)
+    azimuths = []
+    for _ in range(200):
+        simulation.run_step()
+        azimuths.append(radar.getTargets()[0].azimuth)
+    assert sum(azimuths) / 200 == pytest.approx(0.3, abs=4 * 0.05 / math.sqrt(200))
+    assert max(azimuths) > 0.35
+
+
 def test_a_moving_radar_measures_relative_speed():
     robot = "linearVelocity 2 0 0 boundingObject Box { } physics Physics { }"
     (target_seen,) = radar_targets(target("10 0 0", "5 0 0"), robot=robot)
