@@ -24,6 +24,8 @@ class Pace:
         self._single_steps = 0
         self.on_pause: Callable[[], None] = lambda: None
         """Called in the thread of the world before it stands still."""
+        self.wants_restart = False
+        """Whether the run is to end, and to begin anew."""
         self.run(is_fast=is_fast)
 
     def run(self, *, is_fast: bool) -> None:
@@ -43,12 +45,18 @@ class Pace:
             self._single_steps += 1
             self._changed.notify_all()
 
+    def restart(self) -> None:
+        """Ask for the end of the run, and a new one."""
+        with self._changed:
+            self.wants_restart = True
+            self._changed.notify_all()
+
     def wait(self) -> bool:
         """Wait until the next basic time step may begin; returns whether the world was paused."""
         if self.is_paused:
             self.on_pause()
             with self._changed:
-                self._changed.wait_for(lambda: self._single_steps or not self.is_paused)
+                self._changed.wait_for(self._may_go_on)
                 self._single_steps = max(0, self._single_steps - 1)
             return True
         if not self.is_fast:
@@ -56,3 +64,6 @@ class Pace:
             self._begin += max(0.0, -left - MAX_DELAY_S)
             time.sleep(max(0.0, left))
         return False
+
+    def _may_go_on(self) -> bool:
+        return self._single_steps > 0 or not self.is_paused or self.wants_restart

@@ -315,7 +315,7 @@ class Runner:
                 if controller.due <= simulation.ticks:
                     return controller
             at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
-            if at_limit or simulation.quit_status is not None:
+            if at_limit or simulation.quit_status is not None or self._pace.wants_restart:
                 self.is_over = True
             else:
                 self._advance()

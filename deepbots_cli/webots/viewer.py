@@ -83,33 +83,59 @@ class HeldKeys:
 class Viewer:
     """Serves a world: a context manager, and a function to call after each step. `address` is its URL."""
 
-    def __init__(self, simulation: Simulation, pace: Pace, title: str, host: str, port: int | None) -> None:
-        """Start the server, and show the world as it is now.
+    def __init__(
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        title: str,
+        host: str,
+        port: int | None,
+        *,
+        can_restart: bool = False,
+    ) -> None:
+        """Start the server, and show the world as it is now. A button asks the pace for a restart, if the
+        run `can_restart`.
 
         Raises:
             UsageError: The host is unknown, or the port is in use.
             MissingExtraError: viser is not installed.
         """
-        self._simulation, self._pace = simulation, pace
-        self._viewpoint = Viewpoint(simulation)
-        keys = HeldKeys()
+        self._title, self._can_restart = title, can_restart
+        self._top = "/world"
+        """The node of the world. A browser keeps the poses of nodes whose names return."""
+        self._keys = HeldKeys()
         self._server, self.address = server.serve(
-            host, port, f"deepbots {title}", keys.hold, needs_token=True, has_webots_keys=True
+            host, port, f"deepbots {title}", self._keys.hold, needs_token=True, has_webots_keys=True
         )
         try:
-            self._build(title)
+            self._open(simulation, pace)
         except BaseException:
             server.stop(self._server)
             raise
-        simulation.held_keys = keys.codes
-        pace.on_pause = self._read
+
+    def _open(self, simulation: Simulation, pace: Pace) -> None:
+        self._simulation, self._pace = simulation, pace
+        self._viewpoint = Viewpoint(simulation)
         self._lines: dict[str, deque[str]] = {}
+        self._build(self._title)
+        simulation.held_keys = self._keys.codes
+        pace.on_pause = self._read
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
     def __enter__(self) -> Viewer:
         self._thread.start()
         return self
+
+    def show(self, simulation: Simulation, pace: Pace) -> None:
+        """Show another world in place of the present one, which has ended."""
+        self._ended.set()
+        self._thread.join()
+        self._top += "'"
+        self._server.scene.reset()
+        self._server.gui.reset()
+        self._open(simulation, pace)
+        self._thread.start()
 
     def __call__(self) -> None:
         """Leave the poses for the page, if it is time for a picture."""
@@ -139,12 +165,12 @@ class Viewer:
 
     def _build(self, title: str) -> None:
         scene, world = self._server.scene, self._simulation.scene
-        self._root = scene.add_frame("/world", show_axes=False)
-        self._nodes = [scene.add_frame(f"/world/{body.index}", show_axes=False) for body in world.bodies]
+        self._root = scene.add_frame(self._top, show_axes=False)
+        self._nodes = [scene.add_frame(f"{self._top}/{body.index}", show_axes=False) for body in world.bodies]
         for number, visual in enumerate(world.visuals):
             shape = visible_shape(visual, world.files)
             if shape is not None:
-                above = "/world" if visual.body is None else f"/world/{visual.body.index}"
+                above = self._top if visual.body is None else f"{self._top}/{visual.body.index}"
                 self._add(f"{above}/shape{number}", shape, color_of(visual.node, world.files), visual.frame)
         sky = sky_color(world.nodes)
         if sky is not None:
@@ -203,6 +229,11 @@ class Viewer:
             "time", tuple(acts), hint="pause; one basic time step; at the pace of a clock; as fast as it can"
         )
         buttons.on_click(lambda event: acts[event.target.value]())
+        if self._can_restart:
+            restart = gui.add_button(
+                "restart", hint="end all controllers, read the files again, and begin anew"
+            )
+            restart.on_click(lambda _: pace.restart())
         gui.add_html(panel_html.hint("Keys that you press on this page are those of each Keyboard."))
         self._output = gui.add_html("")
         self._speed, self._since = 0.0, (time.monotonic(), self._simulation.ticks)

@@ -288,6 +288,30 @@ def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
     assert [(outcome.exit_code, outcome.steps) for outcome in outcomes] == [(0, 40)]
 
 
+def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
+    path = tmp_path / "program.py"
+    path.write_text(
+        "from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1:\n    pass\n",
+        encoding="utf-8",
+    )
+    simulation = simulate('Robot { name "box" controller "program" }')
+    pace = Pace(simulation, is_fast=True)
+    pace.pause()
+    runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))], pace=pace)
+    with Viewer(simulation, pace, "w.wbt", access.LOOPBACK, 0, can_restart=True) as viewer:
+        threading.Timer(0.5, pace.restart).start()
+        outcome = runner.run()
+        assert (outcome.exit_code, outcome.is_stuck, pace.wants_restart) == (0, False, True)
+        following = simulate(BALL)
+        viewer.show(following, Pace(following, is_fast=True))
+        page = Page(viewer)
+        with page.open(cookie=page.cookie) as wire:
+            wire.send(msgspec.msgpack.encode(CAMERA))
+            names = [each["name"] for each in _messages(wire) if "props" in each and "name" in each]
+        assert [name for name in names if name.endswith("/0/shape0")] == ["/world'/0/shape0"]
+        _fall(following, viewer)
+
+
 # Runs
 
 WORLD = f"""{HEADER}WorldInfo {{ basicTimeStep 32 gravity 0 }}
@@ -402,6 +426,13 @@ def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path, options: l
         tab.wait(f"document.body.innerText != {state!r}")
         tab.click("real time")
         _wait(lambda: reds() > middle + 30, 60)
+        program = project.joinpath("controllers", "boss", "boss.py")
+        program.write_text(program.read_text().replace("ready", "once more"), encoding="utf-8")
+        tab.click("pause")
+        tab.click("restart")
+        tab.wait("document.body.innerText.includes('<b>once more</b>')")
+        tab.wait("document.body.innerText.includes('running')")
+        _wait(lambda: abs(reds() - middle) < 10, 60)
         press("q", "KeyQ", 2)
         tab.wait("document.body.innerText.includes('the run has ended')")
         assert tab.errors == []

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 _ENGINE = "mujoco"
 _MAX_NAMED = 5
-_NUMBERED = re.compile(r"(.*[^0-9])(0|[1-9][0-9]{0,5})")
 """The maximum number of worlds that a message names."""
+_NUMBERED = re.compile(r"(.*[^0-9])(0|[1-9][0-9]{0,5})")
 
 
 def _known_engine(name: str) -> str:
@@ -119,8 +119,7 @@ def command(
         raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     known_engine(_ENGINE)
     try:
-        checked, scene = _read(world, protos or ())
-        programs = _programs(checked, scene)
+        opened = _read(world, protos or ())
         if not allow_code:
             of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
             for name, is_present in of_a_run.items():
@@ -128,14 +127,14 @@ def command(
                     raise UsageError(
                         f"{name} runs the programs of the project; add --allow-code if you trust them"
                     )
-            _show_robots(programs, scene, as_json=as_json)
+            _show_robots(opened, as_json=as_json)
             return
         if processes and os.name == "nt":
             raise UsageError("--processes is not available on Windows; leave it out")
         page = _Page(host, port, open_) if view else None
         is_fast = not view if fast is None else fast
         options = _Options(steps, timeout, python, record, force, page, is_fast, processes, as_json)
-        _run(checked, scene, programs, options)
+        _run(world, protos or (), opened, options)
     except WorldError as error:
         for finding in error.findings:
             terminal.note(str(finding))
@@ -160,7 +159,16 @@ def check_world(path: Path) -> None:
     raise UsageError(f"{path} is a folder{hint}" if path.is_dir() else f"{path} does not exist{hint}")
 
 
-def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
+@dataclass(frozen=True)
+class _Opened:
+    """A world that was read, and the programs of its robots."""
+
+    world: World
+    scene: Scene
+    programs: list[tuple[Robot, Program]]
+
+
+def _read(path: Path, protos: Sequence[Path]) -> _Opened:
     from deepbots_cli.webots.project import read_world
     from deepbots_cli.webots.scene_builder import build_scene
 
@@ -169,7 +177,7 @@ def _read(path: Path, protos: Sequence[Path]) -> tuple[World, Scene]:
     for warning in world.findings.warnings:
         terminal.note(str(warning))
     world.findings.require_none()
-    return world, scene
+    return _Opened(world, scene, _programs(world, scene))
 
 
 def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
@@ -183,8 +191,8 @@ def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
     return programs
 
 
-def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json: bool) -> None:
-    by_robot = dict(programs)
+def _show_robots(opened: _Opened, *, as_json: bool) -> None:
+    by_robot = dict(opened.programs)
     rows = [
         {
             "robot": robot.name,
@@ -193,9 +201,11 @@ def _show_robots(programs: list[tuple[Robot, Program]], scene: Scene, *, as_json
             "runs": "yes" if robot in by_robot and by_robot[robot].path is not None else "no",
             "devices": ", ".join(robot.devices),
         }
-        for robot in scene.robots
+        for robot in opened.scene.robots
     ]
-    shown = [row | {"devices": _short(robot.devices)} for row, robot in zip(rows, scene.robots, strict=True)]
+    shown = [
+        row | {"devices": _short(robot.devices)} for row, robot in zip(rows, opened.scene.robots, strict=True)
+    ]
     note = "add --allow-code to run these controllers, if you trust the project"
     terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
 
@@ -241,39 +251,26 @@ class _Options:
     as_json: bool
 
 
-def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], options: _Options) -> None:
+def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options) -> None:
     from deepbots_cli.webots.pace import Pace
-    from deepbots_cli.webots.recorder import Recorder
-    from deepbots_cli.webots.remote.server import ProcessRunner
-    from deepbots_cli.webots.runner import Runner, packages_of
     from deepbots_cli.webots.simulation import Simulation
 
-    simulation = Simulation(scene, world.span)
+    simulation = Simulation(opened.scene, opened.world.span)
     pace = Pace(simulation, is_fast=options.is_fast)
-    video, viewer = options.record, None
     try:
         with ExitStack() as stack:
+            viewer = None
             if options.page is not None:
-                viewer = stack.enter_context(_serve(simulation, pace, world.path.name, options.page))
-            recorder = (
-                None
-                if video is None
-                else stack.enter_context(Recorder(simulation, video.resolve(), force=options.force))
-            )
-            runner = (ProcessRunner if options.processes else Runner)(
-                simulation,
-                programs,
-                steps=options.steps,
-                timeout=options.timeout,
-                packages=packages_of(options.python) if options.python is not None else (),
-                output=sys.stderr if options.as_json else None,
-                pace=pace,
-                after_step=[call for call in (recorder, viewer) if call is not None],
-                on_line=None if viewer is None else viewer.print_line,
-            )
-            started = time.perf_counter()
-            outcome = runner.run()
-            seconds = time.perf_counter() - started
+                viewer = stack.enter_context(_serve(simulation, pace, path.name, options))
+            outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+            while viewer is not None and pace.wants_restart and not outcome.is_stuck:
+                for problem in outcome.problems:
+                    terminal.print_error(problem)
+                opened = _read(path, protos)
+                simulation = Simulation(opened.scene, opened.world.span)
+                pace = Pace(simulation, is_fast=pace.is_fast)
+                viewer.show(simulation, pace)
+                outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
     except KeyboardInterrupt:
         terminal.note("interrupted")
         _leave(INTERRUPTED)
@@ -281,11 +278,46 @@ def _run(world: World, scene: Scene, programs: list[tuple[Robot, Program]], opti
     _exit(outcome)
 
 
-def _serve(simulation: Simulation, pace: Pace, title: str, page: _Page) -> Viewer:
-    """Serve the page of a run, and print its address."""
+def _run_once(
+    simulation: Simulation,
+    programs: list[tuple[Robot, Program]],
+    options: _Options,
+    pace: Pace,
+    viewer: Viewer | None,
+) -> tuple[Outcome, float]:
+    """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
+    from deepbots_cli.webots.recorder import Recorder
+    from deepbots_cli.webots.remote.server import ProcessRunner
+    from deepbots_cli.webots.runner import Runner, packages_of
+
+    with ExitStack() as stack:
+        recorder = None
+        if options.record is not None:
+            video = Recorder(simulation, options.record.resolve(), force=options.force)
+            recorder = stack.enter_context(video)
+        runner = (ProcessRunner if options.processes else Runner)(
+            simulation,
+            programs,
+            steps=options.steps,
+            timeout=options.timeout,
+            packages=packages_of(options.python) if options.python is not None else (),
+            output=sys.stderr if options.as_json else None,
+            pace=pace,
+            after_step=[call for call in (recorder, viewer) if call is not None],
+            on_line=None if viewer is None else viewer.print_line,
+        )
+        started = time.perf_counter()
+        return runner.run(), time.perf_counter() - started
+
+
+def _serve(simulation: Simulation, pace: Pace, title: str, options: _Options) -> Viewer:
+    """Serve the page of a run, and print its address. A run that is recorded has no second one."""
     from deepbots_cli.webots.viewer import Viewer
 
-    viewer = Viewer(simulation, pace, title, page.host, page.port)
+    page = options.page
+    assert page is not None
+    can_restart = options.record is None
+    viewer = Viewer(simulation, pace, title, page.host, page.port, can_restart=can_restart)
     terminal.note(viewer.address)
     if page.opens_browser:
         webbrowser.open(viewer.address)
