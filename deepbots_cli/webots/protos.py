@@ -22,8 +22,8 @@ from deepbots_cli.webots.syntax import (
     Value,
     WorldSyntaxError,
     parse,
-    template_message,
 )
+from deepbots_cli.webots.templates import TemplateError, Templates
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings
@@ -62,8 +62,9 @@ class Scope:
 class Expander:
     """Gives each PROTO node of a world its body."""
 
-    def __init__(self, files: Files, findings: WorldFindings) -> None:
+    def __init__(self, files: Files, findings: WorldFindings, *, allow_code: bool = False) -> None:
         self.files, self.findings = files, findings
+        self._templates = Templates(files) if allow_code else None
         self._count = 0
         self._read: dict[str, Proto | None] = {}
         self._done: set[int] = set()
@@ -120,8 +121,8 @@ class Expander:
             self.findings.error(
                 node.span,
                 f"PROTO {node.type} is not available",
-                "name a checkout of Webots by --protos DIR or WEBOTS_HOME; deepbots reads nothing from the"
-                " network",
+                f"name a copy of Webots, or a folder with {node.type}.proto, by --protos DIR; deepbots reads nothing"
+                " from the network",
             )
             _empty(node)
         return None
@@ -167,16 +168,37 @@ class Expander:
             source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {{ {text} }}")
             root = parse(source, is_proto=True).protos[proto.name].body[0]
         elif proto.template:
-            self.findings.error(
-                node.span,
-                template_message(proto.name),
-                f"write it without a template; of Webots' library, deepbots has: {', '.join(library.LIBRARY)}",
-            )
-            _empty(node)
-            return None
+            rendered = self._rendered(proto, node)
+            if rendered is None:
+                _empty(node)
+                return None
+            root = rendered
         else:
             root = proto.body[0]
         return self._clone(root, node, proto.interface, {})
+
+    def _rendered(self, proto: Proto, node: Node) -> Node | None:
+        """Return the body that a template makes; None with a finding if it makes none."""
+        is_lua = "%<" not in proto.template
+        if is_lua or self._templates is None:
+            reason = "which deepbots cannot run" if is_lua else "which deepbots webots runs with --allow-code"
+            self.findings.error(
+                node.span,
+                f"PROTO {proto.name} is a template of {'Lua' if is_lua else 'JavaScript'}, {reason}",
+                f"write it without a template; of Webots' library, deepbots has: {', '.join(library.LIBRARY)}",
+            )
+            return None
+        try:
+            text = self._templates.render(proto, node)
+        except TemplateError as error:
+            self.findings.error(node.span, f"the template of PROTO {proto.name} {error}")
+            return None
+        source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {text}")
+        body = parse(source, is_proto=True).protos[proto.name].body
+        if body:
+            return body[0]
+        self.findings.error(node.span, f"the template of PROTO {proto.name} makes another template")
+        return None
 
     def _clone(
         self, node: Node, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]

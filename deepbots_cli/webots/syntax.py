@@ -2,7 +2,7 @@
 
 The language is VRML97 with the extensions of Webots: `EXTERNPROTO`, `PROTO` with an interface and `IS`,
 `hidden` fields. Values are untyped here, because the type of a field depends on its node; `nodes.py` gives
-them types. Nothing is evaluated: a template of a PROTO is text.
+them types. Nothing is evaluated: a template of a PROTO is text, which `templates.py` runs.
 
 Files may come from anyone. The reader has limits on size, depth and number, and any fault ends in a
 `WorldSyntaxError` with a finding.
@@ -271,7 +271,8 @@ class _Parser:
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
         if _is_template(self.text, self.token.start):
             if not may_be_template:
-                raise self._error(name, template_message(name.text), "write it without a template")
+                message = f"PROTO {name.text} is a template, which only a file of its own may be"
+                raise self._error(name, message, f"write it as protos/{name.text}.proto")
             proto.template = self.text[self.token.start :]
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
@@ -392,10 +393,6 @@ class _Parser:
             self.take()
             return self.node(self.take().text)
         return self.node()
-
-
-def template_message(name: str) -> str:
-    return f"PROTO {name} is a template of JavaScript, and deepbots runs none"
 
 
 def _unquoted(text: str) -> str:

@@ -188,4 +188,4 @@ def test_the_page_about_the_installation_names_every_extra() -> None:
         "optional-dependencies"
     ]
     page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == set(extras)
+    assert set(re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)) == set(extras)

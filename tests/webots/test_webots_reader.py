@@ -186,7 +186,7 @@ def test_a_text_that_is_no_world_is_one_finding(text: str, headline: str):
         ('EXTERNPROTO "webots://projects/a/B.proto" B { }', "PROTO B is not available"),
         (
             "PROTO A [ ] { Solid { translation %<= 1 >% 0 0 } } A { }",
-            "PROTO A is a template of JavaScript, and deepbots runs none",
+            "PROTO A is a template, which only a file of its own may be",
         ),
         (
             'Solid { boundingObject Mesh { url "../../etc/passwd" } }',

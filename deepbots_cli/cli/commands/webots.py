@@ -119,7 +119,7 @@ def command(
         raise UsageError(f"{'--open' if open_ else '--port'} needs --view")
     known_engine(_ENGINE)
     try:
-        opened = _read(world, protos or ())
+        opened = _read(world, protos or (), allow_code=allow_code)
         if not allow_code:
             of_a_run = {"--steps": steps is not None, "--record": record is not None, "--view": view}
             for name, is_present in of_a_run.items():
@@ -168,11 +168,11 @@ class _Opened:
     programs: list[tuple[Robot, Program]]
 
 
-def _read(path: Path, protos: Sequence[Path]) -> _Opened:
+def _read(path: Path, protos: Sequence[Path], *, allow_code: bool) -> _Opened:
     from deepbots_cli.webots.project import read_world
     from deepbots_cli.webots.scene_builder import build_scene
 
-    world = read_world(path, protos)
+    world = read_world(path, protos, allow_code=allow_code)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
@@ -266,7 +266,7 @@ def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options)
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(path, protos)
+                opened = _read(path, protos, allow_code=True)
                 simulation = Simulation(opened.scene, opened.world.span)
                 pace = Pace(simulation, is_fast=pace.is_fast)
                 viewer.show(simulation, pace)

@@ -1,0 +1,198 @@
+"""PROTOs whose bodies are templates of JavaScript: `%< statement >%` and `%<= expression >%`.
+
+V8 (the package `mini-racer`) runs a template without files, network and other programs, for a limited time
+and with limited memory. The modules that it imports, such as `wbrandom.js`, are those of a copy of Webots.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.webots.nodes import parameters, value_of
+from deepbots_cli.webots.syntax import MAX_BYTES, Node
+
+if TYPE_CHECKING:
+    from deepbots_cli.webots.project import Files
+    from deepbots_cli.webots.syntax import Item, Parameter, Proto, Value
+
+MAX_SECONDS = 30.0
+"""The time in which V8 runs the templates of a world."""
+MAX_MEMORY = 256 * 2**20
+MAX_MODULES = 20
+MAX_DEPTH = 20
+"""The memory of one template, its modules, and the depth of the nodes in its fields."""
+_STATEMENT = re.compile(r"%<(=?)(.*?)>%", re.DOTALL)
+_COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+_IMPORT = re.compile(
+    r"""^[ \t]*import\s+(\*\s+as\s+(\w+)|\{[\w\s,]*\})\s+from\s+['"]([\w-]+\.js)['"][ \t]*;?""", re.MULTILINE
+)
+_EXPORT = re.compile(r"^[ \t]*export\s+(?=(?:function|class|const|let)\s+(\w+))", re.MULTILINE)
+_KEYS = {"Vec2f": "xy", "Vec3f": "xyz", "Rotation": "xyza", "Color": "rgb"}
+_SCRIPT = """'use strict';
+(() => {{
+const nothing = () => {{}};
+const console = {{log: nothing, warn: nothing, debug: nothing, error: nothing}};
+const read = text => JSON.parse(text, (key, value) => value === null ? undefined : value);
+const fields = read({fields});
+const context = read({context});
+{modules}
+let template_ = '';
+{body}
+return template_;
+}})()"""
+
+
+class TemplateError(DeepbotsError):
+    """A template cannot be run, or fails; the message says why."""
+
+
+class Templates:
+    """Runs the templates of one world."""
+
+    def __init__(self, files: Files) -> None:
+        self._files = files
+        self._end: float | None = None
+
+    def render(self, proto: Proto, node: Node) -> str:
+        """Return the body of a PROTO for a node.
+
+        Raises:
+            TemplateError: V8 is not installed, a module is missing, or the template fails.
+        """
+        try:
+            from py_mini_racer import JSEvalException, MiniRacer
+        except ModuleNotFoundError as error:
+            raise TemplateError(
+                "needs the package mini-racer: pip install 'deepbots-cli[webots-js]'"
+            ) from error
+        script = self._script(proto, node)
+        if self._end is None:
+            self._end = time.monotonic() + MAX_SECONDS
+        left = max(0.01, self._end - time.monotonic())
+        try:
+            rendered = MiniRacer().eval(script, timeout_sec=left, max_memory=MAX_MEMORY)
+        except JSEvalException as error:
+            raise TemplateError(f"fails: {_reason(error)}") from error
+        if not isinstance(rendered, str) or len(rendered) > MAX_BYTES:
+            raise TemplateError(f"makes more than {MAX_BYTES >> 20} MiB")
+        return rendered
+
+    def _script(self, proto: Proto, node: Node) -> str:
+        modules: dict[str, str] = {}
+        body = self._imported(_translated(proto.template), modules)
+        context = {
+            "world": "",
+            "proto": proto.source.name if proto.source else "",
+            "project_path": "",
+            "webots_home": "",
+            "temporary_files_path": "",
+            "os": "linux",
+            "id": "0",
+            "coordinate_system": "ENU",
+            "webots_version": {"major": "R2025a", "revision": "0"},
+        }
+        fields = {
+            name: {
+                "value": _plain(entry, value_of(node, name), 0),
+                "defaultValue": _plain(entry, entry.default, 0),
+            }
+            for name, entry in proto.interface.items()
+        }
+        return _SCRIPT.format(
+            fields=_literal(fields), context=_literal(context), modules="\n".join(modules.values()), body=body
+        )
+
+    def _imported(self, text: str, modules: dict[str, str]) -> str:
+        """Return a text with constants in place of its imports, whose modules are added before."""
+
+        def constant(match: re.Match[str]) -> str:
+            names, alias, file = match.groups()
+            self._add_module(file, modules)
+            return f"const {alias or names.replace(' as ', ': ')} = {_variable(file)};"
+
+        return _IMPORT.sub(constant, text)
+
+    def _add_module(self, file: str, modules: dict[str, str]) -> None:
+        if file in modules:
+            return
+        path = self._files.module(file)
+        if path is None or len(modules) >= MAX_MODULES:
+            raise TemplateError(
+                f"imports {file}, which is not available; name a copy of Webots by --protos DIR"
+            )
+        modules[file] = ""  # until it is read, so that modules that import each other end
+        text = self._imported(self._files.read(path).text, modules)
+        exported = ", ".join(_EXPORT.findall(text))
+        del modules[file]  # it follows the modules that it imports
+        modules[file] = (
+            f"const {_variable(file)} = (() => {{ {_EXPORT.sub('', text)}\nreturn {{{exported}}}; }})();"
+        )
+
+
+def _variable(file: str) -> str:
+    return f"module_{re.sub(r'[^a-zA-Z0-9]', '_', file)}"
+
+
+def _translated(template: str) -> str:
+    """Return the JavaScript that writes the text of a template."""
+    return "\n".join(_parts(_COMMENT.sub("", template)))
+
+
+def _parts(template: str) -> Iterator[str]:
+    end = 0
+    for match in _STATEMENT.finditer(template):
+        yield f"template_ += {json.dumps(template[end : match.start()])};"
+        is_expression, code = match.groups()
+        yield f"template_ += ({code.strip().rstrip(';')});" if is_expression else code
+        end = match.end()
+    yield f"template_ += {json.dumps(template[end:])};"
+
+
+def _literal(value: object) -> str:
+    """Return a value as a literal of JavaScript: a text in JSON, written as a text."""
+    return json.dumps(json.dumps(value))
+
+
+def _plain(entry: Parameter, value: Value, depth: int) -> Any:
+    """Return a value of a field as it is in templates."""
+    base = entry.type[2:]
+    items: list[Any] = [
+        _node(item, depth + 1) if isinstance(item, Node) else _whole(item, base) for item in value.items
+    ]
+    if keys := _KEYS.get(base):
+        size = len(keys)
+        items = [
+            dict(zip(keys, items[at : at + size], strict=True))
+            for at in range(0, len(items) - size + 1, size)
+        ]
+    return items if entry.type.startswith("M") else next(iter(items), None)
+
+
+def _whole(item: Item, base: str) -> Any:
+    return int(item) if base == "Int32" and isinstance(item, float) else item
+
+
+def _node(node: Node, depth: int) -> Any:
+    if depth > MAX_DEPTH:
+        raise TemplateError(f"has nodes in its fields that are deeper than {MAX_DEPTH}")
+    fields = {
+        name: {
+            "value": _plain(entry, value_of(node, name), depth),
+            "defaultValue": _plain(entry, entry.default, depth),
+        }
+        for name, entry in parameters(node).items()
+    }
+    return {"node_name": node.type, "fields": fields}
+
+
+def _reason(error: Exception) -> str:
+    """Return the line of an error of V8 that says what is wrong."""
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    named = [line for line in lines if re.match(r"\w*Error\b", line)]
+    text = (named or lines or [type(error).__name__])[0]
+    return "".join(letter if letter.isprintable() else "?" for letter in text)[:120]
