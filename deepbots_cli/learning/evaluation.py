@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -511,17 +511,6 @@ class _Setting:
         elsewhere, overrides = self._elsewhere()
         circumstances = self._circumstances(model, elsewhere, overrides, deterministic=deterministic)
         remarks = (*circumstances, *remark_on_episodes(len(done), self.episodes, None))
-        notes = [*run.notes(), *identity.timing_differences(run.program, program)]
-        if confirmation is not None:
-            notes.append(
-                f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
-                " the training"
-            )
-        if engine and len(done) > 1 and not program.draws.vary_start:
-            notes.append(
-                f"a reset draws nothing, so all {len(done)} episodes begin in the same state, and intervals"
-                " say nothing about other starts"
-            )
         return EvaluationResult.of_episodes(
             done,
             (low, high),
@@ -549,11 +538,25 @@ class _Setting:
             planned=self.episodes,
             required_episodes=verdict.required_episodes,
             deterministic=deterministic,
-            notes=tuple(notes),
+            notes=tuple(self._notes(len(done), confirmation)),
             outcomes=tuple(done),
             draws=draw_labels(program, (self.judged or run.compiled).units),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )
+
+    def _notes(self, episodes: int, confirmation: int | None) -> Iterator[str]:
+        yield from self.run.notes()
+        yield from identity.timing_differences(self.run.program, self.program)
+        if confirmation is not None:
+            yield (
+                f"these starts confirmed that the task is solved (confirmation {confirmation}), and ended"
+                " the training"
+            )
+        if self.engine and episodes > 1 and not self.program.draws.vary_start:
+            yield (
+                f"a reset draws nothing, so all {episodes} episodes begin in the same state, and intervals"
+                " say nothing about other starts"
+            )
 
     def _circumstances(
         self, model: str, elsewhere: str | None, overrides: Sequence[str], *, deterministic: bool

@@ -121,8 +121,8 @@ class Expander:
             self.findings.error(
                 node.span,
                 f"PROTO {node.type} is not available",
-                f"name a copy of Webots, or a folder with {node.type}.proto, by --protos DIR; deepbots reads nothing"
-                " from the network",
+                f"name a copy of Webots, or a folder with {node.type}.proto, by --protos DIR; deepbots reads"
+                " nothing from the network",
             )
             _empty(node)
         return None

@@ -49,8 +49,8 @@ _TILE_M = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Pixels of shape (rows, columns, 3); how often the picture repeats along x and y of a face, or its length
-    there in m."""
+    """Pixels of shape (rows, columns, 3); how often the picture repeats along x and y of a face, or its
+    length there in m."""
 
     pixels: Pixels
     repeats: tuple[float, float] = (1.0, 1.0)

@@ -173,8 +173,8 @@ class Viewer:
                 above = self._top if visual.body is None else f"{self._top}/{visual.body.index}"
                 self._add(f"{above}/shape{number}", shape, color_of(visual.node, world.files), visual.frame)
         sky = sky_color(world.nodes)
-        if sky is not None:
-            scene.set_background_image(np.full((1, 1, 3), sky) * 255)
+        pixel = None if sky is None else np.full((1, 1, 3), np.multiply(sky, 255), np.uint8)
+        scene.set_background_image(pixel)  # None removes that of a world before a restart
         self._sent = np.full((len(self._nodes), 7), np.nan)
         self._read()
         self._draw()
