@@ -127,9 +127,16 @@ def _values(attempt: RetryAttempt) -> str:
 
 
 def cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
-    """Return the first cause, and its advice."""
+    """Return what was changed since a solved run, and the first cause with its advice."""
+    changed = [f"\n{cause.text}" for cause in causes if is_change(cause)]
+    causes = [cause for cause in causes if not is_change(cause)]
     if not causes:
-        return []
+        return changed
     first, further_count = causes[0], len(causes) - 1
     more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
-    return [f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
+    return [*changed, f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
+
+
+def is_change(cause: Statement) -> bool:
+    """Return whether this is the fact of what was changed since a solved run, and no cause."""
+    return cause.cause == "changed_since_solved"

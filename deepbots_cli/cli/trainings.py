@@ -181,11 +181,12 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Return why a training did not solve its task or fell apart, the most likely cause first."""
+    """Return why a training did not solve its task or fell apart, the most likely cause first, and a mere change
+    last."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
         from deepbots_cli.insight.diagnosis import causes_after
 
         try:
-            return causes_after(run, permissions)
+            return sorted(causes_after(run, permissions), key=retries.is_change)
         except DeepbotsError:  # for example, it has no finished episode
             return []

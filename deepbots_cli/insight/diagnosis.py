@@ -23,6 +23,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError
+from deepbots_cli.insight.changed import changed_since_solved
 from deepbots_cli.insight.collapse import fell_apart, suspects
 from deepbots_cli.insight.ends import (
     TOTAL_TIMESTEPS,
@@ -32,7 +33,6 @@ from deepbots_cli.insight.ends import (
     too_few_steps,
     training_length,
 )
-from deepbots_cli.insight.linted import linted_scenario
 from deepbots_cli.insight.missed import missed_condition
 from deepbots_cli.insight.observations import (
     constant_observation,
@@ -244,6 +244,7 @@ def causes_of(training: TrainingEvidence, permissions: Permissions = Permissions
 
 _COMMANDS: Mapping[str, str] = {
     "action_without_effect": "inspect {run}",
+    "changed_since_solved": "diff {earlier} {run}",
     "kept_by_return": "eval {run} --details",
     "constant_observation": "inspect {run}",
     "easy_stage_counted": "eval {run} --details",
@@ -295,6 +296,7 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
         run=path,
         path=statement.evidence.get("path"),
         scenario=evidence.scenario_argument,
+        earlier=quote(str(statement.evidence.get("earlier"))),
         script=statement.evidence.get("script"),
     )
 
@@ -459,7 +461,7 @@ def ending_at_once(evidence: TrainingEvidence) -> Numbers | None:
     advice="{help}: `deepbots lint {path}` shows the lines.{copy}",
 )
 def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
-    linted = linted_scenario(evidence.run)
+    linted = evidence.linted
     meanings = {
         code: text
         for code, text in _UNLEARNABLE.items()
@@ -881,6 +883,8 @@ def exploration_collapsed(evidence: TrainingEvidence) -> Numbers | None:
 
 
 CAUSES: tuple[StatementRule[TrainingEvidence], ...] = (
+    # A fact, after certain causes and before all others
+    changed_since_solved,
     # Nothing to learn
     ending_at_reset,
     not_finite,

@@ -13,7 +13,7 @@ from deepbots_cli.api import Compiled
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.findings import Source as Text
-from deepbots_cli.document import Permissions, shipped
+from deepbots_cli.document import Node, Permissions, shipped
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
@@ -37,6 +37,7 @@ class LintedScenario:
         text: The file that the arguments name.
         is_whole: Whether this file alone is the scenario, without other files and without `--set`.
         changed_source: The file that the training read, if it is another one now.
+        root: The scenario as nodes with their places.
     """
 
     arguments: str
@@ -44,6 +45,7 @@ class LintedScenario:
     text: Text | None
     is_whole: bool
     changed_source: str = ""
+    root: Node | None = None
 
 
 def linted_scenario(run: Run) -> LintedScenario:
@@ -78,7 +80,8 @@ def _linted(compiled: Compiled, arguments: Sequence[str]) -> LintedScenario:
     document = compiled.document
     text = None if document is None else document.source
     is_whole = document is not None and len(document.files) < 2 and len(arguments) == 1
-    return LintedScenario(join(arguments), compiled.findings, text, is_whole)
+    root = None if document is None else document.root
+    return LintedScenario(join(arguments), compiled.findings, text, is_whole, root=root)
 
 
 def _compiled(run: Run, source: Source, overrides: Sequence[str]) -> Compiled | None:

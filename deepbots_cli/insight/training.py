@@ -23,7 +23,7 @@ from deepbots_cli import api, engine_kinds
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.conditions import instrument_program
-from deepbots_cli.insight.linted import named_source
+from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_source
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
@@ -133,6 +133,11 @@ class TrainingEvidence:
     def facts(self) -> ScenarioFacts:
         """The facts of the scenario of the present stage."""
         return ScenarioFacts(self.program, self.run.compiled.units)
+
+    @cached_property
+    def linted(self) -> LintedScenario:
+        """The scenario as `deepbots lint` reads it, with its places."""
+        return linted_scenario(self.run)
 
     @property
     def scenario_argument(self) -> str:

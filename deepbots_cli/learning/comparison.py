@@ -11,11 +11,12 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from deepbots_cli import api
-from deepbots_cli.analysis.changes import Change, Meanings, WrittenScenario, compared_meanings
+from deepbots_cli.analysis.changes import Change, Meanings, compared_meanings
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError, counted
 from deepbots_cli.learning.calls import Attempt, Counter
+from deepbots_cli.learning.changes import written_scenario
 from deepbots_cli.learning.directories import run_folders
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.episodes import check_common_measure
@@ -343,12 +344,8 @@ def _world(judged: Compiled, run: Run, *, own: bool, named: bool) -> _World:
     caller named one (`named`), it is `judged`."""
     meanings = Meanings()
     if judged.digest != run.digest:
-        meanings = compared_meanings(_written(judged), _written(run.compiled))
+        meanings = compared_meanings(written_scenario(judged), written_scenario(run.compiled))
     return _World(own or (bool(meanings.acting) and not named), meanings)
-
-
-def _written(compiled: Compiled) -> WrittenScenario:
-    return WrittenScenario(compiled.program, None if compiled.document is None else compiled.document.root)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from typing import Any
 from lsprotocol import types
 
 from deepbots_cli.document import MappingNode, Permissions
-from deepbots_cli.document.edits import assigned_text
+from deepbots_cli.document.edits import assigned_text, removal_fix
 from deepbots_cli.document.load import setting_path
+from deepbots_cli.document.nodes import NodePath, entries_at
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import document_symbols, hover
 from deepbots_cli.lsp.server import Checker, CodeActions, formatting
@@ -130,10 +131,13 @@ class Language:
 
         Args:
             path: The keys to the value, such as `parameters.cart_mass`.
+            value: Its text; empty to remove the entry.
         """
         source, root, _ = Document(uri_of(file.path), 0, file.text, file.path).read()
         if not isinstance(root, MappingNode):
             return None
+        if not value:
+            return _removal(file, root, setting_path(root, path))
         text = assigned_text(root, source, setting_path(root, path), value, "")
         return None if text is None else difference(file.text, text)
 
@@ -244,6 +248,21 @@ class Language:
         self._findings[document.path] = tuple(rows)
         self._checked[document.path] = version or 0
         self._on_findings(document.path)
+
+
+def _removal(file: OpenFile, root: MappingNode, path: NodePath) -> TextEdit | None:
+    """Return the edit that removes an entry, with the sections of which it is the only entry; an empty one if there
+    is no such entry."""
+    if path[-1] not in entries_at(root, *path[:-1]):
+        return TextEdit(0, 0, "")
+    while len(path) > 1 and len(entries_at(root, *path[:-1])) == 1:
+        path = path[:-1]
+    fix = removal_fix(root, path)
+    if fix is None:
+        return None
+    (edit,) = fix.edits
+    text = edit.span.source.text
+    return difference(file.text, text[: edit.span.start] + edit.text + text[edit.span.end :])
 
 
 def written_parameters(text: str) -> dict[str, str]:

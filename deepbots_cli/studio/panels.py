@@ -22,7 +22,7 @@ from deepbots_cli.studio.trainings import Curves
 Guarded = Callable[[Callable[[], Any]], None]
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
 """A command in the text of an advice."""
-_ADVISED_COMMANDS = ("resume", "eval", "lint", "try", "diagnose")
+_ADVISED_COMMANDS = ("resume", "eval", "lint", "try", "diagnose", "diff")
 """The commands of a diagnosis that the page runs."""
 _NO_CAUSE = {
     True: "the task is solved, and no cause of a failure was found",
@@ -458,6 +458,11 @@ class RunsTab:
             for text in dict.fromkeys([str(cause.get("command") or ""), *_COMMAND.findall(advice)]):
                 self._add_advised_command(shlex.split(text)[1:])
             self._add_advised_values(cause.get("settings") or {})
+            for change in (cause.get("evidence") or {}).get("changes") or ():
+                if change["is_written"]:
+                    before = change["before"]
+                    verb = "Set back" if before else "Remove"
+                    self._add_advised_values({change["path"]: before}, verb)
 
     def _add_advised_command(self, command: list[str]) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
@@ -465,13 +470,13 @@ class RunsTab:
                 f"Run deepbots {shlex.join(command)}", on_click=lambda: self._run_advised(command)
             ).props("dense outline no-caps")
 
-    def _add_advised_values(self, settings: dict[str, Any]) -> None:
+    def _add_advised_values(self, settings: dict[str, Any], verb: str = "Write") -> None:
         values = {str(name): str(value) for name, value in settings.items()}
         session = self._session
         file = session.files.get(session.current) if session.current is not None else None
         if values and not (file is not None and session.language.has_values(file, values)):
-            shown = ", ".join(f"{name}: {value}" for name, value in values.items())
-            ui.button(f"Write {shown}", on_click=lambda: self._write_advice(values)).props(
+            shown = ", ".join(f"{name}: {value}" if value else name for name, value in values.items())
+            ui.button(f"{verb} {shown}", on_click=lambda: self._write_advice(values)).props(
                 "dense outline no-caps"
             )
 

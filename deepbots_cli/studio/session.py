@@ -59,7 +59,7 @@ class Session:
         self.commands = Commands(self.folder, permissions, self._tell, self.say)
         self.runs: list[ListedRun] = []
         self.run_changes: dict[Path, RunChange] = {}
-        self._changes = RunChanges(permissions)
+        self._changes = RunChanges()
         self.notice = ""
         self._problem = ""
         self._listeners: list[Listener] = []

@@ -152,6 +152,22 @@ def test_a_removed_file_is_offered_by_the_next_studio_until_it_is_discarded(fold
     asyncio.run(run())
 
 
+def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
+    async def run() -> None:
+        async with Running(folder) as running:
+            session = running.session
+            session.show(Path("mine.yaml"))
+            file = session.files[session.current]
+            session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
+            assert "  bonus: 0.1\n" in file.text
+            session.write_values({"reward.bonus": "", "robots.cart.links.pole": ""})
+            assert file.text == SCENARIO
+            with pytest.raises(UsageError, match="these values already"):
+                session.write_values({"reward.bonus": ""})
+
+    asyncio.run(run())
+
+
 def test_a_run_says_what_it_changed_against_the_one_before(folder):
     texts = (SCENARIO, SCENARIO.replace("alive: 1", "alive: 2").replace("15 deg", "12 deg"))
     for number, text in enumerate(texts):

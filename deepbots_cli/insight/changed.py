@@ -1,0 +1,67 @@
+"""What a training that is not solved changed since an earlier one that was: a fact, and no proven cause."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from deepbots_cli.document.files import display_path
+from deepbots_cli.document.nodes import follow_dotted
+from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.insight.statements import Numbers, list_text, statement
+from deepbots_cli.insight.training import TrainingEvidence
+from deepbots_cli.learning.changes import SEED, ChangedValue, changed_values, solved_before
+from deepbots_cli.learning.run import Run
+
+_MAX_SHOWN = 4
+_LIKELIHOOD = 0.89
+"""The place of this fact: after certain causes (0.9), and before all others."""
+
+
+@statement(
+    "changed_since_solved",
+    "Changed since {earlier}, which was solved: {changed}.",
+    advice="Set one of them back and train again: the task is solved once more if this value is the reason. To keep a"
+    " value, adapt what depends on it, such as endings, ranges of the observation, or the length of the training.",
+)
+def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
+    if evidence.verdict.solved:
+        return None
+    try:
+        # Of several agents, the evidence is about the scenario of one of them.
+        run = Run.open(evidence.run.path) if evidence.agent else evidence.run
+        earlier = solved_before(run)
+        values = changed_values(earlier, run) if earlier is not None else []
+    except (DeepbotsError, OSError):
+        return None
+    if earlier is None or all(value.path == SEED for value in values):
+        return None
+    changes = [_change(value, evidence) for value in values]
+    return {
+        "likelihood": _LIKELIHOOD,
+        "earlier": display_path(earlier.path),
+        "changed": list_text(
+            [_text(change, value) for change, value in zip(changes, values, strict=True)], _MAX_SHOWN
+        ),
+        "changes": changes,
+    }
+
+
+def _change(value: ChangedValue, evidence: TrainingEvidence) -> dict[str, Any]:
+    """Return a changed value as JSON; `place` is its file and line."""
+    root = evidence.linted.root
+    _, node, rest = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
+    place = ""
+    if node is not None and not rest:
+        place = f"{display_path(Path(node.span.source.name))}:{node.span.start_position.line}"
+    return {
+        "path": value.path,
+        "before": value.before,
+        "after": value.after,
+        **({"place": place} if place else {}),
+        "is_written": value.is_written,
+    }
+
+
+def _text(change: dict[str, Any], value: ChangedValue) -> str:
+    return f"{value} ({change['place']})" if "place" in change else str(value)

@@ -1,0 +1,119 @@
+"""The changes of a run against an earlier one, by the comparison of `deepbots diff`, and the earlier run that
+solved its task."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from deepbots_cli.analysis.changes import Change, Effect, WrittenScenario, scenario_changes
+from deepbots_cli.api import Compiled
+from deepbots_cli.errors import RunError
+from deepbots_cli.learning.records import RunRecord
+from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.rollout.source import SourceKind, folder_kind
+
+_TIMESTEPS = "--timesteps"
+SEED = "--seed"
+
+
+@dataclass(frozen=True)
+class ChangedValue:
+    """A value that one of two runs has changed.
+
+    Attributes:
+        path: Its path in the scenario, or an option of `deepbots train`.
+        before, after: Its texts in the earlier and in the later run, empty where there is none.
+        is_written: Whether both scenarios have these texts at the path, so that writing `before` there, or removing
+            the entry, sets the value back.
+    """
+
+    path: str
+    before: str
+    after: str
+    is_written: bool = False
+
+    def __str__(self) -> str:
+        name = self.path.removeprefix("parameters.")
+        if not (self.before or self.after):
+            return name
+        return f"{name} {self.before or '(none)'} -> {self.after or '(none)'}"
+
+
+def written_scenario(compiled: Compiled) -> WrittenScenario:
+    """Return a compiled scenario with its text."""
+    return WrittenScenario(compiled.program, None if compiled.document is None else compiled.document.root)
+
+
+def changed_values(before: Run, after: Run) -> list[ChangedValue]:
+    """Return the values that a run changed against an earlier one, the most serious first, without those that
+    have no effect. A text that means something else because of parameters is left out for the parameters."""
+    sides = written_scenario(before.compiled), written_scenario(after.compiled)
+    changes = scenario_changes(*sides)
+    relevant = (change for change in changes if change.group is not Effect.cosmetic)
+    values = [
+        replace(value, is_written=_is_written(value, *sides))
+        for value in dict.fromkeys(value for change in relevant for value in _values(change))
+    ]
+    one, other = before.record, after.record
+    if one.total_timesteps != other.total_timesteps and not any(
+        "total_timesteps" in value.path for value in values
+    ):
+        values.append(ChangedValue(_TIMESTEPS, str(one.total_timesteps), str(other.total_timesteps)))
+    if one.seed != other.seed:
+        values.append(ChangedValue(SEED, str(one.seed), str(other.seed)))
+    return values
+
+
+def _is_written(value: ChangedValue, one: WrittenScenario, other: WrittenScenario) -> bool:
+    texts = one.text_at(value.path), other.text_at(value.path)
+    return any(texts) and texts == (value.before, value.after)
+
+
+def _values(change: Change) -> Iterator[ChangedValue]:
+    if not change.through or change.one != change.other:
+        yield ChangedValue(change.path, change.one, change.other)
+        return
+    for name, sides in change.through.items():
+        yield ChangedValue(name if " " in name else f"parameters.{name}", *sides)
+
+
+def solved_before(run: Run) -> Run | None:
+    """Return the newest run that solved a scenario of the same name and began before a run; None if there is
+    none. It is in the same folder, in a group in it, or beside the group of the run."""
+    begun, itself = started(run.record), run.path.absolute()
+    earlier = []
+    for path in set(_runs_beside(itself)) - {itself}:
+        with suppress(RunError):  # damaged, or of another version
+            record = RunRecord.read(path)
+            if record.scenario == run.record.scenario and started(record) <= begun:
+                earlier.append((started(record), path, record))
+    for _, path, record in sorted(earlier, key=lambda entry: entry[:2], reverse=True):
+        with suppress(RunError):
+            if run_verdict(path, record).solved:
+                return Run.open(path)
+    return None
+
+
+def _runs_beside(run: Path) -> Iterator[Path]:
+    folder = run.parent
+    folder = folder.parent if folder_kind(folder) is SourceKind.GROUP else folder
+    for path in folder.iterdir():
+        kind = folder_kind(path)
+        if kind is SourceKind.RUN:
+            yield path
+        elif kind is SourceKind.GROUP:
+            yield from (member for member in path.iterdir() if folder_kind(member) is SourceKind.RUN)
+
+
+def started(record: RunRecord) -> float:
+    """Return the time at which a training began, in s since 1970; 0 if its record is unclear about it."""
+    try:
+        begun = datetime.fromisoformat(record.started)
+    except ValueError:
+        return 0.0
+    return (begun if begun.tzinfo else begun.replace(tzinfo=UTC)).timestamp()
