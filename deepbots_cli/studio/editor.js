@@ -12,6 +12,7 @@ const SEND_AFTER_MS = 60;
 const OFFLINE_AFTER_MS = 1500;
 const OFFLINE = "The studio does not answer: its server has ended, or the connection is lost. Go on writing: this " +
   "browser keeps the text. If the server has ended, start it again with `deepbots studio`, and open its address.";
+const TEXT_FIELD = "input:not([readonly], [type=checkbox], [type=range]), textarea, [contenteditable=true]";
 const OFFER = "This browser kept a text of this file that the studio did not get.";
 const setMarks = CM.StateEffect.define();
 const marks = CM.StateField.define({
@@ -100,6 +101,7 @@ export default {
     this.found = () => { clearTimeout(this.offlineTimer); this.setOffline(false); };
     this.hidden = () => { if (this.text() != this.base) this.keep(); };
     window.addEventListener("pagehide", this.hidden);
+    window.addEventListener("keydown", this.keyElsewhere, true);
     const yaml = CM.languages.find((each) => each.name == "YAML");
     yaml.load().then((support) => {
       this.yaml = support;
@@ -111,9 +113,26 @@ export default {
     window.socket?.off("disconnect", this.lost);
     window.socket?.off("connect", this.found);
     window.removeEventListener("pagehide", this.hidden);
+    window.removeEventListener("keydown", this.keyElsewhere, true);
     this.view.destroy();
   },
   methods: {
+    // The keys of the editor while something else has the focus, such as the button that was pressed last.
+    keyElsewhere(event) {
+      const target = event.target instanceof Element ? event.target : document.body;
+      if (!(event.ctrlKey || event.metaKey) || event.altKey || this.view.contentDOM.contains(target)) return;
+      const key = event.key == "Enter" ? "enter" : event.key.toLowerCase() + (event.shiftKey ? "+shift" : "");
+      const edit = { "z": CM.undo, "y": CM.redo, "z+shift": CM.redo }[key];
+      const inDialog = target.closest(".q-dialog");
+      if (key == "s") this.command("save");
+      else if (key == "enter" && !inDialog) this.command("train");
+      else if (edit && !inDialog && !target.matches(TEXT_FIELD)) {
+        this.view.focus();
+        edit(this.view);
+      } else return;
+      event.preventDefault();
+      event.stopImmediatePropagation();
+    },
     command(name) {
       if (this.waiting && this.text() != this.sent) { // the last letters go first
         this.afterwards = name;

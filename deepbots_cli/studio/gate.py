@@ -37,6 +37,11 @@ addEventListener("keydown", (event) => {
     event.preventDefault();
     parent.document.querySelector(".studio-enter")?.focus();
   }
+  const isKey = (event.ctrlKey || event.metaKey) && /^(s|z|y|Enter)$/i.test(event.key);
+  if (isKey && !event.target.matches?.("input, textarea")) {
+    event.preventDefault();
+    parent.dispatchEvent(new KeyboardEvent("keydown", event));
+  }
 });
 const begin = Date.now();
 const look = setInterval(() => {
@@ -46,7 +51,7 @@ const look = setInterval(() => {
   if (!waits) clearInterval(look);
 }, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
-viser that the browser draws by software, which covers the robot; the keys that lead out of it; a word in
+viser that the browser draws by software, which covers the robot; the keys that lead out of it, and those of the editor; a word in
 place of the controls until they are connected."""
 _GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
 _MAX_MESSAGE_BYTES = 1 << 20

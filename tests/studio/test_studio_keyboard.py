@@ -63,3 +63,48 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
         page.press(("Enter", 13))
         page.wait("/mine-1: (training|finished)/.test(document.querySelector('.studio-work').innerText)", 90)
         assert not page.tab.errors
+
+
+def test_the_keys_of_the_editor_work_after_a_click_on_a_button_and_in_the_robot(tmp_path):
+    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+
+    def has_saved(begin: str) -> None:
+        end = time.monotonic() + 20
+        while not (tmp_path / "mine.yaml").read_text("utf-8").startswith(begin):
+            assert time.monotonic() < end
+            time.sleep(0.1)
+
+    focus = "[...document.querySelectorAll('button')].find(one => one.innerText.trim() == '{}').focus()"
+    with served(tmp_path, "mine.yaml") as studio, browser() as new_tab:
+        page = StudioTab(new_tab(), studio.address)
+        page.click_line("deepbots: 1")
+        page.type("  # one")
+        page.tab.run(focus.format("Try"))
+        page.save()
+        has_saved("deepbots: 1  # one\n")
+        page.tab.run(focus.format("Try"))
+        page.press(("z", 90), modifiers=2)
+        page.wait("document.querySelector('.cm-line').innerText == 'deepbots: 1'")
+        page.tab.run(focus.format("Try"))
+        page.press(("y", 89), modifiers=2)
+        page.wait("document.querySelector('.cm-line').innerText == 'deepbots: 1  # one'")
+
+        # In another text field, the key is that of the field.
+        page.tab.run("document.querySelector('[aria-label=Timesteps]').focus()")
+        page.type("512")
+        page.press(("z", 90), modifiers=2)
+        time.sleep(0.5)
+        assert page.tab.run("document.querySelector('.cm-line').innerText") == "deepbots: 1  # one"
+
+        # Ctrl+Enter trains, and does not press the button that has the focus.
+        page.wait("document.querySelector('iframe').contentDocument?.querySelector('button, input') != null", 60)
+        page.tab.run(focus.format("Try"))
+        page.press(("Enter", 13), modifiers=2)
+        page.wait("document.querySelector('.studio-work').innerText.includes('deepbots train mine.yaml')")
+        assert not page.tab.run("document.body.innerText.includes('deepbots try')")
+        page.click_line("deepbots: 1")
+        page.type(", two")
+        page.tab.run("document.querySelector('iframe').contentWindow.focus()")
+        page.save()
+        has_saved("deepbots: 1  # one, two\n")
+        assert not page.tab.errors
