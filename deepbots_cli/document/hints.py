@@ -31,10 +31,12 @@ _NO_KEY = "a line without a key"
 _KEY = re.compile(r"\s*(?:- +)*[^\s:#]+: +")
 _LINE_KEY = re.compile(r"([^\s:#]+):(?=\s|$)")
 _TAB_INDENT = re.compile(r"[ ]*\t")
+_INDENT = re.compile(r"[ \t]*")
 _NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
 _HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
 _GLUED = re.compile(r"[\w.]+:(?=\S)")
-_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*(?<![<>=!])=(?!=)[ \t]*(\S.*)")
+_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*=(?!=)[ \t]*(.*)")
+_NEXT_PAIR = re.compile(r"(?<=[^\s,:{\[])\s+(?=[A-Za-z_][\w.]*:(?:\s|[{\[]))")
 _MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)")
 _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
 _TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
@@ -43,6 +45,8 @@ _PAIR_BEHIND_COMMA = re.compile(r",\s*[A-Za-z_][\w.]*:\s")
 _MAX_SHOWN = 60
 _MAX_WRITTEN = 120
 _MAX_LINES_ABOVE = 200
+_STEP = 2
+"""The number of spaces of one level of indentation."""
 
 
 class _Line(NamedTuple):
@@ -100,6 +104,16 @@ class _Problem:
                 return line
         return None
 
+    def line_below(self, start: int) -> _Line | None:
+        """Return the nearest line with text below the one that begins at `start`."""
+        for _ in range(_MAX_LINES_ABOVE):
+            start = self.source.text.find("\n", start) + 1
+            if not start:
+                break
+            if line := self.line_at(start):
+                return line
+        return None
+
     def label(self, line: _Line, message: str) -> Label:
         begin = line.start + line.indent
         return Label(Span(self.source, begin, begin + max(1, len(line.key))), message)
@@ -152,7 +166,9 @@ def _tab(problem: _Problem) -> Finding | None:
             line = problem.rest(start).strip()[:_MAX_SHOWN]
             spaces = "" if above is None else " " * (above.indent + 2 if above.opens else above.indent)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
-            return problem.finding("a tab in the indentation", help, match.end() - 1)
+            indent = _INDENT.match(text, start)
+            fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
+            return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
     return None
 
 
@@ -226,12 +242,14 @@ def _brackets(problem: _Problem) -> Finding | None:
         help = f'put the value in quotes: "{hidden[1]}"'
         return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
     here = text[problem.at : problem.at + 1]
+    missing = _missing_comma(problem, opening)
     if here == ":" and opening >= problem.line_start:
-        return _second_colon(problem, "separate keys by commas, or put the value in quotes")
+        return missing or _second_colon(problem, "separate keys by commas, or put the value in quotes")
     if here in ("", ":", "-") or problem.line_start > opening:
         above = problem.line_above(problem.line_start)
         end = opening if above is None else above.start + len(problem.rest(above.start))
-        return _unclosed(problem, opening, max(end, opening + 1))
+        unclosed = _unclosed(problem, opening, max(end, opening + 1))
+        return unclosed if missing is None or unclosed.fix is not None else missing
     if here in ("}", "]"):
         pair = _PAIR_BEHIND_COMMA.search(text, opening, problem.at)
         finding = _unclosed(problem, opening, pair.start() if pair else problem.at)
@@ -244,11 +262,27 @@ def _brackets(problem: _Problem) -> Finding | None:
             return problem.finding(headline, help, problem.at, fix=Fix((Edit(place, closing),), safe=False))
         help = f"remove it, or write the opening `{'{' if here == '}' else '['}` before the first item"
         return problem.finding(f"this `{here}` closes no bracket", help, problem.at)
-    return problem.finding(
+    return missing or problem.finding(
         f"unexpected `{here}` between brackets",
         "separate items by commas, or put the value in quotes",
         problem.at,
     )
+
+
+def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
+    """Report the comma that `{a: 1 b: 2}` lacks before its last key, if the text can be read with it."""
+    text = problem.source.text
+    end = text.find("\n", problem.at)
+    end = len(text) if end < 0 else end
+    gaps = [gap.start() for gap in _NEXT_PAIR.finditer(text, opening, end) if gap.end() <= problem.at]
+    if not gaps or not _is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", problem.at + 1):
+        return None
+    at = gaps[-1]
+    start = max(opening, text.rfind(",", opening, at) + 1)
+    written = " ".join(f"{text[start:at].strip()},{problem.rest(at)}".split())
+    help = f"separate keys by commas: `{written[:_MAX_SHOWN]}`, or put the value in quotes"
+    fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
+    return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
 
 
 def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
@@ -332,22 +366,20 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         )
     written = problem.rest(problem.line_start).strip()[:_MAX_SHOWN]
     holder = problem.line_above(above.start)
-    if holder is not None and holder.opens and holder.indent >= above.indent:
-        # The section above has no key yet: the line with the value is the one that is out of place.
+    is_first = holder is not None and holder.opens and holder.indent >= above.indent
+    if holder is not None and (is_first or holder.indent == line.indent):
+        # The section above has no key yet, or its keys are as deep as the next line: the line with the value is the
+        # one that is out of place.
         value = problem.rest(above.start).strip()[:_MAX_SHOWN]
-        headline = f"{above.name} is not indented below {holder.name}, but the next line is"
+        word = "below" if is_first else "like"
+        headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
         help = f"indent it like the line below: `{' ' * line.indent}{value}`"
-        fix = Fix(
-            (Edit(Span(problem.source, above.start, above.start + above.indent), " " * line.indent),),
-            safe=False,
-        )
+        fix = _indented(problem, above.start, above.indent, line.indent)
         labels = (problem.label(line, _indented_by(line.indent)),)
         return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     help = f"indent it like the line above: `{' ' * above.indent}{written}`"
-    fix = Fix(
-        (Edit(Span(problem.source, line.start, line.start + line.indent), " " * above.indent),), safe=False
-    )
+    fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
         headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
     )
@@ -360,8 +392,9 @@ def _is_first(problem: _Problem, line: _Line) -> bool:
 
 
 def missing_colon(line: str) -> tuple[str, str] | None:
-    """Return the key and the line that was meant if a line lacks the colon behind its first word."""
-    match = _MISSING_COLON.match(line) or _TWO_WORDS.fullmatch(line)
+    """Return the key and the line that was meant if a line lacks the colon behind its first word, or has `=` in its
+    place."""
+    match = _ASSIGNED.fullmatch(line) or _MISSING_COLON.match(line) or _TWO_WORDS.fullmatch(line)
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
 
 
@@ -378,8 +411,8 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
         help = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:_MAX_SHOWN]}`"
         edit = (match.end(), match.end(), " ")
     elif match := _ASSIGNED.match(line):
-        help = f"write a colon: `{match[1]}: {match[2][:_MAX_SHOWN]}`"
-        edit = (match.end(1), match.start(2), ": ")
+        help = f"write a colon: `{f'{match[1]}: {match[2][:_MAX_SHOWN]}'.rstrip()}`"
+        edit = (match.end(1), match.start(2), ": " if match[2] else ":")
     elif correction := missing_colon(line):
         key, corrected = correction
         otherwise = (
@@ -421,13 +454,32 @@ def _behind_value(problem: _Problem) -> Finding | None:
         help = "give keys of one mapping the same indentation"
         return problem.finding("this line does not align with the lines above", help, at, length)
     near, *others = sorted(levels, key=lambda level: abs(level.indent - line.indent))
+    below = problem.line_below(line.start)
+    if line.opens and below is not None and below.indent > line.indent:
+        # A section is indented less than the lines in it.
+        near, *others = sorted([near, *others], key=lambda level: level.indent >= below.indent)
+    fix = _indented(problem, line.start, line.indent, near.indent)
     headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
     help = f"indent it like {near.name}: `{' ' * near.indent}{rest[:_MAX_SHOWN]}`"
-    if others:
+    if _is_first(problem, near) and near == problem.line_above(line.start) and _continues(line, below):
+        fix = _indented(problem, near.start, near.indent, line.indent)
+        value = problem.rest(near.start).strip()[:_MAX_SHOWN]
+        help = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
+    elif others:
         other = others[0]
         help += f"; or by {other.indent}, like {other.name}"
     labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
-    return problem.finding(headline, help, at, length, labels=labels)
+    return problem.finding(headline, help, at, length, fix, labels)
+
+
+def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:
+    """Return the fix that indents the line at `start` by `after` spaces, in place of `before` characters."""
+    return Fix((Edit(Span(problem.source, start, start + before), " " * after),), safe=False)
+
+
+def _continues(line: _Line, below: _Line | None) -> bool:
+    """Return whether the line below is as deep as a key of the same section, or of the section that `line` opens."""
+    return below is not None and below.indent == line.indent + (_STEP if line.opens else 0)
 
 
 def _levels_above(problem: _Problem) -> list[_Line]:
@@ -566,7 +618,7 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
         help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
     elif (
         is_flow
-        and " " in key.text
+        and (" " in key.text or "=" in key.text)
         and not _HAS_COLON.match(text, end)
         and (correction := missing_colon(key.text))
     ):

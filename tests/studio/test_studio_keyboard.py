@@ -97,7 +97,9 @@ def test_the_keys_of_the_editor_work_after_a_click_on_a_button_and_in_the_robot(
         assert page.tab.run("document.querySelector('.cm-line').innerText") == "deepbots: 1  # one"
 
         # Ctrl+Enter trains, and does not press the button that has the focus.
-        page.wait("document.querySelector('iframe').contentDocument?.querySelector('button, input') != null", 60)
+        page.wait(
+            "document.querySelector('iframe').contentDocument?.querySelector('button, input') != null", 60
+        )
         page.tab.run(focus.format("Try"))
         page.press(("Enter", 13), modifiers=2)
         page.wait("document.querySelector('.studio-work').innerText.includes('deepbots train mine.yaml')")

@@ -1,0 +1,102 @@
+"""A missing comma, `=` in place of a colon, and a wrong indentation each have a finding with a fix."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.document.test_missing_colons import SCENARIO, findings_of
+
+TEXT = SCENARIO.replace(
+    "  alive: 1\n",
+    "  alive: 1\n  lean: -abs(cart.pole_angle) / rad\n  still: 0.1 when abs(cart.pole_angle) < 1 deg\n",
+)
+
+
+def _corrected(text: str) -> str:
+    """The text after the fix of its only finding with one."""
+    (finding,) = (each for each in findings_of(text) if each.fix is not None)
+    assert finding.fix is not None
+    (edit,) = finding.fix.edits
+    return text[: edit.span.start] + edit.text + text[edit.span.end :]
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "{timestep: 32 ms substeps: 4}",
+        "{type: joint_position joint: pole_hinge}",
+        "{choices: {forward: 1 backward: -1}}",
+    ],
+)
+def test_a_missing_comma_between_keys_in_braces_is_added(written: str) -> None:
+    (right,) = (line for line in TEXT.splitlines() if line.replace(",", "").endswith(written))
+    text = TEXT.replace(right, right.replace(", ", " "))
+    assert _corrected(text) == TEXT
+
+
+def test_a_missing_comma_is_added_behind_braces_and_at_the_end_of_a_line() -> None:
+    for right, wrong in (
+        ("-1}}\n", "-1} extra: 3}\n"),
+        ("ms, substeps", "ms\n  substeps"),
+    ):
+        text = TEXT.replace(right, wrong)
+        (finding,) = findings_of(text)
+        assert finding.headline == "a comma is missing before this key"
+        assert _corrected(text) == TEXT.replace(
+            right, wrong.replace(" extra", ", extra").replace("ms\n", "ms,\n")
+        )
+
+
+def test_a_brace_that_is_not_closed_lacks_no_comma() -> None:
+    assert _corrected(TEXT.replace("substeps: 4}", "substeps: 4")) == TEXT
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "name = Mine",
+        "  fall_angle=15 deg  # the largest lean",
+        "reward=",
+        "  alive= 1",
+        "  lean = -abs(cart.pole_angle) / rad",
+        "  still=0.1 when abs(cart.pole_angle) < 1 deg",
+        "    fallen= abs(cart.pole_angle) > fall_angle",
+        "world: {timestep= 32 ms, substeps: 4}",
+        "world: {timestep: 32 ms, substeps=4}",
+    ],
+)
+def test_an_equals_sign_becomes_the_colon_of_a_key(wrong: str) -> None:
+    key, _, rest = wrong.partition("=")
+    right = f"{key.rstrip()}: {rest.lstrip()}".rstrip()
+    assert f"{right}\n" in TEXT
+    assert _corrected(TEXT.replace(f"{right}\n", f"{wrong}\n")) == TEXT
+
+
+def test_a_comparison_is_no_assignment() -> None:
+    text = TEXT.replace("> fall_angle", "== fall_angle").replace("< 1 deg", "<= 1 deg")
+    assert not [each for each in findings_of(text) if each.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("line", "spaces"),
+    [
+        ("  lean:", 1),
+        ("  lean:", 3),
+        ("  lean:", 0),
+        ("    sensors:", 3),
+        ("    sensors:", 5),
+        ("    urdf:", 5),
+        ("        joints:", 7),
+        ("        joints:", 9),
+        ("observation:", 1),
+        ("  total_timesteps:", 1),
+    ],
+)
+def test_the_line_that_does_not_align_is_moved(line: str, spaces: int) -> None:
+    text = TEXT.replace(f"\n{line}", f"\n{' ' * spaces}{line.lstrip()}")
+    assert text != TEXT
+    assert _corrected(text) == TEXT
+
+
+def test_a_tab_becomes_spaces() -> None:
+    assert _corrected(TEXT.replace("  alive:", "\talive:")) == TEXT
