@@ -275,7 +275,9 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     end = text.find("\n", problem.at)
     end = len(text) if end < 0 else end
     gaps = [gap.start() for gap in _NEXT_PAIR.finditer(text, opening, end) if gap.end() <= problem.at]
-    if not gaps or not _is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", problem.at + 1):
+    # A key on another line than the bracket is rather one behind a bracket that is not closed.
+    read = problem.at + 1 if opening >= problem.line_start else len(text) + 1
+    if not gaps or not _is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", read):
         return None
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
