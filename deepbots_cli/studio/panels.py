@@ -77,6 +77,11 @@ class TrainingTab:
             self._seed = ui.input("Seed", placeholder="0").props("dense outlined")
             for field in (self._timesteps, self._seed):
                 field.classes("studio-number")
+            self._follows = ui.checkbox(
+                "Robot follows",
+                value=session.follows,
+                on_change=lambda event: session.follow(bool(event.value)),
+            ).props('dense title="show the newest policy of the training in the robot"')
         self._text = ui.label("").classes("studio-status").props('role="status"')
         self._command = ui.label("").classes("studio-command")
         self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
@@ -101,7 +106,7 @@ class TrainingTab:
 
         def train() -> None:
             try:
-                self._session.commands.train(self._session.saved_name(), options)
+                self._session.train(options)
             except UsageError as error:
                 self._text.set_text(str(error))
                 raise
@@ -111,6 +116,7 @@ class TrainingTab:
     def update(self) -> None:
         training, task = self._session.commands.training, self._session.commands.training_task
         self._stop.set_enabled(task is not None and task.is_running)
+        self._follows.set_value(self._session.follows)
         self._command.set_text("" if task is None else task.command)
         if training is None:
             self._text.set_text("")

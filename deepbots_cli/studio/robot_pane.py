@@ -107,7 +107,8 @@ class RobotPane:
         state = robot.state
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
         if state is not None and state.state == "running" and robot.reference != str(self._session.current):
-            text = f"driven by the policy of {Path(robot.reference).name}"
+            name = Path(robot.reference).name
+            text = f"{name}: {state.note}" if state.note else f"driven by the policy of {name}"
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)

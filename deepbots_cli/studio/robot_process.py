@@ -61,6 +61,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
         text: The reason of `errors` and `failed`.
         loaded: The number of times that the files were read.
         changed: The values that replace parameters of the file.
+        note: What the driver says about itself, such as the steps of a policy in training.
     """
 
     address: str = ""
@@ -71,6 +72,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     drivers: tuple[str, ...] = ()
     parameters: dict[str, str] = {}
     changed: dict[str, str] = {}
+    note: str = ""
 
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
@@ -151,6 +153,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         drivers=tuple(player.opened.drivers),
         parameters=dict(player.opened.parameters),
         changed=dict(page.changed_parameters),
+        note=player.driver.note,
     )
 
 
