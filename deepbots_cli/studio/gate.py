@@ -51,8 +51,8 @@ const look = setInterval(() => {
   if (!waits) clearInterval(look);
 }, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
-viser that the browser draws by software, which covers the robot; the keys that lead out of it, and those of the editor; a word in
-place of the controls until they are connected."""
+viser that the browser draws by software, which covers the robot; the keys that lead out of it, and those of
+the editor; a word in place of the controls until they are connected."""
 _GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20
