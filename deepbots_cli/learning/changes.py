@@ -3,7 +3,7 @@ solved its task."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -59,6 +59,7 @@ def changed_values(before: Run, after: Run) -> list[ChangedValue]:
         replace(value, is_written=_is_written(value, *sides))
         for value in dict.fromkeys(value for change in relevant for value in _values(change))
     ]
+    values = [value for value in values if not _is_consequence(value, values)]
     one, other = before.record, after.record
     if one.total_timesteps != other.total_timesteps and not any(
         "total_timesteps" in value.path for value in values
@@ -72,6 +73,19 @@ def changed_values(before: Run, after: Run) -> list[ChangedValue]:
 def _is_written(value: ChangedValue, one: WrittenScenario, other: WrittenScenario) -> bool:
     texts = one.text_at(value.path), other.text_at(value.path)
     return any(texts) and texts == (value.before, value.after)
+
+
+def _is_consequence(value: ChangedValue, values: Iterable[ChangedValue]) -> bool:
+    """Return whether a value of a robot file follows from a change of `links` of the same robot: a longer link moves
+    the joints on it."""
+    section, robot, *rest = (*value.path.split("."), "", "")[:3]
+    written = f"{section}.{robot}.links."
+    return (
+        not value.is_written
+        and section == "robots"
+        and rest in (["joints"], ["links"])
+        and any(other.is_written and other.path.startswith(written) for other in values)
+    )
 
 
 def _values(change: Change) -> Iterator[ChangedValue]:

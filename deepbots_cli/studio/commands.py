@@ -24,6 +24,13 @@ _TRAINING_VERBS = ("train", "resume")
 _READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "diagnose", "compare", "new")
 """The commands that have the options `--allow-path` and `--allow-code`."""
 
+_RESULTS = {
+    "test": re.compile(r"^\d+ passed.*|^\d+ failed.*", re.MULTILINE),
+    "try": re.compile(r"mean return .*"),
+    "eval": re.compile(r"mean return .*"),
+}
+"""The line of the output of a command with its result."""
+
 
 class Commands:
     """The commands of the studio of one folder, each in a process of its own that outlives the server.
@@ -138,6 +145,9 @@ class Commands:
         name = f"{task.record.title} of {run}" if run else task.record.title
         if code == _INTERRUPTED:
             return f"{name} was stopped"
+        result = _RESULTS.get(task.record.words[0])
+        if result is not None and (lines := result.findall(task.output())):
+            return f"{name}: {' '.join(lines[-1].split())}"
         if code:
             return f"{name} has failed; the tab Commands shows why"
         solved = (

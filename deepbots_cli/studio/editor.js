@@ -14,6 +14,7 @@ const OFFLINE = "The studio does not answer: its server has ended, or the connec
   "browser keeps the text. If the server has ended, start it again with `deepbots studio`, and open its address.";
 const TEXT_FIELD = "input:not([readonly], [type=checkbox], [type=range]), textarea, [contenteditable=true]";
 const OFFER = "This browser kept a text of this file that the studio did not get.";
+const WRAPPED_FROM = 20; // letters; a shorter line is never wrapped
 const setMarks = CM.StateEffect.define();
 const marks = CM.StateField.define({
   create: () => CM.Decoration.none,
@@ -24,6 +25,12 @@ const marks = CM.StateField.define({
   },
   provide: (field) => CM.EditorView.decorations.from(field),
 });
+// The rest of a long line is indented as its begin, and by two letters more.
+const hanging = CM.StateField.define({
+  create: (state) => hangingLines(state.doc),
+  update: (set, transaction) => transaction.docChanged ? hangingLines(transaction.state.doc) : set,
+  provide: (field) => CM.EditorView.decorations.from(field),
+});
 const fromServer = CM.Annotation.define();
 
 function element(tag, className, ...children) {
@@ -31,6 +38,17 @@ function element(tag, className, ...children) {
   if (className) made.className = className;
   made.append(...children);
   return made;
+}
+
+function hangingLines(doc) {
+  const ranges = [];
+  for (let number = 1; number <= doc.lines; number++) {
+    const { from, text } = doc.line(number);
+    const indent = /^ */.exec(text)[0].length + 2;
+    const style = `padding-left: calc(6px + ${indent}ch); text-indent: -${indent}ch`;
+    if (text.length > WRAPPED_FROM) ranges.push(CM.Decoration.line({ attributes: { style } }).range(from));
+  }
+  return CM.Decoration.set(ranges);
 }
 
 // The few forms of Markdown in hover texts and completions; all text is set as text, never as HTML.
@@ -81,6 +99,7 @@ export default {
     this.extensions = [
       CM.Prec.highest(keys),
       CM.basicSetup,
+      CM.EditorView.lineWrapping,
       CM.EditorState.tabSize.of(2),
       CM.indentUnit.of("  "),
       CM.Prec.highest(CM.indentService.of(indentation)),
@@ -88,6 +107,7 @@ export default {
       this.dark.of([]),
       this.writing.of([]),
       marks,
+      hanging,
       CM.EditorState.languageData.of(() => completions),
       CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350, hideOnChange: true }),
       CM.EditorView.contentAttributes.of({ "aria-label": "text of the scenario", tabindex: "0" }),

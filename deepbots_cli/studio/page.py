@@ -110,7 +110,7 @@ class StudioPage:
             inspect = ui.tab("Inspect")
         with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(train):
-                self._training = TrainingTab(self._session, self._guarded, lambda: tabs.set_value(command))
+                self._training = TrainingTab(self._session, self._guarded)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_advice)
             with ui.tab_panel(command):
@@ -145,6 +145,7 @@ class StudioPage:
             self._robot.update_sources()
         elif topic == "task":
             self._training.update()
+            self._runs.update_output()
             self._command.update()
         elif topic == "notice" and self._session.notice:
             with self._list:
@@ -383,4 +384,5 @@ class StudioPage:
         self._theme.set_text("Light" if dark else "Dark")
         self._editor.set_dark(self._is_dark)
         self._training.set_dark(self._is_dark)
+        self._runs.set_dark(self._is_dark)
         self._robot.set_dark(self._is_dark)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 import shlex
@@ -11,13 +12,13 @@ from typing import Any
 
 from nicegui import events, ui
 
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.listing import ListedRun
 from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.commands import RUNS_FOLDER
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
-from deepbots_cli.studio.trainings import Curves
+from deepbots_cli.studio.trainings import Curves, read_curves
 
 Guarded = Callable[[Callable[[], Any]], None]
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
@@ -61,8 +62,8 @@ _GRID_COLOR = "rgba(128, 128, 128, 0.3)"
 class TrainingTab:
     """Buttons for the scenario, and the curve of a training."""
 
-    def __init__(self, session: Session, guarded: Guarded, show_output: Callable[[], object]) -> None:
-        self._session, self._guarded, self._show_output = session, guarded, show_output
+    def __init__(self, session: Session, guarded: Guarded) -> None:
+        self._session, self._guarded = session, guarded
         with ui.element("div").classes("studio-bar"):
             for verb, words, tip in (
                 ("Try", ["try"], "run a few episodes with random actions"),
@@ -82,6 +83,7 @@ class TrainingTab:
                 value=session.follows,
                 on_change=lambda event: session.follow(bool(event.value)),
             ).props('dense title="show the newest policy of the training in the robot"')
+        self._result = Result()
         self._text = ui.label("").classes("studio-status").props('role="status"')
         self._command = ui.label("").classes("studio-command")
         self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
@@ -107,6 +109,7 @@ class TrainingTab:
         def train() -> None:
             try:
                 self._session.train(options)
+                self._result.close()
             except UsageError as error:
                 self._text.set_text(str(error))
                 raise
@@ -116,6 +119,7 @@ class TrainingTab:
     def update(self) -> None:
         training, task = self._session.commands.training, self._session.commands.training_task
         self._stop.set_enabled(task is not None and task.is_running)
+        self._result.update()
         self._follows.set_value(self._session.follows)
         self._command.set_text("" if task is None else task.command)
         if training is None:
@@ -151,8 +155,7 @@ class TrainingTab:
 
     def _run(self, words: list[str]) -> None:
         def run() -> None:
-            self._session.commands.run([*words, self._session.saved_name()], words[0])
-            self._show_output()
+            self._result.watch(self._session.commands.run([*words, self._session.saved_name()], words[0]))
 
         self._guarded(run)
 
@@ -239,6 +242,28 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
     }
 
 
+def _curves_or_none(run: Path) -> Curves:
+    try:
+        return read_curves(run)
+    except DeepbotsError:
+        return Curves()
+
+
+def _compared(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
+    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
+    has_successes = any(each.successes for each in curves.values())
+    options = _options(Curves(), has_successes=has_successes, dark=dark)
+    series = []
+    for number, (name, each) in enumerate(curves.items()):
+        for line in (
+            _line(name, each.returns, 0),
+            _line(f"{name}, evaluated", each.evaluations, 0, marks=True),
+            _line(f"{name}, success", _percent(each.successes), 1, dashed=True),
+        ):
+            series.append({**line, "itemStyle": {"color": options["color"][number]}})
+    return {**options, "series": [line for line in series if line["data"]]}
+
+
 def _goals(curves: Curves) -> list[dict[str, Any]]:
     """Return a horizontal line at the mean return with which the task is solved, if there is one."""
     if curves.solved_return is None:
@@ -275,6 +300,7 @@ class RunsTab:
     ) -> None:
         self._session, self._guarded = session, guarded
         self._show_tab, self._write_advice = show_tab, write_advice
+        self._is_dark = False
         columns = [
             {"name": name, "label": label, "field": name, "align": align, "sortable": True}
             for name, label, align in (
@@ -310,6 +336,7 @@ class RunsTab:
                 self._buttons[label].props("dense outline no-caps")
             self._timesteps = ui.input("Resume up to", placeholder="timesteps").props("dense outlined")
             self._timesteps.classes("studio-number")
+        self._result = Result()
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
         ).props('dense flat wrap-cells hide-pagination hide-selected-banner no-data-label="no runs yet"')
@@ -320,7 +347,13 @@ class RunsTab:
         self._table.on("rowClick", self._select, [["ctrlKey", "metaKey", "shiftKey"], ["name"], None])
         self._table.on_select(lambda _: self._show_buttons())
         self._show_buttons()
-        self._advice = ui.element("div").classes("studio-advice")
+
+    def set_dark(self, dark: bool) -> None:
+        self._is_dark = dark
+
+    def update_output(self) -> None:
+        """Show the output of the command that was started here."""
+        self._result.update()
 
     def update(self) -> None:
         changes = self._session.run_changes
@@ -389,8 +422,7 @@ class RunsTab:
     def _command(self, verb: str) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.commands.run([verb, str(path)], verb, path)
-            self._show_tab("Commands")
+            self._result.watch(self._session.commands.run([verb, str(path)], verb, path))
 
         self._guarded(run)
 
@@ -408,25 +440,34 @@ class RunsTab:
     def _report(self) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.commands.run_with_output(["report", str(path)], "report", path, "report.html")
-            self._show_tab("Commands")
+            self._result.watch(
+                self._session.commands.run_with_output(["report", str(path)], "report", path, "report.html")
+            )
 
         self._guarded(run)
 
     def _video(self) -> None:
         def run() -> None:
             (path,) = self._selected()
-            self._session.commands.run_with_output(["render", str(path)], "render", path, "video.mp4")
-            self._show_tab("Commands")
+            self._result.watch(
+                self._session.commands.run_with_output(["render", str(path)], "render", path, "video.mp4")
+            )
 
         self._guarded(run)
 
-    def _compare(self) -> None:
-        def run() -> None:
-            self._session.commands.run(["compare", *map(str, self._selected(2))], "compare")
-            self._show_tab("Commands")
-
-        self._guarded(run)
+    async def _compare(self) -> None:
+        """Draw the curves of two runs over each other, above the output of the command."""
+        try:
+            paths = self._selected(2)
+            task = self._session.commands.run(["compare", *map(str, paths)], "compare")
+        except UsageError as error:
+            ui.notify(str(error), type="warning", position="top")
+            return
+        folder = self._session.folder
+        curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in paths}
+        with self._result.fill(task.command):
+            ui.echart(_compared(curves, dark=self._is_dark)).classes("studio-chart studio-compared")
+        self._result.watch(task, "below the curves")
 
     async def _diagnose(self) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
@@ -435,12 +476,9 @@ class RunsTab:
         except UsageError as error:
             ui.notify(str(error), type="warning", position="top")
             return
-        self._advice.clear()
-        with self._advice:
-            ui.label(f"looking at {path.name} ...").props('role="status"')
+        self._result.fill(f"looking at {path.name} ...")
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
-        self._advice.clear()
-        with self._advice:
+        with self._result.fill(f"Diagnosis of {path.name}").classes("studio-advice"):
             try:
                 (report, *_) = json.loads(text)["runs"] if not code else [None]
             except (ValueError, KeyError, TypeError):
@@ -448,10 +486,10 @@ class RunsTab:
             if report is None:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
-            ui.label(f"Diagnosis of {path.name}").classes("studio-heading")
             if not report.get("causes"):
                 ui.label(_NO_CAUSE[bool(report["solved"])])
-            for cause in report.get("causes") or ():
+            # What has changed is a fact, and shorter than the causes.
+            for cause in sorted(report.get("causes") or (), key=lambda cause: not _changes(cause)):
                 self._add_cause(path, cause)
 
     def _add_cause(self, path: Path, cause: dict[str, Any]) -> None:
@@ -464,7 +502,7 @@ class RunsTab:
             for text in dict.fromkeys([str(cause.get("command") or ""), *_COMMAND.findall(advice)]):
                 self._add_advised_command(shlex.split(text)[1:])
             self._add_advised_values(cause.get("settings") or {})
-            for change in (cause.get("evidence") or {}).get("changes") or ():
+            for change in _changes(cause):
                 if change["is_written"]:
                     before = change["before"]
                     verb = "Set back" if before else "Remove"
@@ -491,14 +529,90 @@ class RunsTab:
 
         def run() -> None:
             path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
-            self._session.commands.run(command, command[0], path)
-            self._show_tab("Train" if path is not None else "Commands")
+            task = self._session.commands.run(command, command[0], path)
+            if path is not None:
+                self._show_tab("Train")
+            else:
+                self._result.watch(task)
 
         self._guarded(run)
 
 
+def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what has changed since a solved run, if this is that fact."""
+    return (cause.get("evidence") or {}).get("changes") or []
+
+
 def _has_value(rows: list[dict[str, Any]], column: dict[str, Any]) -> bool:
     return any(row[column["name"]] for row in rows)
+
+
+class TaskOutput:
+    """The output of a command, with a link to the file that it has written."""
+
+    def __init__(self) -> None:
+        self._link = ui.link("open the result", "", new_tab=True)
+        self._link.set_visibility(False)
+        self._output = (
+            ui.element("pre").classes("studio-output").props('tabindex="0" role="region" aria-label="Output"')
+        )
+        with self._output:
+            self._text = ui.label("")
+        self._shown: tuple[object, ...] = ()
+
+    def show(self, task: Task) -> None:
+        """Show the present output of a command."""
+        code = task.exit_code
+        shown = (task.path, code, task.output())
+        if shown == self._shown:
+            return
+        self._shown = shown
+        starting = "starting ..." if code is None and not shown[2] else ""
+        ended = "" if code in (None, 0) else f"\nended with exit code {code}"
+        self._text.set_text(f"{starting}{shown[2]}{ended}")
+        # The element is missing until its tab is opened.
+        self._output.client.run_javascript(
+            f"const output = getHtmlElement({self._output.id});"
+            " if (output) output.scrollTop = output.scrollHeight"
+        )
+        self._link.set_visibility(code == 0 and bool(task.record.output))
+        self._link.props(f'href="studio/output/{task.path.name}"')
+
+
+class Result:
+    """A place for what a button has brought, such as the output of a command, until the person closes it."""
+
+    def __init__(self) -> None:
+        self._task: Task | None = None
+        self._output: TaskOutput | None = None
+        self._box = ui.element("div").classes("studio-result")
+        self._box.set_visibility(False)
+
+    def fill(self, title: str) -> ui.element:
+        """Empty the place and open it. Returns the element for its new content."""
+        self._task = None
+        self._box.clear()
+        self._box.set_visibility(True)
+        with self._box, ui.element("div").classes("studio-bar"):
+            ui.label(title).classes("studio-heading").props('role="status"')
+            ui.button("Close", on_click=self.close).props("dense flat no-caps")
+        self._box.client.run_javascript(f"getHtmlElement({self._box.id})?.scrollIntoView({{block: 'start'}})")
+        return self._box
+
+    def watch(self, task: Task, title: str = "") -> None:
+        """Show the output of a command while it runs; with a title, below what is here."""
+        with self._box if title else self.fill(task.command):
+            self._output = TaskOutput()
+        self._task = task
+        self.update()
+
+    def update(self) -> None:
+        if self._task is not None and self._output is not None:
+            self._output.show(self._task)
+
+    def close(self) -> None:
+        self._task = None
+        self._box.set_visibility(False)
 
 
 class CommandTab:
@@ -513,15 +627,8 @@ class CommandTab:
             self._choice.classes("studio-files")
             self._copy = ui.button("Copy", on_click=self._copy_command).props("dense flat no-caps")
             self._stop = ui.button("Stop", on_click=self._stop_command).props("dense outline no-caps")
-            self._link = ui.link("open the result", "", new_tab=True)
-            self._link.set_visibility(False)
         self._command = ui.label("").classes("studio-command")
-        self._output = (
-            ui.element("pre").classes("studio-output").props('tabindex="0" role="region" aria-label="Output"')
-        )
-        with self._output:
-            self._text = ui.label("")
-        self._shown: tuple[object, ...] = ()
+        self._output = TaskOutput()
 
     def update(self) -> None:
         task = self._session.commands.task
@@ -532,25 +639,10 @@ class CommandTab:
         options = dict(reversed(options.items()))
         if options != self._choice.options:
             self._choice.set_options(options, value=task.path.name if task else None)
-        if task is None:
-            return
-        code = task.exit_code
-        shown = (task.path, code, task.output())
-        if shown == self._shown:
-            return
-        self._shown = shown
-        starting = "starting ..." if code is None and not shown[2] else ""
-        ended = "" if code in (None, 0) else f"\nended with exit code {code}"
-        self._text.set_text(f"{starting}{shown[2]}{ended}")
-        # The element is missing until its tab is opened.
-        self._output.client.run_javascript(
-            f"const output = getHtmlElement({self._output.id});"
-            " if (output) output.scrollTop = output.scrollHeight"
-        )
-        self._command.set_text(task.command)
-        self._stop.set_enabled(code is None)
-        self._link.set_visibility(code == 0 and bool(task.record.output))
-        self._link.props(f'href="studio/output/{task.path.name}"')
+        if task is not None:
+            self._output.show(task)
+            self._command.set_text(task.command)
+            self._stop.set_enabled(task.is_running)
 
     def _choose(self, name: str | None) -> None:
         task: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)

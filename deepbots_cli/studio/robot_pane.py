@@ -106,6 +106,8 @@ class RobotPane:
         robot = self._session.robot
         state = robot.state
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
+        if not robot.reference:
+            text = "there is no scenario in this folder yet; New ... at the top writes one"
         if state is not None and state.state == "running" and robot.reference != str(self._session.current):
             name = Path(robot.reference).name
             text = f"{name}: {state.note}" if state.note else f"driven by the policy of {name}"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import time
 
 import pytest
 
 pytest.importorskip("nicegui")
+from deepbots_cli.processes import python_command, python_environment
 from tests.studio.served import BACKSPACE, ENTER, ESCAPE, Served, StudioTab, served
 from tests.view.browser import CHROMIUM, browser
 
@@ -170,6 +172,70 @@ def test_a_finding_is_corrected_by_a_click_and_explained_with_links(studio: Serv
     page.click("Back")
     page.wait(f"{answer}.innerText.startsWith('reward: a concept')")
     assert not page.tab.errors
+
+
+def test_the_result_of_a_command_is_shown_where_it_was_started(studio: Served, new_tab):
+    page = StudioTab(new_tab(), studio.address)
+    page.click("Try")
+    page.wait("document.querySelector('.studio-result')?.innerText.includes('summary of 3 episodes')", 60)
+    assert page.tab.run("document.querySelector('[role=tab][aria-selected=true]').innerText") == "Train"
+    page.wait("document.body.innerText.includes('try: mean return')")
+    page.click("Close")
+    page.wait("!document.querySelector('.studio-result')?.offsetParent")
+
+
+def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new_tab):
+    solved = f"{SCENARIO}solved: mean_return >= 40 over 20 episodes\n"
+    missed = solved.replace("max_steps: 100", "max_steps: 30").replace(
+        "urdf: cartpole\n", "urdf: cartpole\n    links: {pole: {scale: 1 1 2}}\n"
+    )
+    for name, text in (("mine-1", solved), ("mine-2", missed)):
+        (folder / "mine.yaml").write_text(text, encoding="utf-8")
+        words = ("train", "mine.yaml", "--run", f"runs/{name}", "--timesteps", "2048")
+        subprocess.run(
+            python_command("deepbots_cli", *words),
+            cwd=folder,
+            env=python_environment(),
+            check=True,
+            capture_output=True,
+        )
+    with served(folder, "mine.yaml") as studio:
+        page = StudioTab(new_tab(), studio.address)
+        page.open_tab("Runs")
+        select = "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == '{}').click()"
+        page.wait("document.querySelector('table')?.innerText.includes('mine-2')")
+        page.tab.run(select.format("mine-2"))
+        page.click("Diagnose")
+        page.wait(
+            "document.querySelector('.studio-cause')?.innerText.includes('Changed since runs/mine-1')", 90
+        )
+        page.click("Set back truncation.max_steps: 100")
+        page.click("Remove robots.cart.links.pole")
+        page.wait("document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')")
+        page.wait("!document.querySelector('.cm-content').innerText.includes('scale')")
+        page.tab.run("document.querySelectorAll('tbody .q-checkbox')[1].click()")
+        page.click("Compare")
+        page.wait("document.querySelector('.studio-compared canvas, .studio-compared svg') != null")
+        page.wait("document.querySelector('.studio-result').innerText.includes('difference')", 120)
+        assert not page.tab.errors
+
+
+def test_an_empty_folder_says_how_to_get_a_scenario(tmp_path, new_tab):
+    with served(tmp_path) as studio:
+        tab = new_tab()
+        tab.call("Page.navigate", url=studio.address)
+        status = "document.querySelector('.studio-robot .studio-status')?.innerText"
+        tab.wait(f"({status} ?? '').includes('New ... at the top writes one')", 60)
+
+
+def test_a_long_line_is_wrapped(studio: Served, new_tab):
+    page = StudioTab(new_tab(), studio.address)
+    page.click_line("  alive: 1")
+    page.type("  # " + "a long comment " * 12)
+    page.wait("[...document.querySelectorAll('.cm-line')].some(line => line.clientHeight > 40)")
+    assert page.tab.run(
+        "document.querySelector('.cm-scroller').scrollWidth <= document.querySelector('.cm-scroller').clientWidth"
+    )
 
 
 def test_the_tables_of_inspect_follow_the_saved_text(studio: Served, new_tab):
