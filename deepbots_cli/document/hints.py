@@ -370,8 +370,8 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     holder = problem.line_above(above.start)
     is_first = holder is not None and holder.opens and holder.indent >= above.indent
     if holder is not None and (is_first or holder.indent == line.indent):
-        # The section above has no key yet, or its keys are as deep as the next line: the line with the value is the
-        # one that is out of place.
+        # The section above has no key yet, or its keys are as deep as the next line: the line with the value
+        # is the one that is out of place.
         value = problem.rest(above.start).strip()[:_MAX_SHOWN]
         word = "below" if is_first else "like"
         headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
@@ -394,8 +394,8 @@ def _is_first(problem: _Problem, line: _Line) -> bool:
 
 
 def missing_colon(line: str) -> tuple[str, str] | None:
-    """Return the key and the line that was meant if a line lacks the colon behind its first word, or has `=` in its
-    place."""
+    """Return the key and the line that was meant if a line lacks the colon behind its first word, or has `=`
+    in its place."""
     match = _ASSIGNED.fullmatch(line) or _MISSING_COLON.match(line) or _TWO_WORDS.fullmatch(line)
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
 
@@ -480,7 +480,8 @@ def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:
 
 
 def _continues(line: _Line, below: _Line | None) -> bool:
-    """Return whether the line below is as deep as a key of the same section, or of the section that `line` opens."""
+    """Return whether the line below is as deep as a key of the same section, or of the section that `line`
+    opens."""
     return below is not None and below.indent == line.indent + (_STEP if line.opens else 0)
 
 

@@ -40,6 +40,7 @@ episodes.py              results of episodes: log, statistics, solved, summaries
 draws.py                 the effect of drawn values on episodes
 campaign.py              several trainings in one folder: the base of groups and studies
 group.py                 groups: a folder with a run per seed, trained one after the other or on workers
+changes.py               what a run changed against an earlier one, and the run that was solved before it
 calls.py                 calls of a function, and their watchers
 executor.py              executors of work: in this process, or on workers
 journal_file.py          the file in which Optuna keeps a study, which a crash does not damage

@@ -28,8 +28,8 @@ class ChangedValue:
     Attributes:
         path: Its path in the scenario, or an option of `deepbots train`.
         before, after: Its texts in the earlier and in the later run, empty where there is none.
-        is_written: Whether both scenarios have these texts at the path, so that writing `before` there, or removing
-            the entry, sets the value back.
+        is_written: Whether both scenarios have these texts at the path, so that writing `before` there, or
+            removing the entry, sets the value back.
     """
 
     path: str
@@ -76,8 +76,8 @@ def _is_written(value: ChangedValue, one: WrittenScenario, other: WrittenScenari
 
 
 def _is_consequence(value: ChangedValue, values: Iterable[ChangedValue]) -> bool:
-    """Return whether a value of a robot file follows from a change of `links` of the same robot: a longer link moves
-    the joints on it."""
+    """Return whether a value of a robot file follows from a change of `links` of the same robot: a longer
+    link moves the joints on it."""
     section, robot, *rest = (*value.path.split("."), "", "")[:3]
     written = f"{section}.{robot}.links."
     return (

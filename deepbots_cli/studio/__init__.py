@@ -4,6 +4,7 @@ files.py          the open files: revisions, merged changes, drafts of unsaved t
 language.py       findings, completion, hover and fixes of the open files
 robot.py          the process that simulates and shows the robot
 robot_process.py  what runs in that process
+following.py      which training the robot follows
 commands.py       the commands that the studio runs, and the training whose curve it shows
 tasks.py          processes of commands, which survive the server
 task_process.py   what runs in such a process

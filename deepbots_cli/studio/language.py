@@ -251,8 +251,8 @@ class Language:
 
 
 def _removal(file: OpenFile, root: MappingNode, path: NodePath) -> TextEdit | None:
-    """Return the edit that removes an entry, with the sections of which it is the only entry; an empty one if there
-    is no such entry."""
+    """Return the edit that removes an entry, with the sections of which it is the only entry; an empty one if
+    there is no such entry."""
     if path[-1] not in entries_at(root, *path[:-1]):
         return TextEdit(0, 0, "")
     while len(path) > 1 and len(entries_at(root, *path[:-1])) == 1:

@@ -80,8 +80,8 @@ class TrainingTab:
                 field.classes("studio-number")
             self._follows = ui.checkbox(
                 "Robot follows",
-                value=session.follows,
-                on_change=lambda event: session.follow(bool(event.value)),
+                value=session.following.is_on,
+                on_change=lambda event: session.following.turn(bool(event.value), session.current),
             ).props('dense title="show the newest policy of the training in the robot"')
         self._result = Result()
         self._text = ui.label("").classes("studio-status").props('role="status"')
@@ -108,7 +108,8 @@ class TrainingTab:
 
         def train() -> None:
             try:
-                self._session.train(options)
+                task = self._session.commands.train(self._session.saved_name(), options)
+                self._session.following.begin(self._session.folder / task.record.run)
                 self._result.close()
             except UsageError as error:
                 self._text.set_text(str(error))
@@ -120,7 +121,7 @@ class TrainingTab:
         training, task = self._session.commands.training, self._session.commands.training_task
         self._stop.set_enabled(task is not None and task.is_running)
         self._result.update()
-        self._follows.set_value(self._session.follows)
+        self._follows.set_value(self._session.following.is_on)
         self._command.set_text("" if task is None else task.command)
         if training is None:
             self._text.set_text("")

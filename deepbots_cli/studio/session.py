@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,10 +20,10 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.insight.inspection import Tables
 from deepbots_cli.learning.listing import ListedRun, list_runs
-from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.changes import RunChange, RunChanges
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands
 from deepbots_cli.studio.files import Drafts, OpenFile, read_text
+from deepbots_cli.studio.following import Following
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
 
@@ -49,7 +49,7 @@ class Session:
         runs: The runs of the folder, the newest last.
         run_changes: The begin and the changes of each run, by its path.
         notice: The last message for the person.
-        follows: Whether the robot shows the newest policy of each training that begins.
+        following: The training that the robot follows.
     """
 
     def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
@@ -63,9 +63,7 @@ class Session:
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
         self.notice = ""
-        self.follows = False
-        self._followed: Path | None = None
-        self._waits_to_follow = False
+        self.following = Following(self.robot, self.commands)
         self._problem = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None
@@ -220,10 +218,7 @@ class Session:
             name for (path, name), text in now.items() if self._written.get((path, name), text) != text
         }
         self._written = now
-        if self._followed is not None and self.robot.reference == str(self._followed):
-            self._followed = None  # the person wants to see the text that was saved
-            self.robot.show(self.current)
-        else:
+        if not self.following.leave(self.current):
             self.robot.save(tuple(changed))
 
     def _saved_parameters(self) -> dict[tuple[Path, str], str]:
@@ -304,36 +299,6 @@ class Session:
         name = str(self.current.relative_to(self.folder))
         return f"./{name}" if name.startswith("-") else name
 
-    def train(self, options: Sequence[str] = ()) -> None:
-        """Train the current scenario; the robot follows if it is to, or if it shows a policy now.
-
-        Raises:
-            UsageError: There is no scenario, or it has errors.
-        """
-        task = self.commands.train(self.saved_name(), options)
-        driver = self.robot.state.driver if self.robot.state is not None else ""
-        self._waits_to_follow = self.follows or driver == POLICY
-        self._followed = self.folder / task.record.run if self._waits_to_follow else None
-
-    def follow(self, follows: bool) -> None:
-        """Let the robot show the newest policy of the training that runs, and of each that begins, or no longer."""
-        self.follows = follows
-        training, task = self.commands.training, self.commands.training_task
-        if follows and training is not None and task is not None and task.is_running:
-            self._followed, self._waits_to_follow = training.path, True
-        elif not follows and self._followed is not None:
-            if self.current is not None and self.robot.reference == str(self._followed):
-                self.robot.show(self.current)
-            self._followed = None
-
-    def _show_followed(self) -> None:
-        """Show the training that the robot follows as soon as it has begun."""
-        training = self.commands.training
-        has_begun = training is not None and training.path == self._followed and training.listed is not None
-        if self._waits_to_follow and self._followed is not None and has_begun:
-            self._waits_to_follow = False
-            self.robot.show(self._followed)
-
     # Time
 
     async def run_forever(self) -> None:
@@ -360,7 +325,7 @@ class Session:
             await self.read_runs()
         if self._listeners:
             await self.commands.read_training()
-            self._show_followed()
+        self.following.look()
 
     async def close(self) -> None:
         """Keep unsaved texts, and end the robot. Commands go on."""

@@ -233,9 +233,8 @@ def test_a_long_line_is_wrapped(studio: Served, new_tab):
     page.click_line("  alive: 1")
     page.type("  # " + "a long comment " * 12)
     page.wait("[...document.querySelectorAll('.cm-line')].some(line => line.clientHeight > 40)")
-    assert page.tab.run(
-        "document.querySelector('.cm-scroller').scrollWidth <= document.querySelector('.cm-scroller').clientWidth"
-    )
+    scroller = "document.querySelector('.cm-scroller')"
+    assert page.tab.run(f"{scroller}.scrollWidth <= {scroller}.clientWidth")
 
 
 def test_the_tables_of_inspect_follow_the_saved_text(studio: Served, new_tab):

@@ -200,8 +200,9 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             session = running.session
             session.show(Path("mine.yaml"))
             await running.runs()
-            session.follow(True)
-            session.train(["--timesteps", "1_000_000"])
+            session.following.turn(True, session.current)
+            session.commands.train("mine.yaml", ["--timesteps", "1_000_000"])
+            session.following.begin(folder / "runs" / "mine-1")
             robot, training = session.robot, session.commands.training_task
             assert training is not None
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
@@ -215,10 +216,11 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             await running.until(lambda: not training.is_running, 120)
 
             # From a robot that shows a policy, the next training is followed without being asked.
-            session.follow(False)
+            session.following.turn(False, session.current)
             robot.show(folder / "runs" / "mine-1")
             await running.runs()
-            session.train(["--timesteps", "512"])
+            session.commands.train("mine.yaml", ["--timesteps", "512"])
+            session.following.begin(folder / "runs" / "mine-2")
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-2"))
             await running.runs()
             await running.until(lambda: not session.commands.tasks.running, 120)
