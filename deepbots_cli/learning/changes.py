@@ -64,7 +64,7 @@ def changed_values(before: Run, after: Run) -> list[ChangedValue]:
     if one.total_timesteps != other.total_timesteps and not any(
         "total_timesteps" in value.path for value in values
     ):
-        values.append(ChangedValue(_TIMESTEPS, str(one.total_timesteps), str(other.total_timesteps)))
+        values.append(ChangedValue(_TIMESTEPS, f"{one.total_timesteps:_}", f"{other.total_timesteps:_}"))
     if one.seed != other.seed:
         values.append(ChangedValue(SEED, str(one.seed), str(other.seed)))
     return values
