@@ -183,11 +183,11 @@ class Fixer:
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}
-        for other, earlier in before.items():
-            if other != name and earlier.files.keys().isdisjoint(edited):
+        for file_name, earlier in before.items():
+            if file_name != name and earlier.files.keys().isdisjoint(edited):
                 continue
-            linted = after[other] = self._lint(other, {**drafts, **edited})
-            if _does_harm(earlier, linted, edits if other == name else ()):
+            linted = after[file_name] = self._lint(file_name, {**drafts, **edited})
+            if _does_harm(earlier, linted, edits if file_name == name else ()):
                 return False
         if before[name].root is not None and not _are_fixed(fixes, before[name], after[name]):
             return False
@@ -229,8 +229,8 @@ def _does_harm(before: LintResult, after: LintResult, edits: Iterable[Edit]) -> 
 
 def _are_fixed(fixes: Sequence[Finding], before: LintResult, after: LintResult) -> bool:
     """Whether none of the findings `fixes` remains."""
-    others = _counted(before.findings) - _counted(fixes)
-    return not _counted(fixes) & (_counted(after.findings) - others)
+    remaining = _counted(before.findings) - _counted(fixes)
+    return not _counted(fixes) & (_counted(after.findings) - remaining)
 
 
 def edited(source: Source, edits: Iterable[Edit]) -> str:
