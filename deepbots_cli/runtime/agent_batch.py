@@ -195,14 +195,14 @@ class _PolicyRows:
     """Acts for an agent with a policy, which takes its most likely actions, in all worlds: world i in row i
     mod `FORWARD_BATCH_SIZE` of one of several forward passes."""
 
-    def __init__(self, policy: Predictor, place: Place, world: BatchSupervisor) -> None:
-        self._policy, self._place, self._world = policy, place, world
+    def __init__(self, policy: Predictor, seat: Place, world: BatchSupervisor) -> None:
+        self._policy, self._place, self._world = policy, seat, world
         count = len(world.singles)
         self._slices = [
             slice(first, min(first + FORWARD_BATCH_SIZE, count))
             for first in range(0, count, FORWARD_BATCH_SIZE)
         ]
-        self._passes: list[ForwardPass] = [forward_pass(policy, place) for _ in self._slices]
+        self._passes: list[ForwardPass] = [forward_pass(policy, seat) for _ in self._slices]
 
     def begin(self, worlds: Sequence[int]) -> None:
         """Begin episodes: a recurrent policy forgets the previous ones."""
@@ -220,9 +220,9 @@ class _PolicyRows:
         return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
 
 
-def _driven(world: BatchSupervisor, place: Place, driver: str) -> _Act:
+def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:
     """Return who acts for an agent in all worlds: a script, `random` or `zero`."""
-    member, agent, count = place.member, place.member.program.agent, len(world.singles)
+    member, agent, count = seat.member, seat.member.program.agent, len(world.singles)
     options, width = [len(part.options) for part in agent.choices], len(agent.range_names)
     still = np.zeros((count, len(options)), np.int64), np.zeros((count, width), np.float32)
     if driver == ZERO:

@@ -143,7 +143,7 @@ class ObservedColumns(ABC):
         self.goal = np.zeros((2 * self._size, count), np.float32)
 
     @abstractmethod
-    def failed(self, row: int, what: str) -> EvaluationError:
+    def failed(self, row: int, problem: str) -> EvaluationError:
         """Return the error of an episode, with the place of its row."""
 
     def set_observation(self, *numbers: Any) -> None:
@@ -159,8 +159,8 @@ class ObservedColumns(ABC):
         if not np.isfinite(frame).all():
             worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self.lost)
             if len(worlds):
-                places = np.flatnonzero(~np.isfinite(frame[:, worlds]).all(axis=1))
-                names = ", ".join(dict.fromkeys(self.agent.numbers[place].name for place in places))
+                indices = np.flatnonzero(~np.isfinite(frame[:, worlds]).all(axis=1))
+                names = ", ".join(dict.fromkeys(self.agent.numbers[index].name for index in indices))
                 raise self.failed(int(worlds[0]), f"the observation {names} is not finite")
 
     def next_frame(self) -> None:
