@@ -28,12 +28,12 @@ MOTOR_FIELDS = (
 """The arrays of a model that motors write."""
 
 
-def cells(worlds: Any, places: Any) -> tuple[Any, Any]:
+def cells(worlds: Any, columns: Any) -> tuple[Any, Any]:
     """Return the index of these places in the rows of these worlds, each a slice or an array."""
     return (
-        (worlds, places)
-        if isinstance(worlds, slice) or isinstance(places, slice)
-        else (worlds[:, None], places)
+        (worlds, columns)
+        if isinstance(worlds, slice) or isinstance(columns, slice)
+        else (worlds[:, None], columns)
     )
 
 
@@ -243,8 +243,8 @@ class TrackingMotor(BatchMotor):
             np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),
             motors.MIN_ERROR_SHARE * np.abs(target_velocities),
         )
-        near = limits / self._stiffest
-        gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)
+        threshold = limits / self._stiffest
+        gains = np.where(off > threshold, limits / np.maximum(off, threshold), self._stiffest)
         batch.ctrl[cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
         aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
