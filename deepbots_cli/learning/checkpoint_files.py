@@ -148,17 +148,17 @@ class CheckpointState(CheckpointPart):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         steps, statistics = self.steps, self.statistics
-        places = [
+        step_counts = [
             self.callback.evaluated_at,
             self.callback.next_beat - MAX_CHECK_INTERVAL,
             self.curriculum.first_step,
         ]
-        places += [
+        step_counts += [
             statistics.episodes,
             *(stage.steps for stage in self.curriculum.ends),
             *([statistics.solved_at.steps] if statistics.solved_at else []),
         ]
-        if max(places) > steps:
+        if max(step_counts) > steps:
             raise ValueError("its counts of steps contradict each other")
         if len(self.stages) != len(self.starts):
             raise ValueError("its counts of worlds contradict each other")

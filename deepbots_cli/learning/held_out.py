@@ -157,9 +157,9 @@ class Evaluator:
         self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
     ) -> list[Episode]:
         """Play the episodes of an evaluation; arguments and errors are those of `play`."""
-        done = self.play(model, scenario, interruption, self.starts, stage)
-        self.steps += sum(episode.length for episode in done)
-        return done
+        episodes = self.play(model, scenario, interruption, self.starts, stage)
+        self.steps += sum(episode.length for episode in episodes)
+        return episodes
 
     def play(
         self,
@@ -183,7 +183,7 @@ class Evaluator:
         """
         state = torch.get_rng_state()
 
-        def look(done: int = 0, total: int = len(seeds)) -> None:
+        def look(count: int = 0, total: int = len(seeds)) -> None:
             if interruption.requested:
                 raise KeyboardInterrupt
 
