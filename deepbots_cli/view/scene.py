@@ -242,8 +242,8 @@ class WorldScene:
         origin: Triple = ZERO_VECTOR,
     ) -> None:
         """Create the nodes of a world. `size` is the distance (m) from which the world is seen, which
-        determines the size of marks. `origin` is the position of its origin (m)."""
-        self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, origin
+        determines the size of marks. `origin` is the position (m) of its origin."""
+        self._scene, self._layout, self._root, self._size, self._origin = scene, layout, root, size, origin
         self._anchor = scene.add_frame(root, show_axes=False, position=origin)
         self.follows = False
         """Whether the robot stays in view, as the world moves below it."""
@@ -473,7 +473,7 @@ class WorldScene:
             )
         if self._followed is not None:
             x, y, _ = rows[self._parts.index(self._followed), :3] - self._start
-            shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
+            shift = frames.add(self._origin, (-x, -y, 0.0)) if self.follows else self._origin
             self._anchor.position = shift
 
     def draw_paths(self, paths: Sequence[Sequence[tuple[float, float]]]) -> None:
