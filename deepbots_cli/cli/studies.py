@@ -35,10 +35,10 @@ def continue_study(
     with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
-            done = run_study(study, reporter=display, permissions=permissions, executor=executor)
+            is_done = run_study(study, reporter=display, permissions=permissions, executor=executor)
         finally:
             display.stop()
-    show_study(study, done=done, as_json=as_json)
+    show_study(study, done=is_done, as_json=as_json)
 
 
 class StudyDisplay(StudyReporter):

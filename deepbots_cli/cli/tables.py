@@ -51,13 +51,13 @@ def table(rows: Sequence[Row], indent: str = "  ") -> str:
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
     """Format one row as lines of name and value; empty values are left out."""
-    shown = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
+    cells = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
-    for name, value in shown.items():
+    for name, value in cells.items():
         grid.add_row(Text(name), Text(value))
-    name_width, value_width = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
+    name_width, value_width = (max(map(cell_len, column), default=0) for column in (cells, cells.values()))
     return _lines(grid, name_width + _MIN_TEXT_WIDTH + 4, name_width + value_width + 4, indent)
 
 
