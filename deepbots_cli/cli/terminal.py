@@ -64,15 +64,15 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     Unless `always`, there is at most one line in 30 s if standard error is no terminal.
     """
     bar: ProgressBar | None = None
-    shown = time.perf_counter()
+    shown_at = time.perf_counter()
 
     def show(count: int, total: int) -> None:
-        nonlocal bar, shown
+        nonlocal bar, shown_at
         bar = bar or ProgressBar(total, unit)
         now = time.perf_counter()
-        if always or sys.stderr.isatty() or now - shown >= _LINE_INTERVAL_S:
+        if always or sys.stderr.isatty() or now - shown_at >= _LINE_INTERVAL_S:
             bar.update(count)
-            shown = now
+            shown_at = now
         if count >= total:
             bar.close()
             bar = None

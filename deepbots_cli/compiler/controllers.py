@@ -260,7 +260,7 @@ class Actuators(NamespaceReader):
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
         links = self._robot.links_of(spec, self._values)
-        ends = self._fields.ends(spec, "range", what="the range of a thrust")
+        ends = self._fields.ends(spec, "range", description="the range of a thrust")
         moment_constant = self._fields.fixed(spec, "moment_constant") or 0.0
         response = self._response(spec, links)
         spin = self._spin(spec, links)

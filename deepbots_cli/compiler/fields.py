@@ -198,7 +198,7 @@ class FieldReader:
         self,
         section: Section,
         *steps: str | int,
-        what: str | None = None,
+        description: str | None = None,
         falling: bool = False,
         **context: Unpack[FieldContext],
     ) -> RangeEnds | None:
@@ -210,7 +210,7 @@ class FieldReader:
         scope, components = context.get("scope") or self._scope(Context.FIXED), context.get("components")
         return self._values.ends(
             text,
-            what or f"`{text.path[-1]}`",
+            description or f"`{text.path[-1]}`",
             scope,
             dimension=dimension,
             components=components,

@@ -264,7 +264,7 @@ class Actions(NamespaceReader):
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
-        ends = self._fields.ends(*holder, what="the range of an action")
+        ends = self._fields.ends(*holder, description="the range of an action")
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
             components = self._group(part.each, (*part.path, "each"))
@@ -549,7 +549,7 @@ class Goals(NamespaceReader):
             ends = self._fields.ends(
                 spec,
                 "range",
-                what="the range of a goal",
+                description="the range of a goal",
                 dimension=kind.dimension,
                 components=kind.components,
             )

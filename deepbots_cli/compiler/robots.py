@@ -491,7 +491,7 @@ class Overrides:
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
         ends = self.namespace.fields.ends(
-            change, "range", what="the range of a joint", dimension=dimension, scope=scope
+            change, "range", description="the range of a joint", dimension=dimension, scope=scope
         )
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
 

@@ -319,7 +319,7 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
         if spec.channels != "depth":
             help = "write `channels: depth`, or remove `range`"
             values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
-        ends = namespace.fields.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
+        ends = namespace.fields.ends(spec, "range", description="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
         (near,), (far,) = ends.low, ends.high
@@ -396,7 +396,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         if count > 1:
             return None
         return {"" if spec.rays is None else "r0": _turned_down(Pose(), spec)}
-    ends = namespace.fields.ends(spec, "angle_range", what="`angle_range`", falling=True)
+    ends = namespace.fields.ends(spec, "angle_range", description="`angle_range`", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
@@ -584,7 +584,11 @@ def _range(
     if spec.range is None:
         return (), ()
     ends = namespace.fields.ends(
-        spec, "range", what="the range of a sensor", dimension=typed.dimension, components=typed.components
+        spec,
+        "range",
+        description="the range of a sensor",
+        dimension=typed.dimension,
+        components=typed.components,
     )
     return (ends.low, ends.high) if ends else ((), ())
 

@@ -534,7 +534,7 @@ class ValueReader:
     def ends(
         self,
         text: SourceText,
-        what: str,
+        description: str,
         scope: Scope,
         *,
         dimension: Dimension | None = None,
@@ -545,10 +545,10 @@ class ValueReader:
         finding."""
         interval = self.range(text, scope, falling=falling)
         bounds = interval and expect_range(
-            interval, self.report(text), what, dimension=dimension, components=components
+            interval, self.report(text), description, dimension=dimension, components=components
         )
         low, high = (
-            (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what))
+            (self.fixed(bounds.low, text, description), self.fixed(bounds.high, text, description))
             if bounds
             else (None, None)
         )

@@ -275,9 +275,9 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
                 )
 
 
-def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str] = ()) -> dict[str, Array]:
+def read_arrays(path: Path, specs: Mapping[str, ArraySpec], ignored: Sequence[str] = ()) -> dict[str, Array]:
     """Read the arrays of an uncompressed `.npz`. They match `specs`, and all numbers are finite. Members in
-    `others` are not read.
+    `ignored` are not read.
 
     Raises:
         RunError: The file is missing, damaged, or has other content.
@@ -288,7 +288,7 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
         if path.stat().st_size > _OVERHEAD_BYTES + sum(spec.max_bytes + 1_000 for spec in specs.values()):
             raise ValueError("it is larger than what it should hold")
         with zipfile.ZipFile(path) as archive:
-            members = [member for member in archive.infolist() if member.filename not in others]
+            members = [member for member in archive.infolist() if member.filename not in ignored]
             if sum(member.file_size for member in members) > path.stat().st_size or any(
                 m.compress_type for m in members
             ):

@@ -82,7 +82,7 @@ class JointLearner(Learner):
         program, critic_program = setup.program, setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
-        self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
+        self._seats = {name: Place(member, program.agent) for name, member in program.members.items()}
         self._critical = {
             name: Place(member, critic_program.agent) for name, member in critic_program.members.items()
         }
@@ -250,7 +250,7 @@ class JointLearner(Learner):
         is_single = example.ndim == len(example_space.shape or ())
         actions, states = [], {}
         for name, learner in self.learners.items():
-            seat = self._places[name]
+            seat = self._seats[name]
             masks = (
                 action_masks[..., seat.masks] if name in self._masked and action_masks is not None else None
             )

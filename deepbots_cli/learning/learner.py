@@ -370,7 +370,7 @@ class ArrayLearner(Learner):
             write_arrays(draft, self.weights(), data=json.dumps({"num_timesteps": self.steps}))
 
     def load(self, path: Path) -> None:
-        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), others=("data",)))
+        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), ignored=("data",)))
 
     def arrays(self) -> dict[str, Array]:
         return self.memory()

@@ -76,7 +76,7 @@ class SidesCollector(OfferedCollector):
 
     def __init__(self, of_all: Any, seats: Sequence[Place], sides: Sides) -> None:
         super().__init__(of_all, seats[0])
-        self._places, self._sides = seats, sides
+        self._seats, self._sides = seats, sides
         self.rows = len(sides.first) + len(sides.second)
 
     @property
@@ -98,11 +98,11 @@ class SidesCollector(OfferedCollector):
 
     def seen(self, of_all: Any, axis: int = 0) -> Any:
         """Return the observations of the policy, given those of all agents in all worlds."""
-        first, second = (seat.observation(of_all) for seat in self._places)
+        first, second = (seat.observation(of_all) for seat in self._seats)
         return self.rows_of(first, second, axis)
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        first, second = self._places
+        first, second = self._seats
         rewards = of_all.agent_rewards
         return replace(
             of_all,
@@ -127,7 +127,7 @@ class SidesCollector(OfferedCollector):
         of_rows = [
             (number, own_ending(seat, ending)._replace(row=own_rows[ending.row]))
             for number, ending in of_all.endings
-            for seat, own_rows in zip(self._places, rows, strict=True)
+            for seat, own_rows in zip(self._seats, rows, strict=True)
             if ending.row in own_rows
         ]
         yield from sorted(of_rows, key=lambda entry: (entry[0], entry[1].row))

@@ -138,7 +138,7 @@ class TrainingEvaluations:
             new = range(first + numbers.start, first + numbers.stop)
             seeds = evaluation_seeds(active.run.record.seed, new)
             episodes = active.evaluator.play(
-                load(model), scenario, active.interruption, seeds, stage, here=True
+                load(model), scenario, active.interruption, seeds, stage, without_shards=True
             )
             self._append("choice.jsonl", {"model": model.stem, "first_start": numbers.start}, episodes)
             return episodes

@@ -86,7 +86,7 @@ class Fixer:
     Args:
         load: Reads and checks a scenario by its name.
         unsafe: Whether to apply unsafe fixes too.
-        wanted: The findings to fix.
+        selects: Returns whether to fix a finding.
         drafts: The contents of files that are open in an editor.
     """
 
@@ -96,13 +96,13 @@ class Fixer:
         load: Load,
         *,
         unsafe: bool = False,
-        wanted: Callable[[Finding], bool] = lambda _finding: True,
+        selects: Callable[[Finding], bool] = lambda _finding: True,
         preview: bool = False,
         drafts: Drafts = NO_DRAFTS,
     ) -> None:
         self._load = load
         self._unsafe = unsafe
-        self._wanted = wanted
+        self._selects = selects
         self._preview = preview
         self._originals: dict[Path, bytes] = dict(drafts)
         self.drafts: dict[Path, bytes] = dict(drafts)
@@ -168,7 +168,7 @@ class Fixer:
         return applicable
 
     def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:
-        if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):
+        if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._selects(finding):
             return False
         if any(edit.span.source not in linted.editable for edit in finding.fix.edits):
             return False

@@ -433,15 +433,15 @@ class MotionWatch:
             (float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)) for joint in limited
         ]
         self._period = environment.scenario.period
-        self._start = self._place = self._motion()[0][0]
+        self._start = self._position = self._motion()[0][0]
         self._path = self._turned = 0.0
         self._steps = self._stopped = 0
 
     def add(self) -> None:
         """Count one step."""
         (position, _), (_, spin) = self._motion()
-        self._path += dist(position, self._place)
-        self._place = position
+        self._path += dist(position, self._position)
+        self._position = position
         self._turned += spin[2] * self._period
         self._steps += 1
         if self._joints is not None:
@@ -456,7 +456,7 @@ class MotionWatch:
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
         return {
             "path": self._path,
-            "distance": dist(self._place, self._start),
+            "distance": dist(self._position, self._start),
             "turns": turns,
             "stopped": stopped,
         }

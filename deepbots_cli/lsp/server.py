@@ -248,7 +248,7 @@ class CodeActions:
             rewrites = Fixer(
                 [str(self._document.path)],
                 load,
-                wanted=analysis.selection.selects,
+                selects=analysis.selection.selects,
                 drafts=self._workspace.drafts,
             ).fix()
         except UsageError:  # a file does not exist yet or has changed

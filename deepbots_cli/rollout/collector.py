@@ -446,7 +446,7 @@ class ShardListener(Protocol):
     def on_row(self) -> None:
         """Called for each row of each step."""
 
-    def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+    def on_episode(self, world: int, episode: Episode, stage: int, draws: Mapping[str, Any]) -> None:
         """Called for each episode with the number of its world, in the order of steps and rows."""
 
     def on_answer(self, answer: Answer) -> None:

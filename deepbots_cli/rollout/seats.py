@@ -122,7 +122,7 @@ class SeatCollector(OfferedCollector):
 
     def __init__(self, seat: Place, of_all: Any) -> None:
         super().__init__(of_all, seat)
-        self._place, self.rows = seat, of_all.rows
+        self._seat, self.rows = seat, of_all.rows
 
     @property
     def starts(self) -> Array:
@@ -130,10 +130,10 @@ class SeatCollector(OfferedCollector):
         return starts
 
     def begin(self) -> Any:
-        return self._place.observation(self._of_all.begin())
+        return self._seat.observation(self._of_all.begin())
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        seat, name = self._place, self._place.member.name
+        seat, name = self._seat, self._seat.member.name
         return replace(
             _own_course(of_all, of_all.agent_phases.get(name)),
             observations=seat.observation(of_all.observations),
@@ -203,7 +203,7 @@ class JointActor:
     def __init__(
         self, seats: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
     ) -> None:
-        self._places, self._actors, self._masked = seats, actors, masked
+        self._seats, self._actors, self._masked = seats, actors, masked
 
     def begin(self) -> None:
         for actor in self._actors.values():
@@ -212,9 +212,9 @@ class JointActor:
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         decisions = {
             name: actor(
-                self._places[name].observation(observations),
+                self._seats[name].observation(observations),
                 starts,
-                masks[:, self._places[name].masks] if masks is not None and name in self._masked else None,
+                masks[:, self._seats[name].masks] if masks is not None and name in self._masked else None,
             )
             for name, actor in self._actors.items()
         }

@@ -375,14 +375,14 @@ class BatchEpisodes:
         row: int,
         info: Mapping[str, Any],
         seed: int | None = None,
-        drawn: Mapping[str, Any] | None = None,
+        draws: Mapping[str, Any] | None = None,
     ) -> Episode:
         """Return the finished episode of a row, given the info of its last step. The next one begins."""
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
         self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
         success, ended_by, ends = info["is_success"], info["ended_by"], info.get("agent_endings", {})
-        return Episode(total, length, success, ended_by, terms, seed, drawn or {}, ends)
+        return Episode(total, length, success, ended_by, terms, seed, draws or {}, ends)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""

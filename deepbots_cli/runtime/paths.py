@@ -474,7 +474,7 @@ class Follower:
     def reset(self) -> None:
         """Begin an episode: the next place is where the way along the line begins."""
         self._at = -1  # the piece that the body is beside; none yet
-        self._place = (0.0, 0.0)
+        self._position = (0.0, 0.0)
         self._cross_track_error = self._arc_length = self._arc = 0.0
 
     def __call__(self, position: Sequence[float]) -> tuple[float, float]:
@@ -487,10 +487,10 @@ class Follower:
         x, y = position[0], position[1]
         if self._at < 0:
             candidates: Iterable[int] = range(len(self._pieces))
-        elif (x, y) == self._place:
+        elif (x, y) == self._position:
             return self._cross_track_error, self._arc_length
         else:
-            moved = hypot(x - self._place[0], y - self._place[1])
+            moved = hypot(x - self._position[0], y - self._position[1])
             candidates = self._near(2.0 * (moved + abs(self._cross_track_error)) + self._width)
         at, arc, nearest, side = max(self._at, 0), self._arc, float("inf"), 0.0
         for index in candidates:
@@ -501,7 +501,7 @@ class Follower:
         if self._at >= 0:
             step = arc - self._arc
             self._arc_length += step - self._length * round(step / self._length) if self._closed else step
-        self._at, self._arc, self._place = at, arc, (x, y)
+        self._at, self._arc, self._position = at, arc, (x, y)
         self._cross_track_error = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
         return self._cross_track_error, self._arc_length
 

@@ -103,7 +103,7 @@ class LogPlayer(ReplayPlayer):
     @property
     def note(self) -> str:
         """The last event, the drawn values, and whether the log was read in part."""
-        last = next((event for step in self._rows[self._place :: -1] for event in step.events[::-1]), "")
+        last = next((event for step in self._rows[self._index :: -1] for event in step.events[::-1]), "")
         drawn_text = (
             f"the log moves {', '.join(self._drawn)}"
             if self._drawn

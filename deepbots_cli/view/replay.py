@@ -59,18 +59,18 @@ class ReplayPlayer(Player):
 
     def seek(self, index: int) -> WorldFrame:
         """Go to a frame of the episode, counted from 0."""
-        self._place = min(max(0, index), self.length - 1)
-        self.frame = self._read(self._recorded.number, self._place)
+        self._index = min(max(0, index), self.length - 1)
+        self.frame = self._read(self._recorded.number, self._index)
         return self.frame
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        return self.seek(self._place + 1)
+        return self.seek(self._index + 1)
 
     def last_frames(self, count: int) -> list[WorldFrame]:
         """Return at most so many frames up to the present one."""
         return [
             self._read(self._recorded.number, index)
-            for index in range(max(0, self._place + 1 - count), self._place + 1)
+            for index in range(max(0, self._index + 1 - count), self._index + 1)
         ]
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:

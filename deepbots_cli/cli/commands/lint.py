@@ -315,7 +315,7 @@ def _fixed(
     """Fix files. Returns the findings that are left, and whether a file changes; `show` prints the difference
     and writes nothing."""
     load = partial(api.load, permissions=look.permissions)
-    fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
+    fixer = Fixer(names, load, unsafe=unsafe, selects=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
     for rewrite in rewrites:
         if show:

@@ -150,7 +150,7 @@ def new(
     has_schema = bool(schema or project)
     commands = _next_commands(paths[0], starter, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
-    _show(paths, unchanged, commands, as_json=as_json, places=todos)
+    _show(paths, unchanged, commands, as_json=as_json, todos=todos)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -419,7 +419,7 @@ def _show(
     commands: Sequence[str],
     *,
     as_json: bool,
-    places: int | None = None,
+    todos: int | None = None,
 ) -> None:
     """Print the paths, with a mark at files that were there before with the same content, and the commands to
     go on with."""
@@ -430,8 +430,8 @@ def _show(
         for command in commands
     ]
     facts: dict[str, object] = {"scenario": paths[0], "files": paths}
-    if places is not None:
-        facts["places"] = places
+    if todos is not None:
+        facts["places"] = todos
     terminal.show(facts, *lines, as_json=as_json, next_commands=further)
 
 

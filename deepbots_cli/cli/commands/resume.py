@@ -113,7 +113,7 @@ def resume(
         return
     _refuse_others("a run", options, *changes, "--view")
     with (
-        training_page(wanted=to_view, permissions=permissions) as show_page,
+        training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
         show_page(trained)

@@ -183,7 +183,7 @@ def command(
             trainings.finish_group(group, executor, **output_options)
         return
     with (
-        training_page(wanted=to_view, permissions=permissions) as show_page,
+        training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
         if shards == "auto":

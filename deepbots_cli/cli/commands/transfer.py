@@ -122,7 +122,7 @@ def command(
         Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
         _compare_log(
-            opened, log, as_json=as_json, others=(engine, scenario, overrides, min_success, min_return)
+            opened, log, as_json=as_json, other_options=(engine, scenario, overrides, min_success, min_return)
         )
         return
     with terminal.transient_line("loading the policy ..."):
@@ -169,8 +169,10 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
-    if len(refs) > 1 or any(value is not None for value in others):
+def _compare_log(
+    refs: Sequence[ModelRef], path: Path, *, as_json: bool, other_options: Sequence[object]
+) -> None:
+    if len(refs) > 1 or any(value is not None for value in other_options):
         raise UsageError(
             "--log compares a log with the simulation of one run; leave out other runs, worlds and"
             " requirements"

@@ -213,7 +213,7 @@ class TrackingMotor(BatchMotor):
     def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
         super().__init__(batch, joints)
         model, self._rate, self._step = self._model, rate, self._model.opt.timestep
-        self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
+        self._position_columns = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
         self._moved = 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = motors.MAX_GAIN * inertias / self._step
@@ -237,7 +237,9 @@ class TrackingMotor(BatchMotor):
         """Return the gains, which are renewed."""
         batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
         target_velocities = (
-            (targets - batch.qpos[cells(worlds, self._places)]) * self._rate if self._rate else targets
+            (targets - batch.qpos[cells(worlds, self._position_columns)]) * self._rate
+            if self._rate
+            else targets
         )
         off = np.maximum(
             np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),

@@ -64,8 +64,8 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
         ):
             if part_name is not None:
-                number, whole = part_name
-                link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
+                number, has_subtree = part_name
+                link = kinds.mjOBJ_XBODY if has_subtree else kinds.mjOBJ_BODY
                 is_geom = sensor.measures == "distance"
                 subjects[kind] = kinds.mjOBJ_GEOM if is_geom else link
                 subjects[name] = (model.geom if is_geom else model.body)(number).name
