@@ -79,7 +79,7 @@ class Analysis:
         """The types of names without definition, such as action variables and readings."""
         self._is_ideal = exact is not None
         self._robots = {robot.name: robot for robot in program.robots}
-        self.intangible = frozenset(thing.name for thing in program.world.objects if not thing.solid)
+        self.intangible = frozenset(body.name for body in program.world.objects if not body.solid)
         """The objects that nothing touches."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
         self._defined: dict[str, tuple[Expression, str]] = {
@@ -351,10 +351,12 @@ def _goal_reached(goal: Goal) -> Expression:
     limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
     text, end = f"{distance_text} <= {limit}", len(distance_text)
     size = Type(goal.achieved.typed.type.dimension, known=Known.STEP)
-    whole = size._replace(components=goal.achieved.typed.type.components)
-    sides = tuple(Reference(whole, 0, end, Symbol(name, whole)) for name in ("achieved", "desired"))
-    difference = Operation(whole, 0, end, "sub", sides)
-    distance = Invocation(size, 0, end, "norm" if whole.components else "abs", (), (difference,))
+    vector_type = size._replace(components=goal.achieved.typed.type.components)
+    sides = tuple(
+        Reference(vector_type, 0, end, Symbol(name, vector_type)) for name in ("achieved", "desired")
+    )
+    difference = Operation(vector_type, 0, end, "sub", sides)
+    distance = Invocation(size, 0, end, "norm" if vector_type.components else "abs", (), (difference,))
     within = Constant(size, end + 4, len(text), (goal.tolerance,))
     typed = Operation(Type(boolean=True, known=Known.STEP), 0, len(text), "less_equal", (distance, within))
     return Expression("goal_reached", goal.achieved.span, text, typed, "")
@@ -395,11 +397,11 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         for value in (*(entry.value for entry in agent.observation), *goal)
         for tree in analysis.scalars(value)
     ]
-    whole = {analysis.identity(tree) for tree in numbers}
+    observed_identities = {analysis.identity(tree) for tree in numbers}
     observed_sources, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
-    while solved := [read for read in unsolved if len(read - observed_sources) <= 1]:
+    while solved := [names for names in unsolved if len(names - observed_sources) <= 1]:
         observed_sources.update(*solved)
-        unsolved = [read for read in unsolved if not read <= observed_sources]
+        unsolved = [names for names in unsolved if not names <= observed_sources]
     signals = {signal.name: signal for signal in program.signals}
     reads: dict[str, None] = {}
     waiting = [value for part in program.script(script).parts for value in part.values]
@@ -407,7 +409,9 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         for node in _reads_in(value.typed):
             text = value.text[node.start : node.end]
             trees = analysis.lowered(node, value.owner)
-            if sources(trees) <= observed_sources or all(analysis.identity(tree) in whole for tree in trees):
+            if sources(trees) <= observed_sources or all(
+                analysis.identity(tree) in observed_identities for tree in trees
+            ):
                 continue
             signal = signals.pop(text.partition(".")[0], None) if not isinstance(node, Invocation) else None
             if signal is not None:

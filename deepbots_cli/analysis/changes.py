@@ -95,8 +95,8 @@ class WrittenScenario:
         if words[0] == "curriculum" and len(words) > 1:
             names = [stage.name for stage in self.program.curriculum]
             return node_at(self.root, "curriculum", names.index(words[1])) if words[1] in names else None
-        _, node, rest = follow_dotted(self.root, path) if self.root else ((), None, path)
-        return None if rest else node
+        _, node, unresolved = follow_dotted(self.root, path) if self.root else ((), None, path)
+        return None if unresolved else node
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ class Change:
     def by(self) -> str:
         """The parameters and poses that change the meaning of the text."""
         listed = (
-            f"{name}: {one or '(not written)'} -> {other or '(not written)'}"
-            for name, (one, other) in self.through.items()
+            f"{name}: {first or '(not written)'} -> {second or '(not written)'}"
+            for name, (first, second) in self.through.items()
         )
         prefix = (
             ""
@@ -172,15 +172,15 @@ _RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
 _SUCCESS = ("termination.success.", "goal.")
 
 
-def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
+def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanings:
     """Return the differences that limit the comparison of the policies of two scenarios."""
     changes = [
         change
-        for change in scenario_changes(one, other)
+        for change in scenario_changes(first, second)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
     acting, returns, success = set[str](), set[str](), set[str]()
-    for program in (one.program, other.program):
+    for program in (first.program, second.program):
         agent = program.agent
         acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
         returns |= _names_behind(program, (agent.reward, program.endings, agent.goal))
@@ -188,12 +188,12 @@ def compared_meanings(one: WrittenScenario, other: WrittenScenario) -> Meanings:
         success |= _names_behind(program, (endings, agent.goal))
 
     def about(prefixes: tuple[str, ...], names: set[str]) -> tuple[Change, ...]:
-        read = {f"{section}.{name}" for name in names for section in ("augment", "signals", "parameters")}
-        return tuple(change for change in changes if change.path.startswith(prefixes) or change.path in read)
+        paths = {f"{section}.{name}" for name in names for section in ("augment", "signals", "parameters")}
+        return tuple(change for change in changes if change.path.startswith(prefixes) or change.path in paths)
 
     fits = tuple(change for change in changes if change.group is Effect.policy)
-    rest = tuple(change for change in about(_ACTING, acting) if change not in fits)
-    return Meanings(fits + rest, about(_RETURNS, returns), about(_SUCCESS, success))
+    other_changes = tuple(change for change in about(_ACTING, acting) if change not in fits)
+    return Meanings(fits + other_changes, about(_RETURNS, returns), about(_SUCCESS, success))
 
 
 def _names_behind(program: Program, parts: object) -> set[str]:
@@ -302,17 +302,19 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*")
 _MAX_LISTED = 3
 
 
-def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Change]:
+def scenario_changes(first: WrittenScenario, second: WrittenScenario) -> list[Change]:
     """Return all differences, the most serious group first; empty if both scenarios compile to the same
     program, except for paths of files."""
     changes = [
-        *_of_interface(one, other),
-        *_of_values(one, other),
-        *_of_variants(one, other),
-        *_of_orders(one.program, other.program),
+        *_of_interface(first, second),
+        *_of_values(first, second),
+        *_of_variants(first, second),
+        *_of_orders(first.program, second.program),
     ]
-    if not changes and identity.digest(one.program) != identity.digest(other.program):
-        path = "last digits" if list(values(one.program)) == list(values(other.program)) else "order of keys"
+    if not changes and identity.digest(first.program) != identity.digest(second.program):
+        path = (
+            "last digits" if list(values(first.program)) == list(values(second.program)) else "order of keys"
+        )
         changes = [Change(path, Effect.cosmetic, "changed", "", "")]
     by_path: dict[str, Change] = {}
     for change in sorted(changes, key=lambda change: list(Effect).index(change.group)):
@@ -327,9 +329,9 @@ def scenario_changes(one: WrittenScenario, other: WrittenScenario) -> list[Chang
     return list(by_path.values())
 
 
-def _of_interface(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
+def _of_interface(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences in the interface of a policy: ranges, choices and messages."""
-    before, after = (identity.interface(side.program)[side.program.agent.name] for side in (one, other))
+    before, after = (identity.interface(side.program)[side.program.agent.name] for side in (first, second))
     for name in dict.fromkeys((*before, *after)):
         if before.get(name) != after.get(name):
             path = (
@@ -339,20 +341,20 @@ def _of_interface(one: WrittenScenario, other: WrittenScenario) -> Iterator[Chan
             )
             path = re.sub(r"^message from robot ([^.]+)\.", r"robots.\1.emit.", path)
             old, new = ({"": side[name]} if name in side else {} for side in (before, after))
-            yield _change(path, Effect.policy, old, new, one, other)
+            yield _change(path, Effect.policy, old, new, first, second)
 
 
-def _of_values(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
-    before, after = values(one.program), values(other.program)
+def _of_values(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+    before, after = values(first.program), values(second.program)
     items: dict[tuple[int, str, Effect], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
-        item, rest = _translated(raw, one.program, other.program)
-        for side, there in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
-            if raw in there:
-                side[rest] = there[raw]
+        item, detail = _translated(raw, first.program, second.program)
+        for side, values_of_side in zip(items.setdefault(item, ({}, {})), (before, after), strict=True):
+            if raw in values_of_side:
+                side[detail] = values_of_side[raw]
     for (_, path, group), (old, new) in sorted(items.items(), key=lambda item: item[0][0]):
         if old != new:
-            yield _change(path, group, old, new, one, other)
+            yield _change(path, group, old, new, first, second)
 
 
 def _translated(raw: str, *scenarios: Program) -> tuple[tuple[int, str, Effect], str]:
@@ -384,24 +386,26 @@ def _change(
     group: Effect,
     old: Mapping[str, str],
     new: Mapping[str, str],
-    one: WrittenScenario,
-    other: WrittenScenario,
+    first: WrittenScenario,
+    second: WrittenScenario,
 ) -> Change:
     """Return the change at a path: the texts of both scenarios, or the compiled values that differ where the
     texts do not."""
     section, _, name = path.partition(".")
-    if section == "signals" and any(name in side.keys_at("augment") for side in (one, other)):
+    if section == "signals" and any(name in side.keys_at("augment") for side in (first, second)):
         path = f"augment.{name}"
-    written = f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
-    texts = one.text_at(written), other.text_at(written)
-    entry = None if any(texts) else (_entry_of_joint(path, one) or _entry_of_joint(path, other))
+    text_path = (
+        f"{path.removeprefix(APPEARANCE_PREFIX)}.color" if path.startswith(APPEARANCE_PREFIX) else path
+    )
+    texts = first.text_at(text_path), second.text_at(text_path)
+    entry = None if any(texts) else (_entry_of_joint(path, first) or _entry_of_joint(path, second))
     if entry is not None:
-        texts = one.text_at(entry), other.text_at(entry)
+        texts = first.text_at(entry), second.text_at(entry)
     kind = "changed" if all(texts) else _kind(bool(old), bool(new))
     excluded = {name} if section == "parameters" else set[str]()
-    through = _altered_names(texts[0], one, other, excluded)
+    through = _altered_names(texts[0], first, second, excluded)
     if texts[0] != texts[1]:
-        reached = _altered_names(texts[1], one, other, excluded) if all(texts) else {}
+        reached = _altered_names(texts[1], first, second, excluded) if all(texts) else {}
         shared = {name: sides for name, sides in through.items() if name in reached}
         return Change(entry or path, group, kind, *texts, shared)
     if through:
@@ -435,18 +439,18 @@ def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> tuple[str, str
     names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
     if len(names) > _MAX_LISTED and not (old and new):
         return "", ""
-    rest = [f"... {len(names)} in all"] if len(names) > _MAX_LISTED else []
-    shown = [
+    more = [f"... {len(names)} in all"] if len(names) > _MAX_LISTED else []
+    listed = [
         [f"{name} {side[name]}".strip() for name in names[:_MAX_LISTED] if name in side]
         for side in (old, new)
     ]
-    return ", ".join([*shown[0], *rest] if shown[0] else []), ", ".join(
-        [*shown[1], *rest] if shown[1] else []
+    return ", ".join([*listed[0], *more] if listed[0] else []), ", ".join(
+        [*listed[1], *more] if listed[1] else []
     )
 
 
 def _altered_names(
-    text: str, one: WrittenScenario, other: WrittenScenario, excluded: set[str]
+    text: str, first: WrittenScenario, second: WrittenScenario, excluded: set[str]
 ) -> dict[str, tuple[str, str]]:
     """Return the parameters, and the poses and groups of robots, whose texts differ: those in a text and
     those behind them.
@@ -460,10 +464,10 @@ def _altered_names(
         names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
         met |= {*names}
         for name in names:
-            for called, before, after in _definitions(name, one, other):
+            for called, before, after in _definitions(name, first, second):
                 if before != after:
                     altered[called] = before, after
-            sides = [side.text_of_value(path) for path in _places(name, one) for side in (one, other)]
+            sides = [side.text_of_value(path) for path in _places(name, first) for side in (first, second)]
             waiting += dict.fromkeys(filter(None, sides))
     return altered
 
@@ -473,23 +477,26 @@ def _places(name: str, scenario: WrittenScenario) -> list[str]:
     return [f"parameters.{name}", *(f"robots.{robot}.poses.{name}" for robot in scenario.keys_at("robots"))]
 
 
-def _definitions(name: str, one: WrittenScenario, other: WrittenScenario) -> Iterator[tuple[str, str, str]]:
+def _definitions(
+    name: str, first: WrittenScenario, second: WrittenScenario
+) -> Iterator[tuple[str, str, str]]:
     """Yield the definitions of a name (a parameter, poses, groups): the words for it in a sentence, and both
     of its texts."""
-    for path in _places(name, one):
-        yield (f"the pose {name}" if ".poses." in path else name), *_differing_entries(path, one, other)
-    for robot in one.keys_at("robots"):
-        sides = [", ".join(side.members(robot, name)) for side in (one, other)]
+    for path in _places(name, first):
+        yield (f"the pose {name}" if ".poses." in path else name), *_differing_entries(path, first, second)
+    for robot in first.keys_at("robots"):
+        sides = [", ".join(side.members(robot, name)) for side in (first, second)]
         yield f"the group {name}", sides[0], sides[1]
 
 
-def _differing_entries(path: str, one: WrittenScenario, other: WrittenScenario) -> tuple[str, str]:
+def _differing_entries(path: str, first: WrittenScenario, second: WrittenScenario) -> tuple[str, str]:
     """Return the texts at a path; of two mappings, the entries that differ."""
-    keys = [side.keys_at(path) for side in (one, other)]
+    keys = [side.keys_at(path) for side in (first, second)]
     if not all(keys):
-        return one.text_at(path), other.text_at(path)
+        return first.text_at(path), second.text_at(path)
     entries = {
-        key: (one.text_at_key(path, key), other.text_at_key(path, key)) for key in dict.fromkeys(chain(*keys))
+        key: (first.text_at_key(path, key), second.text_at_key(path, key))
+        for key in dict.fromkeys(chain(*keys))
     }
     differing = {key: sides for key, sides in entries.items() if sides[0] != sides[1]}
     before, after = (
@@ -499,18 +506,18 @@ def _differing_entries(path: str, one: WrittenScenario, other: WrittenScenario) 
     return f"{{{before}}}" if before else "", f"{{{after}}}" if after else ""
 
 
-def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Change]:
+def _of_variants(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences of cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         (
             "evaluation.cases",
-            _variants(one.program, one.program.cases),
-            _variants(other.program, other.program.cases),
+            _variants(first.program, first.program.cases),
+            _variants(second.program, second.program.cases),
         ),
         (
             "curriculum",
-            _variants(one.program, one.program.curriculum),
-            _variants(other.program, other.program.curriculum),
+            _variants(first.program, first.program.curriculum),
+            _variants(second.program, second.program.curriculum),
         ),
     ):
         for name in dict.fromkeys((*before, *after)):
@@ -520,12 +527,12 @@ def _of_variants(one: WrittenScenario, other: WrittenScenario) -> Iterator[Chang
                     path,
                     Effect.training,
                     _kind(name in before, name in after),
-                    one.text_at(path),
-                    other.text_at(path),
+                    first.text_at(path),
+                    second.text_at(path),
                 )
-    if one.program.levels != other.program.levels:
-        had, has = one.program.levels is not None, other.program.levels is not None
-        texts = one.text_at("curriculum"), other.text_at("curriculum")
+    if first.program.levels != second.program.levels:
+        had, has = first.program.levels is not None, second.program.levels is not None
+        texts = first.text_at("curriculum"), second.text_at("curriculum")
         yield Change("curriculum", Effect.training, _kind(had, has), *texts)
 
 
@@ -543,13 +550,13 @@ def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
     return variants
 
 
-def _of_orders(one: Program, other: Program) -> Iterator[Change]:
+def _of_orders(first: Program, second: Program) -> Iterator[Change]:
     """Yield the same names in another order, where the order has a meaning."""
-    before, after = dict(_orders(one)), dict(_orders(other))
+    before, after = dict(_orders(first)), dict(_orders(second))
     for (path, group), names in before.items():
-        there = after.get((path, group), names)
-        if names != there and sorted(names) == sorted(there):
-            yield Change(path, group, "changed", ", ".join(names), ", ".join(there))
+        new_names = after.get((path, group), names)
+        if names != new_names and sorted(names) == sorted(new_names):
+            yield Change(path, group, "changed", ", ".join(names), ", ".join(new_names))
 
 
 def _orders(scenario: Program) -> Iterator[tuple[tuple[str, Effect], list[str]]]:
@@ -647,11 +654,11 @@ def _key(entry: Any) -> str:
 
 def _path_of_draw(entry: RandomizedParameter) -> str:
     """Return the path in the language of a value that is drawn per episode."""
-    body, *rest = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
+    body, *links = (part.partition("#")[0] for part in entry.of) if entry.of else ("",)
     if entry.what == "color":
         return (
-            f"{APPEARANCE_PREFIX}robots.{body}.links.{rest[0]}"
-            if rest and rest[0]
+            f"{APPEARANCE_PREFIX}robots.{body}.links.{links[0]}"
+            if links and links[0]
             else f"{APPEARANCE_PREFIX}objects.{body}"
         )
     first = entry.scalars[0]

@@ -123,8 +123,11 @@ def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Thre
     rising = node.operator.startswith("greater")
     dimension = node.args[0].type.dimension
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
-        for side, other, typed, above in ((a, b, node.args[0], rising), (b, a, node.args[1], not rising)):
-            bound = ranges.of(other)
+        for side, bound_side, typed, above in (
+            (a, b, node.args[0], rising),
+            (b, a, node.args[1], not rising),
+        ):
+            bound = ranges.of(bound_side)
             if bound.is_finite and typed.type.known is Known.STEP:
                 yield from _derived(Threshold(side, above, bound, dimension), ranges)
 
@@ -192,12 +195,12 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
     ]
     shadowed: dict[Expression, Expression] = {}
     for late in endings if 1 < len(endings) <= _MAX_ENDINGS else ():
-        others = [
-            other
-            for other in endings
-            if other is not late and (late.name in success or other.name not in success)
+        other_endings = [
+            ending
+            for ending in endings
+            if ending is not late and (late.name in success or ending.name not in success)
         ]
-        if not others or has_choice(analysis, late):
+        if not other_endings or has_choice(analysis, late):
             continue
         for comparison in comparisons(analysis, late):
             for threshold in thresholds(comparison, ranges):
@@ -206,12 +209,17 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
                 ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(
                     threshold.limit
                 )
-                there = ranges.where(
+                late_ranges = ranges.where(
                     analysis.identity(threshold.quantity),
                     Interval(ahead, INF) if threshold.above else Interval(-INF, ahead),
                 )
                 first = next(
-                    (other for other in others if there.of(analysis.scalars(other)[0]) == ALWAYS), None
+                    (
+                        ending
+                        for ending in other_endings
+                        if late_ranges.of(analysis.scalars(ending)[0]) == ALWAYS
+                    ),
+                    None,
                 )
                 if first is not None:
                     shadowed.setdefault(late, first)

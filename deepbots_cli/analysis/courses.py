@@ -81,10 +81,10 @@ def _together(parts: list[list[Way]]) -> list[Way]:
     return [way for way in islice(combined, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
 
 
-def merged(*chosen: Way) -> Way | None:
+def merged(*all_ways: Way) -> Way | None:
     """Return the requirements of all these ways together; None if they contradict each other."""
     requirements: dict[int, Required] = {}
-    for way in chosen:
+    for way in all_ways:
         for quantity, required in way.items():
             within = requirements.get(quantity, required).within
             low, high = max(within.low, required.within.low), min(within.high, required.within.high)
@@ -94,13 +94,15 @@ def merged(*chosen: Way) -> Way | None:
     return requirements
 
 
-def _compared(analysis: Analysis, whole: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool) -> list[Way]:
+def _compared(
+    analysis: Analysis, comparison: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool
+) -> list[Way]:
     """Return the ways to have `a` above `b`, or below where not `rising`."""
     quantity, bound, above = a, analysis.ranges.of(b), rising
     if _is_settled(analysis, a):
         quantity, bound, above = b, analysis.ranges.of(a), not rising
     if not (_is_settled(analysis, a) or _is_settled(analysis, b)) or not bound.is_finite:
-        return [{analysis.identity(whole): Required(whole, ALWAYS if truth else NEVER)}]
+        return [{analysis.identity(comparison): Required(comparison, ALWAYS if truth else NEVER)}]
     if is_clock(analysis, quantity):
         return [{}]
     memory = analysis.resolve_aliases(quantity)
@@ -120,10 +122,10 @@ def is_clock(analysis: Analysis, node: Scalar) -> bool:
 
 def _is_settled(analysis: Analysis, node: Scalar) -> bool:
     """Return whether a value does not change within an episode."""
-    drawn = {value.name for value in analysis.program.parameters}
+    drawn_names = {value.name for value in analysis.program.parameters}
     parts = analysis.walk_definitions(node)
     return all(
-        isinstance(part, (Const, Op, Draw)) or (isinstance(part, Name) and part.name in drawn)
+        isinstance(part, (Const, Op, Draw)) or (isinstance(part, Name) and part.name in drawn_names)
         for part in parts
     )
 
@@ -419,10 +421,10 @@ def thresholds_of(analysis: Analysis, trees: list[Scalar]) -> Iterator[tuple[Sca
     """Yield the quantities of the present that trees compare with a value, and each finite value."""
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
         if isinstance(part, Op) and part.op in INEQUALITIES:
-            for quantity, other in (part.args, part.args[::-1]):
-                bound = analysis.ranges.of(other)
+            for quantity, limit in (part.args, part.args[::-1]):
+                bound = analysis.ranges.of(limit)
                 is_compared = (
-                    _is_settled(analysis, other) and not _is_settled(analysis, quantity) and bound.is_finite
+                    _is_settled(analysis, limit) and not _is_settled(analysis, quantity) and bound.is_finite
                 )
                 if (
                     is_compared
@@ -443,12 +445,12 @@ def hold_times(analysis: Analysis, trees: list[Scalar]) -> set[float]:
     times: set[float] = set()
     for part in (part for tree in trees for part in analysis.walk_definitions(tree)):
         if isinstance(part, Op) and part.op in INEQUALITIES:
-            for quantity, other in (part.args, part.args[::-1]):
+            for quantity, limit in (part.args, part.args[::-1]):
                 counted = _counted(analysis, quantity)
                 if (
                     counted is not None
                     and counted[0].function == "duration"
-                    and analysis.ranges.of(other).is_finite
+                    and analysis.ranges.of(limit).is_finite
                 ):
-                    times.add(analysis.ranges.of(other).high)
+                    times.add(analysis.ranges.of(limit).high)
     return times

@@ -46,27 +46,27 @@ class Deployment:
                         sensors.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
         return sensors
 
-    def subjects(self, read: EngineRead) -> tuple[str, ...]:
+    def subjects(self, reading: EngineRead) -> tuple[str, ...]:
         """Return the parts of the world that a reading is about; a robot for its root link."""
-        return tuple(self._roots.get(subject, subject) for subject in read.subjects)
+        return tuple(self._roots.get(subject, subject) for subject in reading.subjects)
 
-    def name(self, read: EngineRead) -> str:
+    def name(self, reading: EngineRead) -> str:
         """Return the name of a reading, without its component."""
-        return f"{read.function}({', '.join(self.subjects(read))})"
+        return f"{reading.function}({', '.join(self.subjects(reading))})"
 
-    def is_measured(self, read: EngineRead) -> bool:
+    def is_measured(self, reading: EngineRead) -> bool:
         """Return whether the robot measures it: the age of its messages, or a joint of which it has a sensor
         of this kind."""
-        if read.function in _OF_CHANNEL or read in self.sensed:
+        if reading.function in _OF_CHANNEL or reading in self.sensed:
             return True
-        joint = self.joints.get(read.subjects[0])
+        joint = self.joints.get(reading.subjects[0])
         robot = next(
-            (robot for robot in self._program.robots if robot.name == read.subjects[0].partition(".")[0]),
+            (robot for robot in self._program.robots if robot.name == reading.subjects[0].partition(".")[0]),
             None,
         )
         sensors = robot.sensors if robot is not None and joint is not None else ()
         return any(
-            sensor.kind == read.function and joint is not None and joint.name in sensor.subjects
+            sensor.kind == reading.function and joint is not None and joint.name in sensor.subjects
             for sensor in sensors
         )
 
@@ -74,7 +74,7 @@ class Deployment:
     def unmeasured(self) -> tuple[str, ...]:
         """The readings that a tracker or an estimator must supply, in order of first use."""
         reads = (node for _, node in self.nodes if isinstance(node, EngineRead))
-        return tuple(dict.fromkeys(self.name(read) for read in reads if not self.is_measured(read)))
+        return tuple(dict.fromkeys(self.name(reading) for reading in reads if not self.is_measured(reading)))
 
     @cached_property
     def goals(self) -> tuple[str, ...]:

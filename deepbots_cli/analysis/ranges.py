@@ -36,7 +36,7 @@ class Ranges:
         analysis: Analysis,
         given: Mapping[str, Interval] = _NO_RANGES,
         steps: tuple[float, float] | None = None,
-        kept: tuple[int, Interval] | None = None,
+        condition: tuple[int, Interval] | None = None,
     ) -> None:
         """Create ranges in which the names in `given` have these values; the quantity with the identity
         `kept[0]` stays within `kept[1]`.
@@ -48,14 +48,14 @@ class Ranges:
         before = max(0.0, first - 1.0) * analysis.period + (analysis.program.world.timestep if first else 0.0)
         self._time = Interval(before, last * analysis.period)
         self.given = {"step": Interval(first, last), "time": self._time, **given}
-        self._kept = kept
-        self._base = analysis.ranges if steps and not kept and type(self) is Ranges else None
+        self._kept = condition
+        self._base = analysis.ranges if steps and not condition and type(self) is Ranges else None
         self._known: dict[int, tuple[Scalar, Interval]] = {}
         self._names: dict[Name, Interval] = {}
 
-    def where(self, quantity: int, kept: Interval) -> Ranges:
-        """Return the ranges while the quantity of this identity stays within `kept`."""
-        return type(self)(self.analysis, self.given, self.steps, (quantity, kept))
+    def where(self, quantity: int, interval: Interval) -> Ranges:
+        """Return the ranges while the quantity of this identity stays within `interval`."""
+        return type(self)(self.analysis, self.given, self.steps, (quantity, interval))
 
     def of(self, node: Scalar) -> Interval:
         """Return the range of a value. Trees are looked up by their id: hashing a tree walks it."""
@@ -202,7 +202,7 @@ class StartRanges(Ranges):
         program = analysis.program
         self._is_placed = not program.reset.settle and program.agent.copies is None
         self._bodies = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
-        self._bodies |= {thing.name: thing.name for thing in program.world.objects}
+        self._bodies |= {body.name: body.name for body in program.world.objects}
 
     def _world(self, node: EngineRead) -> Interval:
         interval = self.initial(node)
@@ -238,7 +238,7 @@ class StartRanges(Ranges):
             case _:
                 return None
 
-    def joint(self, joint: str, what: str = "position") -> Interval | None:
+    def joint(self, joint: str, quantity: str = "position") -> Interval | None:
         """Return the initial position (rad or m) or velocity of a joint; None where the reset does not set
         it.
 
@@ -249,11 +249,11 @@ class StartRanges(Ranges):
         mimic = model.followers.get(name) if model is not None else None
         if mimic is not None:
             leader = iv.multiply(
-                self.joint(f"{robot}.{mimic.joint}", what) or NEVER, single(mimic.multiplier)
+                self.joint(f"{robot}.{mimic.joint}", quantity) or NEVER, single(mimic.multiplier)
             )
-            return iv.add(leader, single(mimic.offset)) if what == "position" else leader
+            return iv.add(leader, single(mimic.offset)) if quantity == "position" else leader
         for start in self.analysis.program.reset.joint_starts:
-            value = start.position if what == "position" else start.velocity
+            value = start.position if quantity == "position" else start.velocity
             if start.robot == robot and name in start.joints and value is not None:
                 return self.of(value.scalars[start.joints.index(name)])
         return None

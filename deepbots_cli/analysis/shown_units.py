@@ -46,10 +46,10 @@ class ShownUnits:
     def of_entry(self, name: str, unit: str) -> Unit:
         """Return the unit of a number of the observation, the action or the goal, such as
         `robot.sensor.x`."""
-        section, _, rest = name.partition(".")
+        section, _, entry = name.partition(".")
         if section in _GOALS and node_at(self._root, "goal") is not None:
             return self.of(unit, text_at(self._root, "goal", "range"))
-        for key in (name, name.rpartition(".")[0], rest, rest.rpartition(".")[0]):
+        for key in (name, name.rpartition(".")[0], entry, entry.rpartition(".")[0]):
             texts = [text_at(self._root, section, key) for section in _RANGES] if key else []
             if any(texts):
                 return self.of(unit, *texts)

@@ -95,9 +95,9 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
     fastest = max(
         speeds[joint.name] * (_radius(model, joint) or 0.0) for joint in wheels if joint.name in driven
     )
-    places = [joint.origin.xyz for joint in wheels if joint.name in driven]
+    positions = [joint.origin.xyz for joint in wheels if joint.name in driven]
     (left, right), (back, front) = (
-        (min(at[axis] for at in places), max(at[axis] for at in places)) for axis in (1, 0)
+        (min(at[axis] for at in positions), max(at[axis] for at in positions)) for axis in (1, 0)
     )
     # The distance of the origin from the rectangle of the driven wheels.
     off = hypot(max(0.0, back, -front), max(0.0, left, -right))
@@ -118,7 +118,7 @@ def _radius(model: RobotModel, joint: Joint) -> float | None:
 def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
     """Return whether a robot stands without balancing: on wheels and other parts that do not lie on one
     line."""
-    places = [joint.origin.xyz[:2] for joint in wheels]
+    positions = [joint.origin.xyz[:2] for joint in wheels]
     bottom = min(joint.origin.xyz[2] - (_radius(model, joint) or 0.0) for joint in wheels) if wheels else 0.0
     for name in model.links_below(model.root, rigid=True):
         offset = next((joint.origin.xyz for joint in model.joints if joint.child == name), (0.0, 0.0, 0.0))
@@ -128,9 +128,10 @@ def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
             low = z + offset[2] - (reach if isinstance(shape, Sphere) else _half_height(shape))
             if low < bottom + _GROUND_GAP:
                 width = 0.0 if isinstance(shape, Sphere) else _half_width(shape)
-                places += [(x + offset[0] + width * side, y + offset[1]) for side in (-1.0, 1.0)]
+                positions += [(x + offset[0] + width * side, y + offset[1]) for side in (-1.0, 1.0)]
     spread = [
-        max(at[axis] for at in places) - min(at[axis] for at in places) if places else 0.0 for axis in (0, 1)
+        max(at[axis] for at in positions) - min(at[axis] for at in positions) if positions else 0.0
+        for axis in (0, 1)
     ]
     return min(spread) > 1e-3
 
@@ -151,9 +152,9 @@ def _speed_of(analysis: Analysis, subject: str) -> float:
     for body in analysis.program.world.robots:
         if base in (body.name, f"{body.name}.{body.model.root}"):
             return 0.0 if body.fixed_base else base_speed(analysis, body.name)
-    for thing in analysis.program.world.objects:
-        if thing.name == base:
-            return 0.0 if thing.fixed and not thing.variants else INF
+    for object_body in analysis.program.world.objects:
+        if object_body.name == base:
+            return 0.0 if object_body.fixed and not object_body.variants else INF
     return INF
 
 
@@ -181,8 +182,8 @@ def _rate(analysis: Analysis, node: Scalar, *, exact: bool) -> float:
         case Const() | Draw():
             return 0.0
         case Name(name):
-            drawn = next((value for value in analysis.program.parameters if value.name == name), None)
-            return 0.0 if drawn is not None and drawn.redraw is None else INF
+            parameter = next((value for value in analysis.program.parameters if value.name == name), None)
+            return 0.0 if parameter is not None and parameter.redraw is None else INF
         case EngineRead("joint_position", (subject, *_)):
             robot, _, joint = subject.partition(".")
             return joint_speed(analysis, robot, joint)
@@ -262,10 +263,10 @@ class SpeedRanges(Ranges):
         return rate_of(self.analysis, quantity, exact=True) * self.analysis.program.world.timestep
 
 
-def change_of(analysis: Analysis, one: Scalar, other: Scalar) -> Scalar | None:
+def change_of(analysis: Analysis, first: Scalar, second: Scalar) -> Scalar | None:
     """Return the quantity whose change in a timestep the difference of two values is, as in `previous(x) -
     x`; None for any other."""
-    a, b = analysis.resolve_aliases(one), analysis.resolve_aliases(other)
+    a, b = analysis.resolve_aliases(first), analysis.resolve_aliases(second)
     for before, now in ((a, b), (b, a)):
         match before:
             case State("previous", (kept,)) if analysis.identity(kept) == analysis.identity(now):

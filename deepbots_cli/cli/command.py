@@ -37,11 +37,11 @@ def known_engine(name: str | None) -> str | None:
     if name not in ENGINES:
         from deepbots_cli.scenario.synonyms import word_for
 
-        near = word_for(name, ENGINES) or nearest_word(name, ENGINES)
-        hint = f"did you mean '{near}'? The" if near else "the"
+        suggestion = word_for(name, ENGINES) or nearest_word(name, ENGINES)
+        hint = f"did you mean '{suggestion}'? The" if suggestion else "the"
         raise typer.BadParameter(f"there is no engine '{name}'; {hint} engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
-    if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
+    if not kind.is_installed and any(candidate.is_installed for candidate in ENGINES.own.values()):
         raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
     return name
 
@@ -470,25 +470,25 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
         source = values.get("run") or values.get("shown")
         if agent is not None and source is not None:
             drivers = _policies_of_run(Path(source), agent) | drivers
-        others, folders = _role_entries(drivers)
+        entries, folders = _role_entries(drivers)
         if folders and "permissions" in values:
             allowed = values["permissions"]
             values["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
-        role = f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"  # in place of one in the file
+        role = f"role={{agent: {agent}, others: {{{', '.join(entries)}}}}}"  # in place of one in the file
         settings = [role] if agent is not None else []
         values |= {"overrides": [*(values["overrides"] or ()), *settings] or None}
         command(**values, **({"agent": agent} if passed else {}))
 
     parameters = [parameter for name, parameter in signature.parameters.items() if name not in passed]
-    after = next(place for place, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
+    after = next(index for index, parameter in enumerate(parameters) if parameter.name == "overrides") + 1
     added = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kind)
         for name, kind in _role_kinds(group).items()
     ]
     if parameters[after - 1].kind is not inspect.Parameter.KEYWORD_ONLY:
         parameters = [
-            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if place >= after - 1 else parameter
-            for place, parameter in enumerate(parameters)
+            parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if index >= after - 1 else parameter
+            for index, parameter in enumerate(parameters)
         ]
     vars(call)["__signature__"] = signature.replace(
         parameters=[*parameters[:after], *added, *parameters[after:]]
@@ -504,15 +504,15 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         if cmd_name not in COMMANDS:
-            others = [
+            old_names = [
                 name for name, replacement in REPLACEMENTS.items() if replacement.startswith("deepbots ")
             ]
-            near = nearest_word(cmd_name, (*COMMANDS, *others)) or ""
+            suggestion = nearest_word(cmd_name, (*COMMANDS, *old_names)) or ""
             listing = f"the commands are: {', '.join(COMMANDS)}"
-            if near in REPLACEMENTS:
-                hint = f"use `{REPLACEMENTS[near]}`"
-            elif near:
-                hint = f"did you mean '{near}'?"
+            if suggestion in REPLACEMENTS:
+                hint = f"use `{REPLACEMENTS[suggestion]}`"
+            elif suggestion:
+                hint = f"did you mean '{suggestion}'?"
             else:
                 hint = listing
             ctx.fail(f"there is no command '{cmd_name}'; {hint}")
@@ -591,14 +591,14 @@ def without_old_spelling(words: list[str]) -> list[str]:
             "note: `deepbots schema` is now `deepbots lsp --schema`; the next version drops the old spelling"
         )
         return ["lsp", "--schema", *options]
-    place = next(
+    index = next(
         (number for number, word in enumerate(options) if word.partition("=")[0] == "--resume"), None
     )
-    if command not in ("train", "tune") or place is None:
+    if command not in ("train", "tune") or index is None:
         return words
-    folder = options.pop(place).partition("=")[2]
-    if not folder and place < len(options):
-        folder = options.pop(place)
+    folder = options.pop(index).partition("=")[2]
+    if not folder and index < len(options):
+        folder = options.pop(index)
     verb = "apply" if "--apply" in options else "resume"
     dropped = ("--apply", "--quiet", "-q") if verb == "apply" else ()
     terminal.note(

@@ -92,13 +92,13 @@ def _fault(error: Exception) -> int:
             "w", encoding="utf-8", errors="backslashreplace", prefix="deepbots-", suffix=".txt", delete=False
         ) as file:
             file.write("".join(traceback.format_exception(error)))
-        place = f"the traceback is in {file.name}; "
+        location_text = f"the traceback is in {file.name}; "
     except OSError:  # the disk is full
-        place = ""
+        location_text = ""
     terminal.print_error(
         f"deepbots failed because of an error in deepbots, not in your input\n"
         f"  {type(error).__name__}: {error}\n"
-        f"  {place}DEEPBOTS_DEBUG=1 shows the traceback here"
+        f"  {location_text}DEEPBOTS_DEBUG=1 shows the traceback here"
     )
     return INTERNAL_ERROR
 

@@ -270,9 +270,9 @@ def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] 
     return result.model_dump(mode="json") | {"cases": [case.model_dump(mode="json") for case in cases]}
 
 
-def kept_text(kept: KeptModel) -> str:
+def kept_text(kept_model: KeptModel) -> str:
     """Return the models that played new starts, and the one that is the best from now on."""
-    has_success = kept.run.program.defines_success
+    has_success = kept_model.run.program.defines_success
     rows = [
         {
             "model": played.name,
@@ -281,21 +281,28 @@ def kept_text(kept: KeptModel) -> str:
             "success": percent(played.result.success_rate) if has_success else "",
             "return": played.result.mean_return,
         }
-        for played in kept.played
+        for played in kept_model.played
     ]
-    lines = [f"models of {kept.run.path} on new starts, the best first", table(rows)] if rows else []
-    after = "" if kept.best.steps is None else f", after {kept.best.steps:,} steps"
-    if kept.earlier is None:
-        lines.append(f"best.zip stays the best model: {kept.name}{after}")
+    lines = [f"models of {kept_model.run.path} on new starts, the best first", table(rows)] if rows else []
+    after = "" if kept_model.best.steps is None else f", after {kept_model.best.steps:,} steps"
+    if kept_model.earlier is None:
+        lines.append(f"best.zip stays the best model: {kept_model.name}{after}")
     else:
-        lines.append(f"best.zip is now {kept.name}{after}; the best model of before is {kept.earlier.name}")
+        lines.append(
+            f"best.zip is now {kept_model.name}{after}; the best model of before is {kept_model.earlier.name}"
+        )
     return "\n".join([*lines, "\non further new starts, which were not used to choose it:"])
 
 
-def kept_json(kept: KeptModel) -> dict[str, Any]:
+def kept_json(kept_model: KeptModel) -> dict[str, Any]:
     """Return the models that played new starts, and the best one, as a dictionary."""
-    played = [{"name": model.name, **vars(model.result)} for model in kept.played]
-    return {"model": kept.name, "best": kept.best, "earlier": kept.earlier, "played": played}
+    played = [{"name": model.name, **vars(model.result)} for model in kept_model.played]
+    return {
+        "model": kept_model.name,
+        "best": kept_model.best,
+        "earlier": kept_model.earlier,
+        "played": played,
+    }
 
 
 def summary_text(
@@ -314,10 +321,10 @@ def _notes(notes: Iterable[str]) -> list[str]:
     return [f"note: {note}" for note in dict.fromkeys(notes)]
 
 
-def evaluation_rows(what: str, results: Iterable[tuple[str | None, EvaluationResult]]) -> list[Row]:
-    """Return a row for each evaluation, under its name in the column `what`."""
+def evaluation_rows(column: str, results: Iterable[tuple[str | None, EvaluationResult]]) -> list[Row]:
+    """Return a row for each evaluation, whose name is in the column `column`."""
     return [
-        {what: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length}
+        {column: name, "episodes": result.episodes, **scores(result), "mean_length": result.mean_length}
         for name, result in results
     ]
 
@@ -527,13 +534,14 @@ def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:
     return [(episode.total_return, episode.length) for episode in result.outcomes]
 
 
-def robustness_json(found: Robustness) -> dict[str, Any]:
+def robustness_json(robustness: Robustness) -> dict[str, Any]:
     """Return the robustness as a dictionary, with every evaluation."""
     conditions = [
-        vars(condition) | {"sides": list(map(_side_json, condition.sides))} for condition in found.conditions
+        vars(condition) | {"sides": list(map(_side_json, condition.sides))}
+        for condition in robustness.conditions
     ]
-    certain = {"nominal_holds": found.nominal_holds, "nominal_certain": found.nominal_certain}
-    return vars(found) | certain | {"conditions": conditions}
+    certain = {"nominal_holds": robustness.nominal_holds, "nominal_certain": robustness.nominal_certain}
+    return vars(robustness) | certain | {"conditions": conditions}
 
 
 def _side_json(side: Side) -> dict[str, Any]:

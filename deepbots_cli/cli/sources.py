@@ -94,8 +94,8 @@ def open_robot(reference: str, allowed: Sequence[str | Path] = ()) -> tuple[Robo
     )
     if isinstance(robot, meshes.UnusableMesh) or not robot.is_file():
         names = shipped.robot_names()
-        near = meshes.library_reference(reference) or nearest_word(reference, names)
-        hint = f" (did you mean {near}?)" if near else ""
+        suggestion = meshes.library_reference(reference) or nearest_word(reference, names)
+        hint = f" (did you mean {suggestion}?)" if suggestion else ""
         raise UsageError(f"there is no robot file {reference}{hint}; shipped robots are: {', '.join(names)}")
     findings = Findings()
     resolve_mesh = meshes.mesh_resolver(

@@ -35,10 +35,10 @@ def continue_study(
     with processes.executor(workers, address, study.record.trials, quiet=quiet) as executor:
         display = StudyDisplay(study, quiet=quiet)
         try:
-            done = run_study(study, reporter=display, permissions=permissions, executor=executor)
+            is_done = run_study(study, reporter=display, permissions=permissions, executor=executor)
         finally:
             display.stop()
-    show_study(study, done=done, as_json=as_json)
+    show_study(study, is_done=is_done, as_json=as_json)
 
 
 class StudyDisplay(StudyReporter):
@@ -137,7 +137,7 @@ def _row(study: Study, trial: StudyTrial) -> Row:
     }
 
 
-def show_study(study: Study, *, done: bool, as_json: bool) -> None:
+def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
     """Show the best trials, and the next commands."""
     trials = study.trials()
     ranked, path = study.ranked(trials), quote(str(study.path))
@@ -155,20 +155,20 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
     over_first = study.over_first(trials)
     if best is not None:
         lines.append(_best_text(study, ranked))
-    if done and counts["running"]:
+    if is_done and counts["running"]:
         lines.append(
             f"another process still trains {counts['running']} of them; this table shows what is complete"
         )
     data = {
         "study": study.path,
         "objective": study.record.objective,
-        "done": done,
+        "done": is_done,
         "best": best.number if best else None,
         "over_first": over_first,
         "trials": [{**vars(trial), "score_interval": study.record.score_interval(trial)} for trial in trials],
     }
     further = [f"deepbots report {path}", f"deepbots resume {path} --trials {2 * study.record.trials}"]
-    if not done:
+    if not is_done:
         further = [f"deepbots resume {path}"]
     elif best is not None:
         if over_first is not None and over_first.is_clear:
@@ -180,7 +180,7 @@ def show_study(study: Study, *, done: bool, as_json: bool) -> None:
                 f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}"
             )
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
-    if not done:
+    if not is_done:
         raise typer.Exit(INTERRUPTED)
 
 

@@ -46,19 +46,19 @@ def table(rows: Sequence[Row], indent: str = "  ", *, is_prose: bool = False) ->
         grid.add_row(*(Text(text) for text in line))
         if line is names:
             grid.add_row(*(Text("-" * width, no_wrap=True, overflow="crop") for width in widths))
-    min_width, width = (sum(each) + 2 * len(each) for each in (min_widths, widths))
+    min_width, width = (sum(column_widths) + 2 * len(column_widths) for column_widths in (min_widths, widths))
     return _lines(grid, min_width, width, indent, fits_terminal=is_prose or sys.stdout.isatty())
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:
     """Format one row as lines of name and value; empty values are left out."""
-    shown = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
+    cells = {name: cell_text(value) for name, value in row.items() if value not in _EMPTY_VALUES}
     grid = Table.grid(padding=(0, 2))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
-    for name, value in shown.items():
+    for name, value in cells.items():
         grid.add_row(Text(name), Text(value))
-    name_width, value_width = (max(map(cell_len, column), default=0) for column in (shown, shown.values()))
+    name_width, value_width = (max(map(cell_len, column), default=0) for column in (cells, cells.values()))
     widths = name_width + _MIN_TEXT_WIDTH + 4, name_width + value_width + 4
     return _lines(grid, *widths, indent, fits_terminal=sys.stdout.isatty())
 

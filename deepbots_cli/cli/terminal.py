@@ -64,16 +64,16 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     Unless `always`, there is at most one line in 30 s if standard error is no terminal.
     """
     bar: ProgressBar | None = None
-    shown = time.perf_counter()
+    shown_at = time.perf_counter()
 
-    def show(done: int, total: int) -> None:
-        nonlocal bar, shown
+    def show(count: int, total: int) -> None:
+        nonlocal bar, shown_at
         bar = bar or ProgressBar(total, unit)
         now = time.perf_counter()
-        if always or sys.stderr.isatty() or now - shown >= _LINE_INTERVAL_S:
-            bar.update(done)
-            shown = now
-        if done >= total:
+        if always or sys.stderr.isatty() or now - shown_at >= _LINE_INTERVAL_S:
+            bar.update(count)
+            shown_at = now
+        if count >= total:
             bar.close()
             bar = None
 
@@ -175,34 +175,34 @@ class ProgressBar:
         self._display = Display(stream, transient=True)
         self._began, self._tenth = time.perf_counter(), 0
 
-    def update(self, done: int) -> None:
-        """Show that `done` of the total is done."""
-        line = self._line(done, time.perf_counter())
+    def update(self, count: int) -> None:
+        """Show that `count` of the total is done."""
+        line = self._line(count, time.perf_counter())
         if self._display.is_terminal:
-            self._display.show(lambda _height: self._bar(done, line), at_once=done >= self._total)
-        elif 10 * done // self._total > self._tenth:
-            self._tenth = 10 * done // self._total
+            self._display.show(lambda _height: self._bar(count, line), at_once=count >= self._total)
+        elif 10 * count // self._total > self._tenth:
+            self._tenth = 10 * count // self._total
             self._display.print(line)
 
-    def _bar(self, done: int, line: str) -> RenderableType:
+    def _bar(self, count: int, line: str) -> RenderableType:
         from rich.progress_bar import ProgressBar as Bar
         from rich.table import Table
         from rich.text import Text
 
         row = Table.grid(padding=(0, 1))
-        row.add_row(Bar(self._total, done, width=20), Text(line, no_wrap=True, overflow="ellipsis"))
+        row.add_row(Bar(self._total, count, width=20), Text(line, no_wrap=True, overflow="ellipsis"))
         return row
 
-    def _line(self, done: int, now: float) -> str:
-        parts = [f"{done:,} of {self._total:,} {self._unit}"]
+    def _line(self, count: int, now: float) -> str:
+        parts = [f"{count:,} of {self._total:,} {self._unit}"]
         elapsed = now - self._began
         if elapsed < _MIN_TIMED_S:
             return parts[0]
-        speed = done / elapsed
+        speed = count / elapsed
         if speed >= 1.0:
             parts.append(f"{speed:,.0f} {self._unit}/s")
-        if speed > 0.0 and done < self._total:
-            parts.append(f"{(self._total - done) / speed:.0f} s to go")
+        if speed > 0.0 and count < self._total:
+            parts.append(f"{(self._total - count) / speed:.0f} s to go")
         return "  ".join(parts)
 
     def close(self) -> None:

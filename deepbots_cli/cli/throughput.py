@@ -31,7 +31,7 @@ def speed_table(name: str, measured: list[list[Speed]]) -> str:
     """Return the table of the rounds of each engine, the meaning of its columns, and a remark on a busy
     machine."""
     speeds, rounds = [*map(medians, measured)], len(measured[0])
-    shown = [
+    rows = [
         {
             "engine": speed.engine,
             "worlds": speed.worlds,
@@ -48,4 +48,4 @@ def speed_table(name: str, measured: list[list[Speed]]) -> str:
     of_rounds = "one round" if rounds == 1 else f"medians of {rounds} rounds"
     largest = max(map(spread, measured))
     busy = f"\n{busy_note(largest)}" if largest > LARGE_SPREAD else ""
-    return f"{name}, random actions, {of_rounds}; CPU times are per step of one world\n{table(shown)}{busy}"
+    return f"{name}, random actions, {of_rounds}; CPU times are per step of one world\n{table(rows)}{busy}"

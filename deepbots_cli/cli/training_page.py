@@ -21,18 +21,18 @@ training."""
 
 
 @contextmanager
-def training_page(*, wanted: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
-    """Context with a function that shows a run in the browser, if `wanted`. The page ends with the block.
+def training_page(*, enabled: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
+    """Context with a function that shows a run in the browser, if `enabled`. The page ends with the block.
 
     The page has its own process, so that the training does not wait for it, and has a low priority once it
     serves its address: on a busy machine, a page that began with a low priority served none for 40 s.
     """
-    if wanted and find_spec("viser") is None:
+    if enabled and find_spec("viser") is None:
         raise MissingExtraError("view", "a page in the browser")
     started: list[tuple[subprocess.Popen[str], Thread]] = []
 
     def show(run: Path) -> None:
-        if wanted:
+        if enabled:
             options = ["--fps", str(_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
             command = python_command("deepbots_cli", "view", *options, "--", str(run))
             nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE

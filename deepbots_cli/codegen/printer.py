@@ -540,12 +540,12 @@ def _body_frame_component(tree: Scalar) -> _BodyFrameComponent | None:
     return None
 
 
-def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict[str, Scalar]) -> bool:
-    """Return whether a tree has the form of the pattern; `bodies` and `others` receive the values of its
+def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], scalars: dict[str, Scalar]) -> bool:
+    """Return whether a tree has the form of the pattern; `bodies` and `scalars` receive the values of its
     subjects and names."""
     match pattern, tree:
         case Name(name), _:
-            others[name] = tree
+            scalars[name] = tree
             return True
         case EngineRead(function, (key,), component), EngineRead(other, (body,), axis):
             return (function, component) == (other, axis) and bodies.setdefault(key, body) == body
@@ -553,7 +553,7 @@ def _matches(pattern: Scalar, tree: Scalar, bodies: dict[str, str], others: dict
             return (
                 name == other
                 and len(args) == len(parts)
-                and all(_matches(a, b, bodies, others) for a, b in zip(args, parts, strict=True))
+                and all(_matches(a, b, bodies, scalars) for a, b in zip(args, parts, strict=True))
             )
         case _:
             return pattern == tree

@@ -75,10 +75,10 @@ def begin_method(supervisor: SupervisorPrinter) -> list[str]:
 def needs_arrangement(scenario: Program) -> bool:
     """Return whether the places of an episode have to be found."""
     reset = scenario.reset
-    drawn = reset.groups or reset.layouts or reset.require is not None
-    pooled = any(thing.pooled for thing in scenario.world.objects)
+    drawn_parts = reset.groups or reset.layouts or reset.require is not None
+    pooled = any(body.pooled for body in scenario.world.objects)
     return (
-        bool(drawn)
+        bool(drawn_parts)
         or pooled
         or scenario.world.terrain is not None
         or any(p.seeks_height or p.spot is not None for p in reset.placements)
@@ -105,7 +105,7 @@ def _arrange(supervisor: SupervisorPrinter) -> list[str]:
         for group in reset.groups
     ]
     printer.line("self.engine.reset()")
-    if any(thing.variants for thing in supervisor.scenario.world.objects):
+    if any(body.variants for body in supervisor.scenario.world.objects):
         printer.line("bodies.choose()")
     for index, variation in enumerate(reset.variations):
         varied = _varied(supervisor, index)
@@ -311,13 +311,13 @@ def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple
     for entry in supervisor.scenario.parameters:
         if entry.redraw is not None or _reads(entry.scalars, changing):
             changing.add(entry.name)
-            drawn = (
+            assignment = (
                 f"{supervisor.parameter(entry.name)} ="
                 f" {printer.vector_or_number(entry.components, entry.scalars)}"
             )
             redrawn.append(
                 (
-                    _print_when_due(supervisor, printer, entry, entry.name, drawn),
+                    _print_when_due(supervisor, printer, entry, entry.name, assignment),
                     supervisor.parameter(entry.name),
                 )
             )

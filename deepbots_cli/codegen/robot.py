@@ -219,7 +219,7 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     facts."""
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
-    read = {leaf.name for value in on_board for leaf in names_in(value)}
+    used_names = {leaf.name for value in on_board for leaf in names_in(value)}
     aged_sensors = {
         node.subjects[0]
         for value in (*on_board, *computed)
@@ -229,7 +229,7 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     used = [
         sensor
         for sensor in robot.sensors
-        if sensor.name in read or f"{robot.name}.{sensor.name}" in aged_sensors
+        if sensor.name in used_names or f"{robot.name}.{sensor.name}" in aged_sensors
     ]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
 

@@ -164,7 +164,7 @@ def choice_tables(supervisor: SupervisorPrinter) -> list[str]:
             size = range(len(part.options))
             lines.append(
                 f"TAKEN_{part.name} ="
-                f" {_table([tuple_code([hot[index != other] for other in size]) for index in size])}"
+                f" {_table([tuple_code([hot[index != column] for column in size]) for index in size])}"
             )
     return lines
 
@@ -227,22 +227,22 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"{names[name]} = self.ranges({ranges})")
         variables[name] = f"*{names[name]}"
     elif vectors:
-        values, place = supervisor.names("values of ranges"), 0
+        values, index = supervisor.names("values of ranges"), 0
         printer.line(f"{values} = self.ranges({ranges})")
         for interval in supervisor.ranges:
-            end = place + max(1, len(interval.components))
+            end = index + max(1, len(interval.components))
             printer.line(
-                f"{names[interval.name]} = {values}[{f'{place}:{end}' if interval.components else place}]"
+                f"{names[interval.name]} = {values}[{f'{index}:{end}' if interval.components else index}]"
             )
-            variables[interval.name] = f"*{values}[{place}:{end}]"
-            place = end
+            variables[interval.name] = f"*{values}[{index}:{end}]"
+            index = end
     elif supervisor.ranges:
         printer.line(f"{targets_code(list(names.values()))} = self.ranges({ranges})")
         variables |= names
     if supervisor.agent_action_read:
         parts = [variables[part.name] for part in supervisor.agent.action]
-        whole = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
-        printer.line(f"{supervisor.local('previous_action')} = {whole}")
+        previous = parts[0][1:] if len(parts) == 1 and parts[0][0] == "*" else tuple_code(parts)
+        printer.line(f"{supervisor.local('previous_action')} = {previous}")
     for interval in supervisor.ranges:
         half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
         name = supervisor.local(interval.name)
@@ -459,8 +459,8 @@ def _print_noise(
     )
     noise_name = printer.names.identifier(f"noise {stream}", "noise", local)
     count = max(1, len(components))
-    drawn = "self.streams.normals" if printer.on_floats else "self.normals"
-    printer.line(f"{noise_name if components else f'({noise_name},)'} = {drawn}({quoted(stream)}, {count})")
+    normals = "self.streams.normals" if printer.on_floats else "self.normals"
+    printer.line(f"{noise_name if components else f'({noise_name},)'} = {normals}({quoted(stream)}, {count})")
     if not components:
         added = f"{f'{std} * {local}' if noise.relative else std} * {noise_name}"
         printer.line(f"{local} += {added}" if printer.on_floats else f"{local} = {local} + {added}")
@@ -601,14 +601,14 @@ def bind_foreign(supervisor: SupervisorPrinter) -> list[str]:
     lines = []
     for noun, name, function, truth in items:
         if function is not None:
-            place = ", ".join(map(quoted, (noun, name, function.module, function.function)))
-            lines.append(f"{function_attribute(supervisor, noun, name)} = foreign({place}, {truth})")
+            arguments = ", ".join(map(quoted, (noun, name, function.module, function.function)))
+            lines.append(f"{function_attribute(supervisor, noun, name)} = foreign({arguments}, {truth})")
     return lines
 
 
-def function_attribute(supervisor: SupervisorPrinter, what: str, name: str) -> str:
+def function_attribute(supervisor: SupervisorPrinter, noun: str, name: str) -> str:
     """Return the attribute with the function of an ending or a reward term."""
-    return f"self.{supervisor.names(f'function of {what}', name)}"
+    return f"self.{supervisor.names(f'function of {noun}', name)}"
 
 
 # Rewards

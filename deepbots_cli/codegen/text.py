@@ -251,9 +251,9 @@ def constants_tuple_code(items: Sequence[str]) -> str:
             runs[-1].append(item)
         else:
             runs.append([item])
-    whole = tuple_code(items)
+    plain = tuple_code(items)
     short = " + ".join(f"({run[0]},) * {len(run)}" if len(run) > 1 else f"({run[0]},)" for run in runs)
-    return short if len(items) > 3 and len(short) < len(whole) else whole
+    return short if len(items) > 3 and len(short) < len(plain) else plain
 
 
 # Long lines
@@ -324,12 +324,12 @@ def _loosest_operators(body: str) -> tuple[str, ...] | None:
 def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) -> bool:
     """Return whether a line has one operator of arithmetic within a width, and brackets behind it, inside
     which it is broken."""
-    places = [place for sign in operators for place in _places(body, sign)]
+    offsets = [offset for sign in operators for offset in _places(body, sign)]
     groups = list(_groups(body))
-    if " if " in operators or len(places) != 1 or not groups:
+    if " if " in operators or len(offsets) != 1 or not groups:
         return False
     start, end = groups[-1]
-    return places[0] < start < width and end == len(body) - 1
+    return offsets[0] < start < width and end == len(body) - 1
 
 
 def _at_brackets(pad: str, code: str) -> list[str]:
@@ -341,8 +341,8 @@ def _at_brackets(pad: str, code: str) -> list[str]:
     start, end = groups[0] if code.startswith("def ") else groups[-1]
     head, inner, tail = pad + code[: start + 1], code[start + 1 : end], pad + code[end:]
     is_call = code[start] == "(" and re.search(r"[\w\])]$", code[:start]) is not None
-    whole = len(pad) + 4 + len(inner) <= WIDTH and not inner.endswith(",")
-    if whole and (is_call or not list(_places(inner, ", "))):
+    fits = len(pad) + 4 + len(inner) <= WIDTH and not inner.endswith(",")
+    if fits and (is_call or not list(_places(inner, ", "))):
         return [head, f"{pad}    {inner}", tail]
     if list(_places(inner, " for ")):
         return [
@@ -369,8 +369,8 @@ def _one_each(pad: str, items: list[str]) -> list[str]:
 
 def _broken(code: str, operators: tuple[str, ...]) -> list[str]:
     """Return the operands, each but the first with its operator before it."""
-    places = sorted(place for sign in operators for place in _places(code, sign))
-    return [code[a:b].strip() for a, b in zip([0, *places], [*places, len(code)], strict=True)]
+    offsets = sorted(offset for sign in operators for offset in _places(code, sign))
+    return [code[a:b].strip() for a, b in zip([0, *offsets], [*offsets, len(code)], strict=True)]
 
 
 def _split(code: str, sign: str) -> list[str]:

@@ -133,7 +133,7 @@ class Readers:
             key = _of_joints(leaves[0], names)
             self._joints[key] = names
             return self._need(*key, needs), "" if kind == "joint_torque" else f"[{_RESULT_INDEX[kind]}]"
-        if kind == "contact" and len(leaves) > 2 and len({others[1:] for others in subjects}) == 1:
+        if kind == "contact" and len(leaves) > 2 and len({subject[1:] for subject in subjects}) == 1:
             robot = subjects[0][0].partition(".")[0]
             if all(name.partition(".")[0] == robot and "." in name for name, *_ in subjects):
                 links = (name.partition(".")[2] for name, *_ in subjects)
@@ -171,10 +171,10 @@ class Readers:
         lines = []
         for key in self._sorted(needs):
             local = self._local(key)
-            place = f"{self._local(ReaderKey('pose', key.parts[:1]))}[0]" if key.kind == "line" else ""
+            position = f"{self._local(ReaderKey('pose', key.parts[:1]))}[0]" if key.kind == "line" else ""
             many = key.kind == "contacts"
             reader = f"self.{generated.reader(local)}"
-            lines.append(f"{local} = [a() for a in {reader}]" if many else f"{local} = {reader}({place})")
+            lines.append(f"{local} = [a() for a in {reader}]" if many else f"{local} = {reader}({position})")
         return lines
 
     def start_lines(self) -> list[str]:
@@ -220,9 +220,9 @@ class Readers:
             case "line":
                 return f"Follower(self.scenario.world.line({quoted(parts[1])}))"
             case "contacts":
-                robot, other, *links = parts
+                robot, target, *links = parts
                 variable = LOOP_VARIABLES[0]
-                touched = _SCALAR_READERS["contact"].format(f"({quoted(robot)}, {variable})", _part(other))
+                touched = _SCALAR_READERS["contact"].format(f"({quoted(robot)}, {variable})", _part(target))
                 return f"[{touched} for {variable} in {self._constants.strings(tuple(links))}]"
             case "visible":
                 robot, _, sensor = parts[0].partition(".")
@@ -273,12 +273,12 @@ class ClassPrinter(ABC):
         """Return the code of a vector that consists of these components; None where they are of no one
         vector."""
 
-    def bind_lines(self, *others: str) -> list[str]:
-        """Return statements that bind readers, the `others`, and statements that make the memories of
+    def bind_lines(self, *statements: str) -> list[str]:
+        """Return statements that bind readers, the `statements`, and statements that make the memories of
         stateful functions."""
         return [
             *self.readers.bind_lines(),
-            *others,
+            *statements,
             *(f"self.{name} = {code}" for name, code in self.memories.items()),
         ]
 
@@ -486,14 +486,16 @@ class SupervisorPrinter(ClassPrinter):
         """Return the names of the values that a timestep stores: those in messages, in `stored_signals` and
         in scripts, with parts of the action."""
         sent = self.names_read(self.sent)
-        read = self.names_read(self._asked)
+        read_names = self.names_read(self._asked)
         if self.target is SCALAR:
-            read |= self.scenario.stored_signals
-        acted = [name for name, _ in (*self.variables, *self.agent_action_read) if name in read]
+            read_names |= self.scenario.stored_signals
+        acted = [name for name, _ in (*self.variables, *self.agent_action_read) if name in read_names]
         ended = [
-            name for name in (*(ending.name for ending in self.scenario.endings), *_GOAL) if name in read
+            name
+            for name in (*(ending.name for ending in self.scenario.endings), *_GOAL)
+            if name in read_names
         ]
-        return [*(name for name in self._results() if name in sent or name in read), *acted, *ended]
+        return [*(name for name in self._results() if name in sent or name in read_names), *acted, *ended]
 
     def storing_statements(self) -> list[str]:
         """Return statements that store the values of this timestep that the next message to a robot, or a
@@ -599,8 +601,8 @@ def whole_vector(
     start = names.index(first.component)
     if [leaf.component for leaf in leaves] != names[start : start + len(leaves)]:
         return None
-    whole = code(first.name)
-    return whole if len(leaves) == len(names) else f"{whole}[{start}:{start + len(leaves)}]"
+    vector_code = code(first.name)
+    return vector_code if len(leaves) == len(names) else f"{vector_code}[{start}:{start + len(leaves)}]"
 
 
 def zeros(components: Sequence[str]) -> str:

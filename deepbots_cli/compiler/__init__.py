@@ -220,21 +220,21 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         for name, checked_agent in agents.items()
     }
     played = played_agent(document)
-    shown = agents[played] if played in agents else next(iter(agents.values()))
-    if program is not None and played is not None and shown.namespace is not None:
+    main_agent = agents[played] if played in agents else next(iter(agents.values()))
+    if program is not None and played is not None and main_agent.namespace is not None:
         models = models_of_others(document)
-        shown.namespace.files.update({(ROLE, "others", name): file for name, file in models.items()})
+        main_agent.namespace.files.update({(ROLE, "others", name): file for name, file in models.items()})
         program = among_others(document, program, played, models)
     return CheckedScenario(
         with_sections(document, {name: checked.document for name, checked in agents.items()}),
         document.findings,
-        shown.spec,
+        main_agent.spec,
         program,
         {name: robot for checked in agents.values() for name, robot in (checked.robots or {}).items()},
-        shown.namespace,
+        main_agent.namespace,
         variants=tuple(agents.values()),
         tests=tests,
-        learner=shown.learner if played is not None else _reasons_of(agents),
+        learner=main_agent.learner if played is not None else _reasons_of(agents),
         agents={} if played is not None else agents,
     )
 

@@ -139,9 +139,9 @@ def _check_policies(document: Document, sections: Mapping[str, AgentOfSeveral]) 
         node = node_at(document.root, AGENTS, name, _POLICY)
         if not isinstance(node, ScalarNode):
             continue
-        others = [other for other in sections if other != name]
-        if node.text not in others:
-            _report_unknown(document.findings, node, node.text, "other agent", others)
+        other_agents = [agent for agent in sections if agent != name]
+        if node.text not in other_agents:
+            _report_unknown(document.findings, node, node.text, "other agent", other_agents)
         elif mirrors.get(name) != node.text or _POLICY in entries_at(document.root, AGENTS, node.text):
             document.findings.add(
                 "DB407",
@@ -171,7 +171,7 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
         for name, root_entry in entries_at(root, AGENTS).items()
     }
     section = node_at(root, AGENTS)
-    whole = replace(
+    new_root = replace(
         root,
         entries={
             **root.entries,
@@ -184,7 +184,7 @@ def _sections(document: Document, agents: Mapping[str, MappingNode]) -> dict[str
         },
     )
     validated = Findings(document.findings.limit)
-    spec = validate(whole, validated)
+    spec = validate(new_root, validated)
     joined_findings(document.findings, ([finding] for finding in validated))
     if spec is None or spec.agents is None or document.findings.errors:
         return None
@@ -245,8 +245,8 @@ def _report_shared_names(document: Document) -> None:
 class _Mirrors:
     """Resolves `like`."""
 
-    def __init__(self, document: Document, written: Mapping[str, Entry]) -> None:
-        self._document, self._written = document, written
+    def __init__(self, document: Document, entries: Mapping[str, Entry]) -> None:
+        self._document, self._written = document, entries
         self._resolved: dict[str, MappingNode] = {}
         self._reported: set[str] = set()
 
@@ -327,16 +327,16 @@ class Swap:
         """Return the text with exchanged names; all letters of a name have the place of the first one."""
         if not isinstance(node.value, str) or not self._names.search(node.text):
             return node
-        place: Callable[[int], int] = (
+        offset_of: Callable[[int], int] = (
             node.span.start.__add__ if node.offsets is None else node.offsets.__getitem__
         )
         offsets: list[int] = []
-        done = 0
+        end = 0
         for match in self._names.finditer(node.text):
-            offsets += map(place, range(done, match.start()))
-            offsets += [place(match.start())] * len(self._other[match[0]])
-            done = match.end()
-        offsets += map(place, range(done, len(node.text) + 1))
+            offsets += map(offset_of, range(end, match.start()))
+            offsets += [offset_of(match.start())] * len(self._other[match[0]])
+            end = match.end()
+        offsets += map(offset_of, range(end, len(node.text) + 1))
         text = self.text(node.text)
         return node._replace(text=text, value=text, offsets=offsets)
 
@@ -359,7 +359,7 @@ def _drivers(
     root = document.root
     assert root is not None
     robots, drivers = list(entries_at(root, "robots")), dict[str, str]()
-    places: dict[str, Span] = {}
+    spans: dict[str, Span] = {}
     for agent, section in sections.items():
         node = agents[agent].get("robots")
         items = node.items if isinstance(node, SequenceNode) else ()
@@ -374,10 +374,10 @@ def _drivers(
                     span,
                     f"`{agent}` drives the robot `{robot}`, which `{drivers[robot]}` drives too",
                     "give each robot to one agent",
-                    labels=(Label(places[robot], "driven here"),),
+                    labels=(Label(spans[robot], "driven here"),),
                 )
             else:
-                drivers[robot], places[robot] = agent, span
+                drivers[robot], spans[robot] = agent, span
         if not section.robots:
             document.findings.add(
                 "DB102",
@@ -523,8 +523,8 @@ def _limits_of(limits: MappingNode, agent: str) -> MappingNode:
     return replace(limits, entries=entries)
 
 
-def _key(name: str, place: ScalarNode) -> ScalarNode:
-    return ScalarNode(place.span, name, name)
+def _key(name: str, node: ScalarNode) -> ScalarNode:
+    return ScalarNode(node.span, name, name)
 
 
 def _check_limits(document: Document, agents: list[str]) -> None:
@@ -589,17 +589,17 @@ def report_foreign_values(
     document: Document, programs: Mapping[str, Program], drivers: Mapping[str, str]
 ) -> None:
     """Report that an agent uses what a robot of another agent sends, or what it hears."""
-    places: set[Span] = set()  # of which an agent that mirrors another one has the same
+    spans: set[Span] = set()  # of which an agent that mirrors another one has the same
     for agent, program in programs.items():
         for value in program.computed_expressions:
             names = {leaf.name for scalar in value.scalars for leaf in names_in(scalar)}
             foreign = [name for name in sorted(names) if drivers.get(name.partition(".")[0], agent) != agent]
             heads = [name.partition(".") for name in foreign if "." in name]
-            if heads and value.span not in places:
+            if heads and value.span not in spans:
                 robot, _, sent = heads[0]
                 headline, help = _foreign_words(robot, sent, drivers[robot], agent)
                 document.findings.add("DB402", value.span, headline, help)
-                places.add(value.span)
+                spans.add(value.span)
 
 
 def _foreign_words(robot: str, value: str, owner: str, agent: str) -> tuple[str, str]:
@@ -627,12 +627,12 @@ def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[st
 def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) -> None:
     """Add the findings of the agents to those of the file. What a rule finds at one place for several agents
     is one finding: an agent that mirrors another one has the same mistakes in other words."""
-    places: set[tuple[str, Span]] = set()
+    reported: set[tuple[str, Span]] = set()
     for agent_findings in of_agents:
-        of_agent = [finding for finding in agent_findings if (finding.code, finding.span) not in places]
+        of_agent = [finding for finding in agent_findings if (finding.code, finding.span) not in reported]
         for finding in of_agent:
             findings.append(finding)
-        places |= {(finding.code, finding.span) for finding in of_agent}
+        reported |= {(finding.code, finding.span) for finding in of_agent}
 
 
 def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
@@ -687,12 +687,12 @@ def models_of_others(document: Document) -> dict[str, Path]:
         if isinstance(entry.value, ScalarNode) and is_model(entry.value.text):
             text = entry.value.text
             reference = text if text.endswith(_MODEL_SUFFIX) else f"{text}/{BEST_MODEL}"
-            place = entry.value.span
-            located = files.resolve_reference(reference, document.directory_of(place), document.roots)
+            span = entry.value.span
+            located = files.resolve_reference(reference, document.directory_of(span), document.roots)
             if isinstance(located, Path):
                 models[name] = located
             else:
-                document.findings.add("DB204", place, located.headline, located.help, notes=located.notes)
+                document.findings.add("DB204", span, located.headline, located.help, notes=located.notes)
     return models
 
 
@@ -708,10 +708,10 @@ def among_others(
         models: The files of models that act for other agents.
     """
     findings, names = document.findings, list(world.members)
-    written = node_at(document.root, ROLE, "agent")
+    agent_node = node_at(document.root, ROLE, "agent")
     if agent not in world.members:
-        assert isinstance(written, ScalarNode)
-        _report_unknown(findings, written, agent, "agent", names)
+        assert isinstance(agent_node, ScalarNode)
+        _report_unknown(findings, agent_node, agent, "agent", names)
         return None
     drivers = {
         name: next((script.name for script in member.program.agent.scripts), RANDOM)

@@ -194,10 +194,10 @@ class Actuators(NamespaceReader):
         """Return stall torque and no-load speed of a motor; empty where it has none, and after a finding."""
         stall = self._fields.fixed(spec, "stall_torque", dimension=effort_dimension(joint))
         speed = self._fields.fixed(spec, "no_load_speed", dimension=joint_dimension(joint) / TIME)
-        for key, other in (("stall_torque", "no_load_speed"), ("no_load_speed", "stall_torque")):
-            if getattr(spec, key) is not None and getattr(spec, other) is None:
-                help = f"add `{other}`, or remove `{key}`"
-                self._values.add_at_key("DB102", (*spec.path, key), f"`{key}` needs `{other}`", help)
+        for key, other_key in (("stall_torque", "no_load_speed"), ("no_load_speed", "stall_torque")):
+            if getattr(spec, key) is not None and getattr(spec, other_key) is None:
+                help = f"add `{other_key}`, or remove `{key}`"
+                self._values.add_at_key("DB102", (*spec.path, key), f"`{key}` needs `{other_key}`", help)
         if stall is None or speed is None:
             return {}
         if isinstance(spec, specs.PositionMotor) and spec.stiffness is None:
@@ -260,7 +260,7 @@ class Actuators(NamespaceReader):
 
     def _thrust(self, name: str, spec: specs.Thrust) -> ResolvedActuator | None:
         links = self._robot.links_of(spec, self._values)
-        ends = self._fields.ends(spec, "range", what="the range of a thrust")
+        ends = self._fields.ends(spec, "range", description="the range of a thrust")
         moment_constant = self._fields.fixed(spec, "moment_constant") or 0.0
         response = self._response(spec, links)
         spin = self._spin(spec, links)
@@ -318,15 +318,15 @@ class Actuators(NamespaceReader):
         )
         if max_torque is None:
             return file_limits
-        drawn = self._fields.variations[variations:]
+        new_variations = self._fields.variations[variations:]
         self._compare(
             spec,
             "max_torque",
-            drawn[0].value.typed.type.interval.high if drawn else max_torque,
+            new_variations[0].value.typed.type.interval.high if new_variations else max_torque,
             effort,
             file_limits,
         )
-        self._fields.variations[variations:] = [replace(varied, max=file_limits) for varied in drawn]
+        self._fields.variations[variations:] = [replace(varied, max=file_limits) for varied in new_variations]
         return _tighter(file_limits, max_torque)
 
     def _max_velocity(self, spec: specs.Actuator, joints: tuple[Joint, ...]) -> Limits:
@@ -370,8 +370,8 @@ class Actuators(NamespaceReader):
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
-def _tighter(file_limits: Limits, written: float) -> Limits:
-    return tuple(written if limit is None else min(written, limit) for limit in file_limits)
+def _tighter(file_limits: Limits, max_torque: float) -> Limits:
+    return tuple(max_torque if limit is None else min(max_torque, limit) for limit in file_limits)
 
 
 def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
@@ -443,10 +443,10 @@ class RobotBuilder:
             places_by_name[name] = (definition.origin.value, definition.path)
         for noun, section, names in (("a pose", "poses", spec.poses), ("a sensor", "sensors", spec.sensors)):
             for name in names:
-                place = (*self.path, section, name)
+                path = (*self.path, section, name)
                 if name in places_by_name:
-                    self.values.report_duplicate(place, name, *places_by_name[name])
-                places_by_name[name] = (noun, place)
+                    self.values.report_duplicate(path, name, *places_by_name[name])
+                places_by_name[name] = (noun, path)
         for name in spec.receive or {}:
             if name in spec.poses or name in spec.sensors:
                 self.values.report_duplicate((*self.path, "receive", name), name, *places_by_name[name])
@@ -462,25 +462,25 @@ class RobotBuilder:
                 entries = [(name, (*self.path, "emit", name)) for name in emit]
             case _:
                 entries = [(name, (*self.path, "emit", i)) for i, name in enumerate(emit)]
-        for name, place in entries:
-            make = partial(self._sensor_field if emit is None else self._field, name, place)
-            self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, place, make)
+        for name, path in entries:
+            make = partial(self._sensor_field if emit is None else self._field, name, path)
+            self.namespace.define(f"{self.robot.name}.{name}", Origin.FIELD, path, make)
 
     def define_heard(self) -> None:
         """Define the names of what other robots send to this one; call this when all fields are defined."""
         for name, source in self.robot.spec.hear.items():
-            place = (*self.path, "hear", name)
+            path = (*self.path, "hear", name)
             self.namespace.define(
-                f"{self.robot.name}.{name}", Origin.FIELD, place, partial(self._heard, name, source, place)
+                f"{self.robot.name}.{name}", Origin.FIELD, path, partial(self._heard, name, source, path)
             )
 
-    def _heard(self, name: str, source: str, place: NodePath) -> Symbol:
+    def _heard(self, name: str, source: str, path: NodePath) -> Symbol:
         full, sender = f"{self.robot.name}.{name}", source.partition(".")[0]
         namespace = self.namespace
         if sender == self.robot.name:
             self.values.add(
                 "DB407",
-                place,
+                path,
                 f"`{sender}` cannot hear itself",
                 "use the value itself, or that of another robot",
             )
@@ -488,7 +488,7 @@ class RobotBuilder:
         heard = namespace.definitions.get(source)
         if heard is not None and heard.path[2:3] == ("hear",):
             help = "hear the robot that sends the value, or send a value of `emit`"
-            self.values.add("DB407", place, f"`{sender}` hears `{source}`, and does not send it", help)
+            self.values.add("DB407", path, f"`{sender}` hears `{source}`, and does not send it", help)
             return Symbol(full, None)
         if namespace.origin(source) is not Origin.FIELD:
             fields = [
@@ -496,14 +496,14 @@ class RobotBuilder:
                 for field in namespace.names_of(Origin.FIELD)
                 if not field.startswith(self.robot.name + ".")
             ]
-            self.values.report_unknown(self.values.span(place), "value of another robot", source, fields)
+            self.values.report_unknown(self.values.span(path), "value of another robot", source, fields)
             return Symbol(full, None)
         symbol = namespace.symbol(source)
         if symbol is None or symbol.type is None:
             return Symbol(full, None)
         typed = Reference(symbol.type, 0, len(source), symbol)
         self.heard[name] = Expression(
-            name, self.values.span(place), source, typed, f"{self.robot.name}.hear.{name}"
+            name, self.values.span(path), source, typed, f"{self.robot.name}.hear.{name}"
         )
         return Symbol(full, symbol.type._replace(known=Known.STEP))
 
@@ -527,21 +527,21 @@ class RobotBuilder:
             if is_listed or self.namespace.is_sent(f"{self.robot.name}.{name}")
         )
 
-    def _sensor_field(self, name: str, place: NodePath) -> Symbol:
+    def _sensor_field(self, name: str, path: NodePath) -> Symbol:
         """Return the field of a sensor that no `emit` lists."""
         full, sensor = f"{self.robot.name}.{name}", self.own[name]
         if sensor.type is None:
             return Symbol(full, None)
         typed = Reference(sensor.type, 0, len(name), sensor)
         self.fields[name] = Expression(
-            name, self.values.key_span(place), name, typed, f"{self.robot.name}.emit.{name}"
+            name, self.values.key_span(path), name, typed, f"{self.robot.name}.emit.{name}"
         )
         return Symbol(full, sensor.type._replace(known=Known.STEP))
 
-    def _field(self, name: str, place: NodePath) -> Symbol:
+    def _field(self, name: str, path: NodePath) -> Symbol:
         full = f"{self.robot.name}.{name}"
         emit = self.robot.spec.emit or ()
-        text = self.values.text(place, emit[name] if isinstance(emit, dict) else name)
+        text = self.values.text(path, emit[name] if isinstance(emit, dict) else name)
         if not isinstance(emit, dict) and name not in self.own:
             sensors = list(self.robot.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
@@ -566,8 +566,8 @@ class RobotBuilder:
             for name in self.namespace.names_of(Origin.ACTION)
         }
         for name, value in (spec.receive or {}).items():
-            place = (*self.path, "receive", name)
-            text = self.values.text(place, value)
+            path = (*self.path, "receive", name)
+            text = self.values.text(path, value)
             typed = self.values.expression(text, SupervisorScope(self.namespace, Context.RECEIVE))
             symbols[name] = Symbol(name, None)
             if typed is not None:
@@ -592,14 +592,14 @@ class RobotBuilder:
             if (actuator := actuators.read(name)) is not None
         }
         commands = []
-        for name, written in self.robot.spec.apply.items():
-            place = (*self.path, "apply", name)
+        for name, source in self.robot.spec.apply.items():
+            path = (*self.path, "apply", name)
             if name not in self.robot.spec.actuators:
                 self.values.report_unknown(
-                    self.values.key_span(place), "actuator", name, list(self.robot.spec.actuators)
+                    self.values.key_span(path), "actuator", name, list(self.robot.spec.actuators)
                 )
                 continue
-            command = self._command(name, written, place, driven.get(name), scope)
+            command = self._command(name, source, path, driven.get(name), scope)
             if command:
                 commands.append(command)
         name, (to_robot, from_robot) = self.robot.name, routes
@@ -639,9 +639,9 @@ class RobotBuilder:
                     report("DB407", node.start, node.end, headline, help)
 
     def _command(
-        self, name: str, command: object, place: NodePath, driven: ResolvedActuator | None, scope: RobotScope
+        self, name: str, command: object, path: NodePath, driven: ResolvedActuator | None, scope: RobotScope
     ) -> Command | None:
-        text = self.values.text(place, command)
+        text = self.values.text(path, command)
         if driven is None:
             self.values.expression(text, scope, boolean=False)
             return None

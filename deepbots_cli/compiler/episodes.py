@@ -220,8 +220,8 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
     robot = namespace.robots.get(body)
     if robot is not None:
         return robot.spec.base == "fixed" and link in ("", robot.model.root)
-    thing = namespace.scenario.objects.get(body)
-    return bool(getattr(thing, "fixed", False)) or getattr(thing, "solid", True) is False
+    object_spec = namespace.scenario.objects.get(body)
+    return bool(getattr(object_spec, "fixed", False)) or getattr(object_spec, "solid", True) is False
 
 
 # How an episode begins
@@ -266,7 +266,7 @@ def _report_missing_robot(key: str, text: SourceText, namespace: Namespace) -> N
     """Report an unknown robot in the key of a start: a joint without its robot, or another name."""
     name = key.partition(".")[0]
     parts = [f"{robot.name}.{part}" for robot in namespace.resolved_robots for part in _movable_parts(robot)]
-    if any(whole.partition(".")[2] == key for whole in parts):
+    if any(full_name.partition(".")[2] == key for full_name in parts):
         namespace.values.report_unknown(text.span, "joint", key, parts)
     elif name not in namespace.robots:
         robots = namespace.names_of(Origin.ROBOT)
@@ -317,12 +317,12 @@ def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, S
         subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
     scope, start = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
-    angle, read = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
+    angle, field = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
     if not isinstance(start, JointState):
-        position = _start_value(read(spec, "joints", key), key, angle, subject, scope, joints)
+        position = _start_value(field(spec, "joints", key), key, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
-    position = _start_value(read(start, "position"), key, angle, subject, scope, joints)
-    velocity = _start_value(read(start, "velocity"), key, angle / TIME, subject, scope, joints)
+    position = _start_value(field(start, "position"), key, angle, subject, scope, joints)
+    velocity = _start_value(field(start, "velocity"), key, angle / TIME, subject, scope, joints)
     return JointStart(robot_name, joints, position, velocity) if position and velocity else None
 
 
@@ -401,12 +401,12 @@ def _left_out(
     layout: Layout, placed_bodies: set[str], places: Places, namespace: Namespace
 ) -> list[Placement]:
     """Return the bodies at home that other layouts place."""
-    here = {placement.body for placement in layout.placements}
+    layout_bodies = {placement.body for placement in layout.placements}
     bodies = {*namespace.names_of(Origin.ROBOT, Origin.OBJECT)} - set(namespace.groups)
     return [
         places.at_own_pose(body)
         for body in namespace.definitions
-        if body in placed_bodies - here and body in bodies
+        if body in placed_bodies - layout_bodies and body in bodies
     ]
 
 
@@ -564,17 +564,17 @@ class Signals(NamespaceReader):
                     self._values.span(("augment", index)), "parameter or signal", name, measured
                 )
 
-    def _define(self, name: str, value: object, origin: Origin, place: NodePath, context: Context) -> None:
-        self._namespace.define(name, origin, place, partial(self._typed, name, value, place, context))
+    def _define(self, name: str, value: object, origin: Origin, path: NodePath, context: Context) -> None:
+        self._namespace.define(name, origin, path, partial(self._typed, name, value, path, context))
 
-    def _typed(self, name: str, value: object, place: NodePath, context: Context) -> Symbol:
+    def _typed(self, name: str, value: object, path: NodePath, context: Context) -> Symbol:
         if isinstance(value, PythonTerm):
             self.valued[name] = python_term(name, value, self._namespace, boolean=True)
             return Symbol(name, self.valued[name].typed.type)
         text = (
             self._values.field(value, "value")
             if isinstance(value, Measured)
-            else self._values.text(place, value)
+            else self._values.text(path, value)
         )
         typed = self._values.expression(text, SupervisorScope(self._namespace, context))
         if typed is not None and context is Context.ENDING:
@@ -663,12 +663,12 @@ def _limit(limits: TruncationSpec, name: str) -> tuple[Section, str]:
 def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -> None:
     """Report agents that do not exist: the only agent of a scenario is named by `all`."""
     path, agents = ("truncation", name, "success"), getattr(limits, name).success
-    places = (
+    agents_by_path = (
         {path: agents} if isinstance(agents, str) else {(*path, i): agent for i, agent in enumerate(agents)}
     )
-    for place, agent in places.items():
+    for key_path, agent in agents_by_path.items():
         if agent != ALL_AGENTS:
-            namespace.values.report_unknown(namespace.values.span(place), "agent", agent, [ALL_AGENTS])
+            namespace.values.report_unknown(namespace.values.span(key_path), "agent", agent, [ALL_AGENTS])
 
 
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:

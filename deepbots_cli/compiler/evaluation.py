@@ -144,20 +144,20 @@ def _self_play(train: TrainingSpec) -> SelfPlay | None:
 def _hyperparameters(settings: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:
     """Return the hyperparameters with a single value, a schedule or an adaptive rate; an unusual learning
     rate is a finding."""
-    read = []
+    parameters = []
     for name, value in settings.items():
         if isinstance(value, AdaptiveRateSpec):
-            read.append(Hyperparameter(name, AdaptiveRate(value.kl, value.start)))
+            parameters.append(Hyperparameter(name, AdaptiveRate(value.kl, value.start)))
             continue
         if name == "replay" or not (isinstance(value, (bool, int, float, str)) or value is None):
             continue
         ramp = read_schedule(value) if isinstance(value, str) else None
-        read.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
+        parameters.append(Hyperparameter(name, Schedule(*ramp) if ramp else value))
         rate = max(ramp) if ramp else value
         if name == "learning_rate" and isinstance(rate, int | float) and rate > _MAX_LEARNING_RATE:
             headline = f"a learning rate of {rate:g} is unusually high"
             values.add("DB505", ("train", name), headline, "write a rate from 1e-5 to 1e-2, such as `3e-4`")
-    return tuple(read)
+    return tuple(parameters)
 
 
 def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
@@ -181,9 +181,9 @@ def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None
     spec = teacher if isinstance(teacher, TeacherSpec) else TeacherSpec(script=str(teacher))
     path = ("train", "teacher") if isinstance(teacher, str) else ("train", "teacher", "script")
     if spec.script not in namespace.scenario.scripts and not values.is_invalid("scripts"):
-        near = nearest_word(spec.script, namespace.scenario.scripts)
-        help = f"did you mean `{near}`?" if near else "name a script from `scripts`"
-        fix = Fix.replacing(values.span(path), spec.script, near, safe=False) if near else None
+        suggestion = nearest_word(spec.script, namespace.scenario.scripts)
+        help = f"did you mean `{suggestion}`?" if suggestion else "name a script from `scripts`"
+        fix = Fix.replacing(values.span(path), spec.script, suggestion, safe=False) if suggestion else None
         values.add("DB201", path, f"there is no script `{spec.script}`", help, fix=fix)
     elif copies is not None:
         values.add("DB102", path, "a teacher cannot teach copies of a robot", "leave out `teacher`")
@@ -250,10 +250,10 @@ def _reason_against_symmetry(train: TrainingSpec) -> str:
 def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
     """Return the help for an algorithm of ranges where an action has choices: another algorithm, or
     ranges."""
-    written, also = entries_at(namespace.values.root, "train"), ""
+    entries, also = entries_at(namespace.values.root, "train"), ""
     foreign = [
         key
-        for key in written
+        for key in entries
         if key not in type(train).model_fields and key in ALGORITHMS["PPO"].model_fields
     ]
     if foreign:
@@ -363,13 +363,17 @@ class _VariantCompiler:
         values, first = self._values, dict[str, NodePath]()
         for index, stage in enumerate(spec.stages):
             path: NodePath = ("curriculum", index)
-            here: NodePath = (*path, "name")
+            name_path: NodePath = (*path, "name")
             if stage.name in first:
                 also = (Label(values.span(first[stage.name]), "first defined here"),)
                 values.add(
-                    "DB202", here, f"`{stage.name}` is already a stage", "choose another name", labels=also
+                    "DB202",
+                    name_path,
+                    f"`{stage.name}` is already a stage",
+                    "choose another name",
+                    labels=also,
                 )
-            first.setdefault(stage.name, here)
+            first.setdefault(stage.name, name_path)
             last = index == len(spec.stages) - 1
             criterion = read_until(stage.until)
             if criterion and criterion[0] == "success_rate" and not spec.defines_success:
@@ -382,7 +386,7 @@ class _VariantCompiler:
                 help = "add `until: success_rate >= 0.7 over 40 episodes`"
                 values.add(
                     "DB102",
-                    here,
+                    name_path,
                     f"the stage `{stage.name}` never ends, so the next stage never begins",
                     help,
                 )
@@ -402,25 +406,26 @@ class _VariantCompiler:
             root = apply_setting(root, entry, findings)
         checked = self._check(replace(self._document, root=root, findings=findings))
         self.checked.append(checked)
-        here = self._values.key_span(path) if word == "case" else self._values.span((*path, "name"))
-        written = [
+        name_span = self._values.key_span(path) if word == "case" else self._values.span((*path, "name"))
+        entry_spans = [
             Span(entry.key.span.source, entry.key.span.start, entry.value.span.end) for entry in entries
         ]
         for finding in checked.findings:
             if finding.sort_key not in self._known:
                 inside = any(
                     span.source is finding.span.source and span.start <= finding.span.start <= span.end
-                    for span in written
+                    for span in entry_spans
                 )
                 also = (
                     finding.labels
                     if inside
-                    else (*finding.labels, Label(here, f"with the settings of this {word}"))
+                    else (*finding.labels, Label(name_span, f"with the settings of this {word}"))
                 )
                 self._values.findings.append(replace(finding, labels=also))
         return (
             checked.program
-            if checked.program is not None and self._admits_same_policy(checked.program, word, name, here)
+            if checked.program is not None
+            and self._admits_same_policy(checked.program, word, name, name_span)
             else None
         )
 
@@ -438,8 +443,8 @@ class _VariantCompiler:
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Return whether a setting changes a property that a policy is made for, after a finding about it."""
-        steps, _, rest = follow_dotted(self._values.root, entry.key.text.strip())
-        head = str(steps[0]) if steps else rest.split(".")[0]
+        steps, _, unresolved = follow_dotted(self._values.root, entry.key.text.strip())
+        head = str(steps[0]) if steps else unresolved.split(".")[0]
         parameters = self._values.root.get("parameters")
         if head not in _FIXED_SECTIONS or (
             isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
@@ -452,7 +457,7 @@ class _VariantCompiler:
         self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
-    def _admits_same_policy(self, program: Program, word: VariantKind, name: str, here: Span) -> bool:
+    def _admits_same_policy(self, program: Program, word: VariantKind, name: str, name_span: Span) -> bool:
         """Return whether a policy for the scenario itself can act in this one, else after a finding."""
         lines = identity.differences(self._base, program, words=("in the scenario", f"in this {word}"))
         if word == "stage" and program.world.timestep != self._base.world.timestep:
@@ -465,7 +470,7 @@ class _VariantCompiler:
                 "remove the change; to evaluate a policy in both engines, use `deepbots eval RUN --engine"
                 " mujoco,pybullet`"
             )
-            self._values.add("DB407", here, f"the {word} `{name}` cannot change `world.engine`", help)
+            self._values.add("DB407", name_span, f"the {word} `{name}` cannot change `world.engine`", help)
             return False
         if lines:
             timestep = "the timestep, " if word == "stage" else ""
@@ -481,7 +486,7 @@ class _VariantCompiler:
                     )
             self._values.add(
                 "DB613",
-                here,
+                name_span,
                 f"the {word} `{name}` changes the interface of the policy",
                 help,
                 notes=tuple(lines[:5]),
@@ -503,14 +508,14 @@ _MAX_SHOWN_VALUES = 4
 
 def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest, ...]:
     """Return the tests without findings, compiled in the namespace of `program`."""
-    written, values = namespace.scenario.tests, namespace.values
-    if len(written) > MAX_TESTS:
+    specs, values = namespace.scenario.tests, namespace.values
+    if len(specs) > MAX_TESTS:
         values.add_at_key(
             "DB005", ("tests",), f"more than {MAX_TESTS} tests", "join tests, or write another file"
         )
         return ()
     reader = _Reader(namespace, program)
-    tests = [reader.test(name, spec) for name, spec in written.items()]
+    tests = [reader.test(name, spec) for name, spec in specs.items()]
     return tuple(test for test in tests if test is not None)
 
 
@@ -529,19 +534,19 @@ class _Reader(NamespaceReader):
             headline = "`agent` of a test belongs to a scenario with several `agents`"
             self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
         cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.stages]
-        for word, section, variant, others in (
+        for word, section, variant, names in (
             ("case", "cases", spec.case, list(cases)),
             ("stage", "curriculum", spec.stage, stages),
         ):
-            if variant is not None and variant not in others and not self._values.is_invalid(section):
-                self._values.report_unknown(self._values.field(spec, word).span, word, variant, others)
+            if variant is not None and variant not in names and not self._values.is_invalid(section):
+                self._values.report_unknown(self._values.field(spec, word).span, word, variant, names)
         expected = tuple(self._expected(spec.expect))
         steps = self._steps(spec, driver)
         if len(self._values.findings.errors) > errors_before or driver is None:
             return None
-        place = self._values.key_span(("tests", name))
+        span = self._values.key_span(("tests", name))
         return ScenarioTest(
-            name, place, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage
+            name, span, driver, spec.episodes, spec.seed, steps, expected, spec.case, spec.stage
         )
 
     # Who acts, for how long
@@ -557,25 +562,25 @@ class _Reader(NamespaceReader):
         return name
 
     def _actions(self, spec: TestSpec) -> tuple[FixedAction, ...] | None:
-        read = [
-            self._action((*spec.path, "actions", index), written)
-            for index, written in enumerate(spec.actions or ())
+        fixed_actions = [
+            self._action((*spec.path, "actions", index), value)
+            for index, value in enumerate(spec.actions or ())
         ]
-        actions = tuple(action for action in read if action is not None)
-        return actions if len(actions) == len(read) else None
+        actions = tuple(action for action in fixed_actions if action is not None)
+        return actions if len(actions) == len(fixed_actions) else None
 
-    def _action(self, place: NodePath, written: object) -> FixedAction | None:
+    def _action(self, path: NodePath, value: object) -> FixedAction | None:
         names = list(self._spec.action)
-        if not isinstance(written, dict):
+        if not isinstance(value, dict):
             if len(names) > 1:
                 help = f"write `{{{': ..., '.join(names)}: ...}}`"
-                self._values.add("DB103", place, f"one value for an action of {len(names)} parts", help)
+                self._values.add("DB103", path, f"one value for an action of {len(names)} parts", help)
                 return None
-            written = dict.fromkeys(names, written)
-        return self._fixed(place, self._decisions.read(place, written, "the action"))
+            value = dict.fromkeys(names, value)
+        return self._fixed(path, self._decisions.read(path, value, "the action"))
 
     def _fixed(
-        self, place: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None
+        self, path: NodePath, decided: tuple[ScriptedChoice | ScriptedRange, ...] | None
     ) -> FixedAction | None:
         choices: list[int] = []
         ranges: list[float] = []
@@ -593,7 +598,7 @@ class _Reader(NamespaceReader):
                 if not all(map(math.isfinite, numbers)):
                     help = "write fixed values, or use a script from `scripts`"
                     self._values.add(
-                        "DB407", place, f"the value of `{part.name}` must be the same in every episode", help
+                        "DB407", path, f"the value of `{part.name}` must be the same in every episode", help
                     )
                     return None
                 middle, half = (part.high + part.low) / 2, (part.high - part.low) / 2
@@ -648,11 +653,11 @@ class _Reader(NamespaceReader):
         if spec.ends_by is not None:
             yield from self._ends_by(spec)
         for key in _CONDITIONS:
-            written = getattr(spec, key)
-            if isinstance(written, tuple):
-                for index in range(len(written)):
+            conditions = getattr(spec, key)
+            if isinstance(conditions, tuple):
+                for index in range(len(conditions)):
                     yield from self._condition(key, (*spec.path, key, index))
-            elif written is not None:
+            elif conditions is not None:
                 yield from self._condition(key, (*spec.path, key))
 
     def _bounds(self, spec: Expectation, key: str) -> tuple[float, float] | None:
@@ -690,14 +695,14 @@ class _Reader(NamespaceReader):
             if name not in endings and not self._values.is_invalid(
                 "truncation" if name.startswith("max_") else "termination"
             ):
-                place: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
-                self._values.report_unknown(self._values.span(place), "ending", name, endings)
+                path: NodePath = (*spec.path, "ends_by", index) if several else (*spec.path, "ends_by")
+                self._values.report_unknown(self._values.span(path), "ending", name, endings)
         yield ExpectedResult(
             "ends_by", self._values.span((*spec.path, "ends_by")), " or ".join(names), endings=tuple(names)
         )
 
-    def _condition(self, key: ExpectedKey, place: NodePath) -> Iterator[ExpectedResult]:
-        text = self._values.text(place)
+    def _condition(self, key: ExpectedKey, path: NodePath) -> Iterator[ExpectedResult]:
+        text = self._values.text(path)
         typed = self._values.condition(text, self._scope)
         if typed is not None:
             compared = tuple(

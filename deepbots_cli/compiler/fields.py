@@ -75,10 +75,12 @@ class FieldReader:
         self.colors: list[RandomizedParameter] = []
 
     def typed(
-        self, text: SourceText, what: str | None = None, **context: Unpack[FieldContext]
+        self, text: SourceText, description: str | None = None, **context: Unpack[FieldContext]
     ) -> Typed | None:
-        """Return the tree of a quantity; None after a finding, in which the field is called `what`."""
-        return self._values.quantity(text, what or f"`{text.path[-1]}`", *self._expected_type(text, context))
+        """Return the tree of a quantity; None after a finding, in which the field is called `description`."""
+        return self._values.quantity(
+            text, description or f"`{text.path[-1]}`", *self._expected_type(text, context)
+        )
 
     def expression(
         self, section: Section, *steps: str | int, **context: Unpack[FieldContext]
@@ -196,7 +198,7 @@ class FieldReader:
         self,
         section: Section,
         *steps: str | int,
-        what: str | None = None,
+        description: str | None = None,
         falling: bool = False,
         **context: Unpack[FieldContext],
     ) -> RangeEnds | None:
@@ -208,7 +210,7 @@ class FieldReader:
         scope, components = context.get("scope") or self._scope(Context.FIXED), context.get("components")
         return self._values.ends(
             text,
-            what or f"`{text.path[-1]}`",
+            description or f"`{text.path[-1]}`",
             scope,
             dimension=dimension,
             components=components,
@@ -216,31 +218,38 @@ class FieldReader:
         )
 
     def parameters(
-        self, spec: Section, wanted: Iterable[tuple[str, FieldType]], own: Dimension, *, slides: bool = False
+        self,
+        spec: Section,
+        fields: Iterable[tuple[str, FieldType]],
+        base_dimension: Dimension,
+        *,
+        slides: bool = False,
     ) -> tuple[tuple[str, Parameter], ...] | None:
-        """Return the `wanted` fields of a sensor or actuator in SI units; None after a finding.
+        """Return the `fields` of a sensor or actuator in SI units; None after a finding.
 
-        `own` is the dimension of its readings or commands. Of a measure such as `torque or force`, joints
-        that slide have the second.
+        `base_dimension` is the dimension of its readings or commands. Of a measure such as `torque or force`,
+        joints that slide have the second.
         """
-        read: dict[str, Parameter] = {}
-        for key, kind in wanted:
+        parameters: dict[str, Parameter] = {}
+        for key, kind in fields:
             findings_before = len(self._values.findings)
-            read[key] = (
-                None if getattr(spec, key) is None else self._parameter(spec, key, kind, own, slides=slides)
+            parameters[key] = (
+                None
+                if getattr(spec, key) is None
+                else self._parameter(spec, key, kind, base_dimension, slides=slides)
             )
-            if read[key] is None and len(self._values.findings) > findings_before:
+            if parameters[key] is None and len(self._values.findings) > findings_before:
                 return None
-        return tuple(read.items())
+        return tuple(parameters.items())
 
     def _parameter(
         self, spec: Section, key: str, kind: FieldType, base_dimension: Dimension, *, slides: bool
     ) -> Parameter:
-        written = getattr(spec, key)
+        value = getattr(spec, key)
         if not isinstance(kind, (Quantity, Range, Column)) or (
-            isinstance(kind, Quantity) and written in kind.words
+            isinstance(kind, Quantity) and value in kind.words
         ):
-            return written if isinstance(written, (bool, int, float)) else str(written)
+            return value if isinstance(value, (bool, int, float)) else str(value)
         dimension = dimension_of(kind.dimension, base_dimension, second=slides)
         if isinstance(kind, Range):
             ends = self.ends(spec, key, dimension=dimension)
@@ -304,8 +313,8 @@ class FieldReader:
             ends = tuple(Constant(single, 0, 0, (end,)) for end in (0.0, len(options) - 1.0))
             option_index = Invocation(single, 0, 0, "integer", (), ends, 0)
             shades = tuple(Constant(single, 0, 0, (share,)) for option in options for share in option[:3])
-            drawn = text.expression(Vector(single, 0, len(text.text), (option_index, *shades)))
-            self.colors.append(RandomizedParameter("color", of, replace(drawn, owner=_owner(text, of))))
+            choice = text.expression(Vector(single, 0, len(text.text), (option_index, *shades)))
+            self.colors.append(RandomizedParameter("color", of, replace(choice, owner=_owner(text, of))))
         return options[0]
 
     def _text_of(self, section: Section, steps: tuple[str | int, ...]) -> SourceText | None:

@@ -89,10 +89,10 @@ class Inputs:
             return ""
         root = without_paths(self.document.root, [(TUNE,)])
         for path, file in (self._files_by_path | self._files_of_variants()).items():
-            written, key, _ = descend(root, path)
-            if isinstance(written, ScalarNode) and key is not None:
+            node, key, _ = descend(root, path)
+            if isinstance(node, ScalarNode) and key is not None:
                 text = f"{INPUTS_FOLDER}/{self.names[file]}"
-                root = with_entry(root, path, Entry(key, ScalarNode(written.span, text, text)))
+                root = with_entry(root, path, Entry(key, ScalarNode(node.span, text, text)))
         return to_yaml(root)
 
     @property
@@ -112,9 +112,9 @@ class Inputs:
                     descend(variant.document.root, path)[0].span: file
                     for path, file in variant._files_by_path.items()
                 }
-        places = walk(self.document.root) if files else ()
+        nodes = walk(self.document.root) if files else ()
         return {
-            path: files[node.span] for path, node in places if path[:1] in _SETTINGS and node.span in files
+            path: files[node.span] for path, node in nodes if path[:1] in _SETTINGS and node.span in files
         }
 
 

@@ -114,8 +114,8 @@ def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
 def action_at(path: NodePath) -> str:
     """Return the action that a place of a script, of an action of a test or of the section `action` belongs
     to; empty for none."""
-    place = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
-    return str(path[place]) if len(path) > place else ""
+    index = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
+    return str(path[index]) if len(path) > index else ""
 
 
 _OF_TESTS = ("driver", "case", "stage", "ending")
@@ -125,7 +125,7 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
     """Return the names that a test may use."""
     spec = namespace.scenario
     limits = spec.truncation.model_fields_set if spec.truncation else ()
-    places: dict[str, list[tuple[NodePath, str, str]]] = {
+    keys: dict[str, list[tuple[NodePath, str, str]]] = {
         "driver": [(("scripts", name), "a script", name) for name in spec.scripts],
         "case": [
             (("evaluation", "cases", name), "a case of the evaluation", name)
@@ -139,7 +139,7 @@ def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
     }
     free = {"driver": [NameEntry(name, "actions without a script") for name in PLAIN_DRIVERS]}
     endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
-    return [*endings, *(_keyed(namespace, *place) for place in places[kind]), *free.get(kind, ())]
+    return [*endings, *(_keyed(namespace, *key) for key in keys[kind]), *free.get(kind, ())]
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
@@ -180,11 +180,11 @@ def _on_board(namespace: Namespace, robot: str | None, name: str) -> NameEntry |
 def _anywhere(namespace: Namespace, name: str) -> NameEntry | None:
     if name in namespace.definitions or name in namespace.walls:
         return _one_defined(namespace, name)
-    robot, _, rest = name.partition(".")
-    if not rest:
+    robot, _, part_name = name.partition(".")
+    if not part_name:
         return None
     sections = ("sensors", "groups", "joints", "links")
-    return next((part for part in _parts(namespace, robot, sections) if part.name == rest), None)
+    return next((part for part in _parts(namespace, robot, sections) if part.name == part_name), None)
 
 
 def _defined(namespace: Namespace, names: Iterable[str]) -> list[NameEntry]:

@@ -133,9 +133,11 @@ def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
 
 def _common_criterion(agents: Iterable[Agent]) -> Solved | None:
     """Return `solved` if it is a success rate that all agents have."""
-    first, *others = (agent.solved for agent in agents)
+    first, *other_criteria = (agent.solved for agent in agents)
     is_common = (
-        first is not None and first.mean_return is None and all(criterion == first for criterion in others)
+        first is not None
+        and first.mean_return is None
+        and all(criterion == first for criterion in other_criteria)
     )
     return first if is_common else None
 

@@ -55,12 +55,12 @@ class DividedTests:
         }
         return Entry(section.key, replace(section.value, entries=entries))
 
-    def _part(self, test: str, agent: str, name: ScalarNode, written: MappingNode) -> MappingNode:
-        entries = {key: entry for key, entry in written.entries.items() if key != _AGENT}
+    def _part(self, test: str, agent: str, name: ScalarNode, test_node: MappingNode) -> MappingNode:
+        entries = {key: entry for key, entry in test_node.entries.items() if key != _AGENT}
         if _DRIVER in entries:
-            entries[_DRIVER] = Entry(entries[_DRIVER].key, self._driver(agent, written))
+            entries[_DRIVER] = Entry(entries[_DRIVER].key, self._driver(agent, test_node))
         elif _ACTIONS in entries:
-            actions = [_get(step, agent) for step in _steps(written)]
+            actions = [_get(step, agent) for step in _steps(test_node)]
             first = next((item for item in actions if item is not None), None)
             key = entries.pop(_ACTIONS).key
             if first is None:
@@ -71,18 +71,18 @@ class DividedTests:
         if agent != self.owner(test) and _EXPECT in entries:
             expected = {_NOTHING: Entry(_scalar(name, _NOTHING), name._replace(text="0", value=0))}
             entries[_EXPECT] = Entry(entries[_EXPECT].key, MappingNode(name.span, expected))
-        return replace(written, entries=entries)
+        return replace(test_node, entries=entries)
 
-    def _driver(self, agent: str, written: MappingNode) -> ScalarNode:
+    def _driver(self, agent: str, test_node: MappingNode) -> ScalarNode:
         """Return the driver of an agent: its script of the name that all agents share, else its first script,
         else `random`."""
-        node, scripts = written.get(_DRIVER), self._scripts[agent]
+        node, scripts = test_node.get(_DRIVER), self._scripts[agent]
         of_agent = _get(node, agent)
         if isinstance(of_agent, ScalarNode):
             return of_agent
         if isinstance(node, ScalarNode) and node.text in (*scripts, RANDOM, ZERO):
             return node
-        return _scalar(written.entries[_DRIVER].key, next(iter(scripts), RANDOM))
+        return _scalar(test_node.entries[_DRIVER].key, next(iter(scripts), RANDOM))
 
     def _check(self, entry: Entry) -> None:
         if not isinstance(entry.value, MappingNode):
@@ -129,8 +129,8 @@ class DividedTests:
                 continue
             drivers = {agent: part.driver for agent, part in parts.items() if isinstance(part.driver, str)}
             joint = _about(parts[owner], program.members[owner])
-            if written := _steps_of(self._written[name]):
-                actions = tuple(_joint_actions(program.members, parts, written))
+            if steps := _steps_of(self._written[name]):
+                actions = tuple(_joint_actions(program.members, parts, steps))
                 yield replace(joint, driver=actions, steps=min(joint.steps, len(actions)))
             else:
                 yield replace(joint, drivers=drivers)
@@ -193,6 +193,6 @@ def _get(node: Node | None, key: str) -> Node | None:
     return node.get(key) if isinstance(node, MappingNode) else None
 
 
-def _scalar(place: ScalarNode, text: str) -> ScalarNode:
+def _scalar(key: ScalarNode, text: str) -> ScalarNode:
     """Return a text at the place of a key."""
-    return ScalarNode(place.span, text, text)
+    return ScalarNode(key.span, text, text)

@@ -125,13 +125,13 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     section, root = parse(Source(CHOSEN, text), document.findings), document.root
     assert isinstance(section, MappingNode)
     assert root is not None
-    written = root.entries.get(
+    train_entry = root.entries.get(
         _TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={}))
     )
-    assert isinstance(written.value, MappingNode)  # the validation has checked it
-    hyperparameters = {key: entry for key, entry in written.value.entries.items() if key != _ALGORITHM}
-    section = merge(section, replace(written.value, entries=hyperparameters), _TRAIN)
-    root = replace(root, entries=root.entries | {_TRAIN: Entry(written.key, section)})
+    assert isinstance(train_entry.value, MappingNode)  # the validation has checked it
+    hyperparameters = {key: entry for key, entry in train_entry.value.entries.items() if key != _ALGORITHM}
+    section = merge(section, replace(train_entry.value, entries=hyperparameters), _TRAIN)
+    root = replace(root, entries=root.entries | {_TRAIN: Entry(train_entry.key, section)})
     return replace(document, root=root), tuple(
         reason for keys, reason in choice.reasons.items() if hyperparameters.keys().isdisjoint(keys.split())
     )

@@ -58,14 +58,14 @@ class _LevelsReader(NamespaceReader):
 
     def _values_of(self, name: str) -> tuple[float, ...] | None:
         """Return the value of a parameter in each level; None after a finding."""
-        place: NodePath = (*self._levels.path, "set", name)
-        entry = self._draw(name, place)
+        path: NodePath = (*self._levels.path, "set", name)
+        entry = self._draw(name, path)
         if entry is None:
             return None
         parameter = self._parameter(name)
         if parameter is None:
             return None
-        text = self._values.text(place)
+        text = self._values.text(path)
         ends = self._values.ends(
             text,
             f"`{name}`",
@@ -77,17 +77,17 @@ class _LevelsReader(NamespaceReader):
             return None
         (low,), (high,), last = ends.low, ends.high, self._levels.levels - 1
         numbers = (*(low + (high - low) * level / last for level in range(last)), high)
-        return numbers if self._is_drawable(entry, parameter, numbers, place) else None
+        return numbers if self._is_drawable(entry, parameter, numbers, path) else None
 
     def _parameter(self, name: str) -> Expression | None:
         parameter = name.partition(".")[0]
         return next((value for value in self._program.parameters if value.name == parameter), None)
 
-    def _draw(self, name: str, place: NodePath) -> EpisodeDraw | None:
+    def _draw(self, name: str, path: NodePath) -> EpisodeDraw | None:
         """Return the draw of a parameter; None after a finding."""
         draws = [entry for entry in self._program.draws.entries if entry.is_parameter]
         entry = next((entry for entry in draws if entry.name == name), None)
-        span = self._values.key_span(place)
+        span = self._values.key_span(path)
         if entry is not None and not entry.changes:
             return entry
         if entry is not None:
@@ -104,8 +104,8 @@ class _LevelsReader(NamespaceReader):
             help = "name those in place of it"
             self._values.add("DB407", span, f"`{name}` is computed from other parameters", help)
         elif not self._is_assigned(name) and not self._values.is_invalid(name):
-            written = self._values.text(place).text
-            help = f"draw it from all levels, for example `{name}: uniform({written})`"
+            text = self._values.text(path).text
+            help = f"draw it from all levels, for example `{name}: uniform({text})`"
             headline = f"`{name}` has one value in all episodes, so nothing uses the levels"
             self._values.add("DB205", span, headline, help)
         return None
@@ -115,7 +115,7 @@ class _LevelsReader(NamespaceReader):
         return self._values.span(("parameters", name)).source.assigned is not None
 
     def _is_drawable(
-        self, entry: EpisodeDraw, parameter: Expression, numbers: tuple[float, ...], place: NodePath
+        self, entry: EpisodeDraw, parameter: Expression, numbers: tuple[float, ...], path: NodePath
     ) -> bool:
         """Return whether an episode of the scenario could draw each of the numbers, else after a finding."""
         name, tree = entry.name, entry.tree
@@ -131,14 +131,14 @@ class _LevelsReader(NamespaceReader):
             if missing:
                 headline = f"a level has `{name}` = {missing[0]:g}, which is none of its choices"
                 help = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
-                self._values.add("DB105", place, headline, help)
+                self._values.add("DB105", path, headline, help)
             return not missing
         if kind == "integer" and any(abs(number - round(number)) > _TOLERANCE for number in numbers):
             count = round(abs(numbers[-1] - numbers[0])) + 1
             headline = f"{len(numbers)} levels do not divide the range into whole numbers"
             ends = f"{numbers[0]:g} .. {numbers[-1]:g}"
             help = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
-            self._values.add("DB105", place, headline, help)
+            self._values.add("DB105", path, headline, help)
             return False
         beyond = [
             number
@@ -148,7 +148,7 @@ class _LevelsReader(NamespaceReader):
         if beyond:
             headline = f"a level has `{name}` = {beyond[0]:g}, but the scenario draws {low:g} to {high:g}"
             help = "keep the range within it, or draw the parameter from a wider range"
-            self._values.add("DB105", place, f"{headline} (SI units)", help)
+            self._values.add("DB105", path, f"{headline} (SI units)", help)
         return not beyond
 
     # The level of a world
@@ -174,15 +174,15 @@ class _LevelsReader(NamespaceReader):
 
     def _outcomes(self, key: Literal["up", "down"]) -> set[str]:
         """Return the outcomes that a key names."""
-        written = getattr(self._levels, key)
-        names = written if isinstance(written, tuple) else (written,)
+        value = getattr(self._levels, key)
+        names = value if isinstance(value, tuple) else (value,)
         outcomes: set[str] = set()
-        for index, name in enumerate(names if written is not None else ()):
-            place: NodePath = (*self._levels.path, key, *([index] if isinstance(written, tuple) else []))
-            outcomes |= self._outcomes_of(name, place)
+        for index, name in enumerate(names if value is not None else ()):
+            path: NodePath = (*self._levels.path, key, *([index] if isinstance(value, tuple) else []))
+            outcomes |= self._outcomes_of(name, path)
         return outcomes
 
-    def _outcomes_of(self, name: str, place: NodePath) -> set[str]:
+    def _outcomes_of(self, name: str, path: NodePath) -> set[str]:
         """Return the outcomes of a name; none after a finding."""
         termination, truncation = self._spec.termination, self._spec.truncation
         limits = {limit for limit in LIMITS if getattr(truncation, limit, None) is not None}
@@ -204,8 +204,8 @@ class _LevelsReader(NamespaceReader):
                 if name == "termination":
                     defined = "an ending under `termination`"
                 help = f"define {defined}, or name another ending"
-                self._values.add("DB407", place, f"no episode of the scenario ends by `{name}`", help)
+                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", help)
             return outcomes
         if name not in single and not self._values.is_invalid("termination"):
-            self._values.report_unknown(self._values.span(place), "ending", name, [*groups, *sorted(single)])
+            self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])
         return {name}

@@ -98,8 +98,8 @@ class Namespace:
         self.values.readings.clear()
         del self.fields  # `fields` refers to this namespace
 
-    def scope(self, context: Context, own: Mapping[str, Symbol] | None = None) -> ParameterScope:
-        return ParameterScope(self, context, own or {})
+    def scope(self, context: Context, symbols: Mapping[str, Symbol] | None = None) -> ParameterScope:
+        return ParameterScope(self, context, symbols or {})
 
     def define(
         self, name: str, origin: Origin, path: NodePath, make: Callable[[], Symbol] | None = None
@@ -196,20 +196,20 @@ class Namespace:
             return Subject(name, Kind.GROUND)
         if self.is_invalid(name):
             return Subject(name, Kind.BROKEN)
-        head, _, rest = name.partition(".")
+        head, _, part = name.partition(".")
         definition, robot = self.definitions.get(head), self.robots.get(head)
         if robot is not None:
             return (
-                robot.subject(rest, kinds)
-                if rest
+                robot.subject(part, kinds)
+                if part
                 else Subject(head, Kind.ROBOT, link=f"{head}.{robot.model.root}")
             )
-        if head in self.groups and not rest:
+        if head in self.groups and not part:
             return Subject(head, Kind.OBJECTS, self.groups[head].copies)
-        if head in self.walls and not rest:
+        if head in self.walls and not part:
             pieces = self.walls[head]
             return Subject(head, Kind.WALLS if len(pieces) > 1 else Kind.WALL, link=pieces[0], pieces=pieces)
-        if definition is not None and definition.origin in _KIND_OF and not rest:
+        if definition is not None and definition.origin in _KIND_OF and not part:
             length = self.lengths.get(head)
             return Subject(
                 head,
@@ -323,15 +323,15 @@ class SupervisorScope(_Scope):
             return Symbol(
                 name, None, refusal=f"{GOAL_REACHED_MESSAGE}; {self._instead(f'expression of `goal.{name}`')}"
             )
-        robot, _, rest = name.partition(".")
+        robot, _, part = name.partition(".")
         resolved = self.namespace.robots.get(robot)
         if (
             origin is None
             and resolved is not None
-            and rest in resolved.spec.sensors
+            and part in resolved.spec.sensors
             and not self.namespace.is_invalid(name)
         ):
-            return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{rest}` to its `emit`")
+            return Symbol(name, None, refusal=f"robot `{robot}` does not send it; add `{part}` to its `emit`")
         if (
             origin is Origin.FIELD
             and self.context is Context.TEST
@@ -341,7 +341,7 @@ class SupervisorScope(_Scope):
             sensors = [
                 sensor
                 for sensor in resolved.spec.sensors
-                if sensor == rest or self.namespace.is_sent(f"{robot}.{sensor}")
+                if sensor == part or self.namespace.is_sent(f"{robot}.{sensor}")
             ]
             if not self.namespace.is_sent(name):
                 listed = ", ".join(sensors)

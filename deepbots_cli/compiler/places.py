@@ -40,11 +40,9 @@ _MAX_AREA_RATIO = 16.0
 """The multiple of the area of a top from which on the unit of a body on it is probably wrong."""
 
 
-def has_top(thing: ObjectBody) -> bool:
+def has_top(body: ObjectBody) -> bool:
     """Return whether other bodies can stand on an object: a single one with a level top that is solid."""
-    return (
-        thing.solid and not thing.pooled and not thing.variants and isinstance(thing.shape, (Box, Cylinder))
-    )
+    return body.solid and not body.pooled and not body.variants and isinstance(body.shape, (Box, Cylinder))
 
 
 class PlacementChecker(NamespaceReader):
@@ -130,7 +128,7 @@ class PlacementChecker(NamespaceReader):
             self._values.add("DB203", span, headline, f"remove `roll` and `pitch` of `{spot.of}`")
             return
         top = footprint.shape_footprint(
-            next(thing.shape for thing in self._world.objects if thing.name == spot.of)
+            next(body.shape for body in self._world.objects if body.name == spot.of)
         )
         if self._check_room(place, support, top, span) or spot.region is None:
             return
@@ -209,21 +207,21 @@ class PlacementChecker(NamespaceReader):
             return
         inner = 0.0 if _is_tilted(place) else min(kind.inradius - hypot(*kind.middle) for kind in kinds)
         corners = [(x, y) for x in (region.low[0], region.high[0]) for y in (region.low[1], region.high[1])]
-        for thing in self._world.objects:
-            placement = standing.get(thing.name)
-            if placement is place or thing.pooled or thing.variants or isinstance(thing.shape, Mesh):
+        for body in self._world.objects:
+            placement = standing.get(body.name)
+            if placement is place or body.pooled or body.variants or isinstance(body.shape, Mesh):
                 continue
-            patch = _standing_patch(thing, placement)
+            patch = _standing_patch(body, placement)
             needed = inner + max(place.clearance, placement.clearance if placement else 0.0)
             if patch is not None and all(patch.distance(*corner) < needed - 1e-6 for corner in corners):
-                headline = f"the region has no free position for `{place.body}`: `{thing.name}` covers it"
+                headline = f"the region has no free position for `{place.body}`: `{body.name}` covers it"
                 onto = (
-                    f"write `on: {thing.name}` to put it on the top of `{thing.name}`, or "
-                    if has_top(thing) and placement
+                    f"write `on: {body.name}` to put it on the top of `{body.name}`, or "
+                    if has_top(body) and placement
                     else ""
                 )
                 self._values.add_at_key(
-                    "DB105", (*path, "region"), headline, f"{onto}move the region away from `{thing.name}`"
+                    "DB105", (*path, "region"), headline, f"{onto}move the region away from `{body.name}`"
                 )
                 return
 
@@ -239,8 +237,8 @@ class PlacementChecker(NamespaceReader):
     def _is_fixed(self, place: Placement) -> bool:
         group = self._namespace.groups.get(place.body)
         return any(
-            thing.name in (place.body, *(group.copies if group else ())) and thing.fixed
-            for thing in self._world.objects
+            body.name in (place.body, *(group.copies if group else ())) and body.fixed
+            for body in self._world.objects
         )
 
     def _footprints(self, place: Placement) -> list[Footprint]:
@@ -250,9 +248,9 @@ class PlacementChecker(NamespaceReader):
         for robot in self._world.robots:
             if robot.name in (place.body, first):
                 return [footprint.robot_footprint(robot.model)]
-        for thing in self._world.objects:
-            if thing.name == first:
-                shapes = [variant.shape for variant in thing.variants] or [thing.shape]
+        for body in self._world.objects:
+            if body.name == first:
+                shapes = [variant.shape for variant in body.variants] or [body.shape]
                 return (
                     []
                     if any(isinstance(shape, Mesh) for shape in shapes)
@@ -261,17 +259,17 @@ class PlacementChecker(NamespaceReader):
         return []
 
 
-def _standing_patch(thing: ObjectBody, place: Placement | None) -> Patch | None:
+def _standing_patch(body: ObjectBody, place: Placement | None) -> Patch | None:
     """Return the patch of an object that rises above level ground; None if it does not, or if its place is
     not fixed."""
-    low, high = footprint.bounds_of_shape(thing.shape)
+    low, high = footprint.bounds_of_shape(body.shape)
     if place is None:  # a piece of a wall
-        (x, y, z), rpy = thing.pose.xyz, thing.pose.rpy
-        return footprint.shape_footprint(thing.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
+        (x, y, z), rpy = body.pose.xyz, body.pose.rpy
+        return footprint.shape_footprint(body.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
     height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:
         return None
-    return _patch(place, footprint.shape_footprint(thing.shape))
+    return _patch(place, footprint.shape_footprint(body.shape))
 
 
 def _patch(place: Placement, covered: Footprint) -> Patch | None:
@@ -373,8 +371,8 @@ class Places(NamespaceReader):
 
     def at_own_pose(self, body: str) -> Placement:
         """Return the placement at the body's own `pose`."""
-        thing = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
-        return self.placement(body, thing.pose)
+        spec = self._spec.robots[body] if body in self._spec.robots else self._spec.objects[body]
+        return self.placement(body, spec.pose)
 
     def placement(self, body: str, pose: Pose, *, used: bool = True) -> Placement:
         """Return the placement of a known body, without the parts that had findings."""
@@ -409,13 +407,13 @@ class Places(NamespaceReader):
         """Return the coordinates x, y, z, roll, pitch and yaw of a pose, given singly or as components of
         `xyz` or `rpy`."""
         coordinates: dict[str, Expression | None] = {}
-        for whole, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
+        for vector_key, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
             for part in parts:
                 if getattr(pose, part) == "any":
                     coordinates[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
                 else:
                     coordinates[part] = self._fields.expression(pose, part, scope=self._scope)
-            vector = self._fields.expression(pose, whole, scope=self._scope)
+            vector = self._fields.expression(pose, vector_key, scope=self._scope)
             if vector is not None:
                 typed = vector.typed
                 for index, part in enumerate(parts):
@@ -433,7 +431,7 @@ class Places(NamespaceReader):
         fixed base is built in at 0."""
         robot = self._spec.robots.get(place.body)
         is_built_in = robot is not None and robot.base == "fixed"
-        shapes = {thing.name: thing.shape for thing in self._world.objects if not thing.pooled}
+        shapes = {body.name: body.shape for body in self._world.objects if not body.pooled}
         models = {body.name: body.model for body in self._world.robots}
         lying = None if self._world.terrain else shapes.get(place.body) or models.get(place.body)
         return replace(place, rests=not is_built_in and "z" not in place.coordinates, lying=lying)
@@ -447,22 +445,22 @@ class Places(NamespaceReader):
             return place
         self._namespace.mark_used(line)
         first, second = stroke.pieces[0]
-        here = {
+        start = {
             axis: Expression(axis, span, line, _fixed(first[index], LENGTH), place.owner)
             for index, axis in enumerate(PLANE)
         }
         return replace(
             place,
-            coordinates={**place.coordinates, **here},
+            coordinates={**place.coordinates, **start},
             heading=atan2(second[1] - first[1], second[0] - first[0]),
         )
 
     def _top(self, name: str, pose: PlacementSpec) -> Top | None:
         span = self._values.field(pose, "on").span
         flat = [
-            thing.name
-            for thing in self._world.objects
-            if has_top(thing) and self._namespace.origin(thing.name) is Origin.OBJECT
+            body.name
+            for body in self._world.objects
+            if has_top(body) and self._namespace.origin(body.name) is Origin.OBJECT
         ]
         if self._namespace.origin(name) is None:
             self._values.report_unknown(span, "object", name, flat)
@@ -504,9 +502,9 @@ class Places(NamespaceReader):
     def _check_spots(self, spot: Region | Cells | Top | None, path: NodePath) -> None:
         if isinstance(spot, Top):
             reach = next(
-                footprint.shape_footprint(thing.shape).radius
-                for thing in self._world.objects
-                if thing.name == spot.of
+                footprint.shape_footprint(body.shape).radius
+                for body in self._world.objects
+                if body.name == spot.of
             )
             spot = Region((-reach, -reach), (reach, reach), spot.mesh)
         if isinstance(spot, Region) and spot.spots > MAX_SPOTS:
@@ -596,9 +594,9 @@ class Layouts(NamespaceReader):
     def _shares(self) -> dict[str, float]:
         spec = self._spec.reset.layout
         assert isinstance(spec, dict)  # the caller has checked it
-        read = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
-        shares = {name: share for name, share in read.items() if share is not None}
-        if len(shares) == len(read) and abs(sum(shares.values()) - 1.0) > 1e-6:
+        all_shares = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
+        shares = {name: share for name, share in all_shares.items() if share is not None}
+        if len(shares) == len(all_shares) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"the shares add up to {100 * sum(shares.values()):g} %"
             self._values.add_at_key("DB105", ("reset", "layout"), headline, "make the shares add up to 100 %")
         return shares
@@ -703,7 +701,7 @@ class Layouts(NamespaceReader):
         span = self._values.key_span(("reset", "layouts"))
         bodies = (
             len(self._world.robots)
-            + sum(thing.bodies for thing in self._world.objects)
+            + sum(body.bodies for body in self._world.objects)
             + len(self.walls)
             + count
         )

@@ -76,8 +76,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     after a finding."""
     spec = namespace.scenario
     name, values = spec.agent.each, namespace.values
-    for robot, written in spec.robots.items():
-        if "count" in written.model_fields_set and robot != name and not values.is_invalid("each"):
+    for robot, robot_spec in spec.robots.items():
+        if "count" in robot_spec.model_fields_set and robot != name and not values.is_invalid("each"):
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.add_at_key(
                 "DB108",
@@ -111,11 +111,11 @@ def _refuse_others(name: str, namespace: Namespace) -> None:
     """Report DB108 for settings that the copies would have to agree on."""
     values, paths = namespace.values, list(_UNSUPPORTED_WITH_COPIES)
     paths += [
-        (("robots", other), f"the robot `{other}`") for other in namespace.scenario.robots if other != name
+        (("robots", robot), f"the robot `{robot}`") for robot in namespace.scenario.robots if robot != name
     ]
     paths += [
-        (("objects", thing), f"the group `{thing}`")
-        for thing, thing_spec in namespace.scenario.objects.items()
+        (("objects", group), f"the group `{group}`")
+        for group, thing_spec in namespace.scenario.objects.items()
         if "count" in thing_spec.model_fields_set
     ]
     paths += [(("reset", "place", name, key), f"`{key}`") for key in ("region", "line", "grid")]
@@ -206,8 +206,8 @@ class Actions(NamespaceReader):
             )
         parts = self.parts()
         if not parts:
-            written = self._values.root.get("action")  # findings may have left nothing of it
-            has_some = (isinstance(written, MappingNode) and written.entries) or self._values.is_invalid(
+            section = self._values.root.get("action")  # findings may have left nothing of it
+            has_some = (isinstance(section, MappingNode) and section.entries) or self._values.is_invalid(
                 "action"
             )
             return Symbol(name, None, refusal=None if has_some else "the scenario defines no `action`")
@@ -244,27 +244,27 @@ class Actions(NamespaceReader):
         self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool
     ) -> tuple[float, ...]:
         """Return the value of each variable under one option; 0 after a finding."""
-        written, place = part.choices[option], (*part.path, "choices", option)
+        value, path = part.choices[option], (*part.path, "choices", option)
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
-        if not isinstance(written, dict):
+        if not isinstance(value, dict):
             if named:
                 help = f"assign the variables, as in `{{{variables[0]}: 1}}`"
                 self._values.add(
-                    "DB103", place, "this option is a number, but other options assign variables", help
+                    "DB103", path, "this option is a number, but other options assign variables", help
                 )
-                self._values.mark_invalid(str(place[1]))
+                self._values.mark_invalid(str(path[1]))
                 return (0.0,) * len(variables)
             return (number() or 0.0,)
-        missing = [variable for variable in variables if variable not in written]
+        missing = [variable for variable in variables if variable not in value]
         if missing:
-            headline = f"the option `{place[-1]}` does not assign `{missing[0]}`, but other options do"
-            self._values.add_at_key("DB102", place, headline, f"add `{missing[0]}: 0`, or another value")
-        numbers = {variable: number(variable) for variable in written}
+            headline = f"the option `{path[-1]}` does not assign `{missing[0]}`, but other options do"
+            self._values.add_at_key("DB102", path, headline, f"add `{missing[0]}: 0`, or another value")
+        numbers = {variable: number(variable) for variable in value}
         return tuple(numbers.get(variable) or 0.0 for variable in variables)
 
     def _interval(self, name: str, part: ContinuousAction | str) -> Symbol:
         holder = (self._spec, "action", name) if isinstance(part, str) else (part, "range")
-        ends = self._fields.ends(*holder, what="the range of an action")
+        ends = self._fields.ends(*holder, description="the range of an action")
         components: Components | None = ()
         if isinstance(part, ContinuousAction) and part.each is not None:
             components = self._group(part.each, (*part.path, "each"))
@@ -278,22 +278,22 @@ class Actions(NamespaceReader):
             name, Type(ends.dimension, components or None, interval=Interval(low, high), known=Known.STEP)
         )
 
-    def _group(self, reference: str, place: NodePath) -> Components | None:
+    def _group(self, reference: str, path: NodePath) -> Components | None:
         """Return the members of a group of joints or links, or the joints of an actuator; None after a
         finding."""
-        robot_name, _, rest = reference.partition(".")
+        robot_name, _, member = reference.partition(".")
         robot = self._namespace.robots.get(robot_name)
         subject = self._namespace.subject(reference)
         if subject is not None and subject.components:
             return subject.components
-        if robot is not None and rest in robot.spec.actuators:
-            return driven_parts(robot, robot.spec.actuators[rest])
+        if robot is not None and member in robot.spec.actuators:
+            return driven_parts(robot, robot.spec.actuators[member])
         if not self._namespace.is_invalid(reference):
             robots = self._namespace.resolved_robots
             names = dict.fromkeys(
                 f"{robot.name}.{part}" for robot in robots for part in (*robot.groups, *robot.spec.actuators)
             )
-            self._values.report_unknown(self._values.span(place), "group or actuator", reference, list(names))
+            self._values.report_unknown(self._values.span(path), "group or actuator", reference, list(names))
         return None
 
 
@@ -339,27 +339,25 @@ class Observations(NamespaceReader):
             self._check_size("critic", (*observation, *entries))
         return entries
 
-    def _entries(self, section: str, written: Mapping[str, Observed | str]) -> tuple[Observation, ...]:
-        read = (self._entry(section, key, spec) for key, spec in written.items())
-        return tuple(entry for entry in read if entry is not None)
+    def _entries(self, section: str, specs: Mapping[str, Observed | str]) -> tuple[Observation, ...]:
+        entries = (self._entry(section, key, spec) for key, spec in specs.items())
+        return tuple(entry for entry in entries if entry is not None)
 
-    def _entry(self, section: str, key: str, written: Observed | str) -> Observation | None:
+    def _entry(self, section: str, key: str, spec: Observed | str) -> Observation | None:
         text = self._values.key_text((section, key))
         typed = self._observed(section, text)
-        read = self._values.field
-        range_text = (
-            read(written, "range") if isinstance(written, Observed) else read(self._spec, section, key)
-        )
+        field = self._values.field
+        range_text = field(spec, "range") if isinstance(spec, Observed) else field(self._spec, section, key)
         if typed is None:
             if range_text.text != "auto":
                 self._values.range(range_text, self._namespace.scope(Context.FIXED))
             return None
         bounds = self._bounds(typed, range_text)
-        added = self._fields.noise(written, typed) if isinstance(written, Observed) else None
+        added = self._fields.noise(spec, typed) if isinstance(spec, Observed) else None
         if bounds is None:
             return None
         kind = ImageObservation if typed.type.picture else Observation
-        history, clip = (written.history, written.clip) if isinstance(written, Observed) else (1, True)
+        history, clip = (spec.history, spec.clip) if isinstance(spec, Observed) else (1, True)
         return kind(text.expression(typed), *bounds, history, clip, added)
 
     def _observed(self, section: str, text: SourceText) -> Typed | None:
@@ -400,8 +398,8 @@ class Observations(NamespaceReader):
         root, augment = self._values.root, self._spec.augment
         if self._namespace.origin(name) is Origin.SIGNAL:
             fix = move_to_augment_fix(root, name)
-            written = " ".join(self._values.text(("signals", name)).text.split())
-            noun, help = "a signal", f"move it from `signals` to `augment`: `{name}: {written}`"
+            definition = " ".join(self._values.text(("signals", name)).text.split())
+            noun, help = "a signal", f"move it from `signals` to `augment`: `{name}: {definition}`"
         elif isinstance(augment, dict) and augment:
             fix = None
             noun = "a parameter"
@@ -460,8 +458,8 @@ class Observations(NamespaceReader):
         ):
             if size > limit:
                 frames = f" ({size // stack:,} in each of {stack} frames)" if stack > 1 else ""
-                whole = "the observation" if section == "observation" else "the observation of the critic"
-                headline = f"{whole} has {size:,} {noun}{frames}; the limit is {limit:,}"
+                subject = "the observation" if section == "observation" else "the observation of the critic"
+                headline = f"{subject} has {size:,} {noun}{frames}; the limit is {limit:,}"
                 self._values.add_at_key(
                     "DB105",
                     (section,),
@@ -551,7 +549,7 @@ class Goals(NamespaceReader):
             ends = self._fields.ends(
                 spec,
                 "range",
-                what="the range of a goal",
+                description="the range of a goal",
                 dimension=kind.dimension,
                 components=kind.components,
             )
@@ -644,8 +642,8 @@ def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> 
     """Return the scripts without findings, which choose every part of the `action`."""
     reader = Decisions(namespace, action, SupervisorScope(namespace, Context.SCRIPT))
     decisions = (
-        (name, reader.read(("scripts", name), written, f"the script `{name}`"))
-        for name, written in namespace.scenario.scripts.items()
+        (name, reader.read(("scripts", name), spec, f"the script `{name}`"))
+        for name, spec in namespace.scenario.scripts.items()
     )
     return tuple(Script(name, parts) for name, parts in decisions if parts is not None)
 
@@ -662,21 +660,21 @@ class Decisions(NamespaceReader):
         self._called = ""
 
     def read(
-        self, place: NodePath, given: Mapping[str, object], description: str
+        self, path: NodePath, given: Mapping[str, object], description: str
     ) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
-        """Return the decisions at `place`, which is called `description` in findings; None after a
+        """Return the decisions at `path`, which is called `description` in findings; None after a
         finding."""
         self._called = description
         strange = [part for part in given if part not in self._names]
         for part in strange:
-            self._values.report_unknown(self._values.key_span((*place, part)), "action", part, self._names)
+            self._values.report_unknown(self._values.key_span((*path, part)), "action", part, self._names)
         for part in self._names:
             if part not in given and not strange and not self._values.is_invalid(part):
                 self._values.add_at_key(
-                    "DB102", place, f"{description} sets no value for `{part}`", self._example(part)
+                    "DB102", path, f"{description} sets no value for `{part}`", self._example(part)
                 )
         decided = {
-            part: self._decision((*place, part), self._parts[part], given[part])
+            part: self._decision((*path, part), self._parts[part], given[part])
             for part in self._parts
             if part in given
         }
@@ -694,24 +692,24 @@ class Decisions(NamespaceReader):
                 return None
 
     def _decision(
-        self, place: NodePath, part: Choices | ActionRange, written: object
+        self, path: NodePath, part: Choices | ActionRange, decision: object
     ) -> ScriptedChoice | ScriptedRange | None:
         if isinstance(part, ActionRange):
-            if isinstance(written, dict):
-                return self._aims(place, part, written)
-            aim = self._aim(place, part, written, part.components or None)
+            if isinstance(decision, dict):
+                return self._aims(path, part, decision)
+            aim = self._aim(path, part, decision, part.components or None)
             return None if aim is None else ScriptedRange((aim,), max(1, len(part.components)))
         return (
-            self._pick(place, part, written)
-            if isinstance(written, dict)
-            else self._option(place, part, str(written))
+            self._pick(path, part, decision)
+            if isinstance(decision, dict)
+            else self._option(path, part, str(decision))
         )
 
     def _aims(
-        self, place: NodePath, part: ActionRange, written: Mapping[str, object]
+        self, path: NodePath, part: ActionRange, decisions: Mapping[str, object]
     ) -> ScriptedRange | None:
         """Return a value for each component by its name."""
-        key = self._values.key_span(place)
+        key = self._values.key_span(path)
         if not part.components:
             self._values.add(
                 "DB103",
@@ -720,24 +718,24 @@ class Decisions(NamespaceReader):
                 self._example(part.name),
             )
             return None
-        strange = [name for name in written if name not in part.components]
+        strange = [name for name in decisions if name not in part.components]
         for name in strange:
             self._values.report_unknown(
-                self._values.key_span((*place, name)),
+                self._values.key_span((*path, name)),
                 f"component of `{part.name}` called",
                 name,
                 part.components,
             )
         for name in part.components:
-            if name not in written and not strange:  # otherwise it probably stands there under another name
+            if name not in decisions and not strange:  # otherwise it probably stands there under another name
                 headline = f"{self._called} sets no value for `{name}` of `{part.name}`"
                 self._values.add(
                     "DB102", key, headline, "write a value for each component, or one value for all of them"
                 )
         aims = [
-            self._aim((*place, name), part, written[name], None)
+            self._aim((*path, name), part, decisions[name], None)
             for name in part.components
-            if name in written
+            if name in decisions
         ]
         complete = tuple(aim for aim in aims if aim is not None)
         return (
@@ -745,20 +743,20 @@ class Decisions(NamespaceReader):
         )
 
     def _aim(
-        self, place: NodePath, part: ActionRange, written: object, components: Components | None
+        self, path: NodePath, part: ActionRange, decision: object, components: Components | None
     ) -> Expression | None:
         """Return a value of the dimension of the range, which may be a vector of these components."""
         symbol = self._namespace.resolve(part.name)
-        text = self._values.text(place, written)
+        text = self._values.text(path, decision)
         typed = self._values.expression(text, self._scope, boolean=False)
         if typed is None or symbol is None or symbol.type is None:
             return None
         report, dimension = self._values.report(text), symbol.type.dimension
-        fitted = expect_value(typed, report, f"`{place[-1]}`", dimension=dimension, components=components)
+        fitted = expect_value(typed, report, f"`{path[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
-    def _option(self, place: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
-        span, options = self._values.span(place), [option.name for option in part.options]
+    def _option(self, path: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
+        span, options = self._values.span(path), [option.name for option in part.options]
         if not _WORD.fullmatch(word):
             help = (
                 f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
@@ -773,24 +771,22 @@ class Decisions(NamespaceReader):
             return ScriptedChoice((), word)
         return None
 
-    def _pick(self, place: NodePath, part: Choices, written: Mapping[str, object]) -> ScriptedChoice | None:
+    def _pick(self, path: NodePath, part: Choices, conditions: Mapping[str, object]) -> ScriptedChoice | None:
         """Return the first option whose condition holds; one of the conditions must hold always, and must be
         the last."""
-        if len(written) > MAX_CONDITIONS:
+        if len(conditions) > MAX_CONDITIONS:
             self._values.add_at_key(
                 "DB005",
-                place,
+                path,
                 f"more than {MAX_CONDITIONS} conditions",
                 "combine conditions with `or`, or split the script",
             )
             return None
         options, branches, broken = [option.name for option in part.options], [], False
-        for option, condition in written.items():
+        for option, condition in conditions.items():
             if option not in options:
-                self._values.report_unknown(
-                    self._values.key_span((*place, option)), "choice", option, options
-                )
-            holds = self._condition((*place, option), condition)
+                self._values.report_unknown(self._values.key_span((*path, option)), "choice", option, options)
+            holds = self._condition((*path, option), condition)
             broken = broken or holds is None or option not in options
             if holds is not None:
                 branches.append((option, holds))
@@ -805,7 +801,7 @@ class Decisions(NamespaceReader):
                 f"the script may choose no option of `{part.name}`: none of its conditions is always true"
             )
             self._values.add_at_key(
-                "DB102", place, headline, f"make the last condition true: `{branches[-1][0]}: true`"
+                "DB102", path, headline, f"make the last condition true: `{branches[-1][0]}: true`"
             )
             return None
         otherwise = branches[always][0]
@@ -814,11 +810,11 @@ class Decisions(NamespaceReader):
                 f"`{option}` is never chosen: `{otherwise}` comes first, and its condition is always true"
             )
             self._values.add_at_key(
-                "DB205", (*place, option), headline, f"remove `{option}`, or move it before `{otherwise}`"
+                "DB205", (*path, option), headline, f"remove `{option}`, or move it before `{otherwise}`"
             )
         return ScriptedChoice(tuple(branches[:always]), otherwise)
 
-    def _condition(self, place: NodePath, written: object) -> Expression | None:
-        text = self._values.text(place, written)
+    def _condition(self, path: NodePath, condition: object) -> Expression | None:
+        text = self._values.text(path, condition)
         typed = self._values.condition(text, self._scope)
         return typed and text.expression(typed)

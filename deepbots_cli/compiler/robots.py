@@ -90,7 +90,7 @@ def joint_interval(joint: Joint) -> Interval:
 
 def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
     """Return whether the link moves when the joint does."""
-    above = {other.child: other for other in model.joints}
+    above = {parent_joint.child: parent_joint for parent_joint in model.joints}
     while link in above:
         if above[link].name == joint.name:
             return True
@@ -145,17 +145,21 @@ def matching_names(names: Iterable[str], pattern: str) -> tuple[str, ...]:
     )
 
 
-def report_unmatched(values: ValueReader, span: Span, pattern: str, what: str, names: Sequence[str]) -> None:
+def report_unmatched(values: ValueReader, span: Span, pattern: str, noun: str, names: Sequence[str]) -> None:
     """Report DB206 for a pattern, DB302 or DB201 for a plain name, with the existing names."""
     if not set(pattern) & set("*?["):
-        values.report_unknown(span, what, pattern, names, "DB302" if what == "joint" else "DB201")
+        values.report_unknown(span, noun, pattern, names, "DB302" if noun == "joint" else "DB201")
     else:
-        near = _without_regular_expression(pattern, names) or _similar_pattern(pattern, names)
-        help = f"did you mean `{near}`? {choices_help('', names)}" if near else choices_help(pattern, names)
+        suggestion = _without_regular_expression(pattern, names) or _similar_pattern(pattern, names)
+        help = (
+            f"did you mean `{suggestion}`? {choices_help('', names)}"
+            if suggestion
+            else choices_help(pattern, names)
+        )
         if ".*" in pattern:
             help = f"patterns are no regular expressions: `*` stands for any characters; {help}"
-        fix = Fix.replacing(span, pattern, near, safe=False) if near else None
-        values.add("DB206", span, f"`{pattern}` matches no {what}", help, fix=fix)
+        fix = Fix.replacing(span, pattern, suggestion, safe=False) if suggestion else None
+        values.add("DB206", span, f"`{pattern}` matches no {noun}", help, fix=fix)
 
 
 def _without_regular_expression(pattern: str, names: Sequence[str]) -> str | None:
@@ -170,29 +174,29 @@ def _similar_pattern(pattern: str, names: Sequence[str]) -> str | None:
     word = pattern.strip("*")
     if set(word) & set("*?[") or pattern not in (f"*{word}", f"{word}*"):
         return None
-    places = ((name, at) for name in names for at, letter in enumerate(name) if letter == "_")
+    underscores = ((name, at) for name in names for at, letter in enumerate(name) if letter == "_")
     if pattern.startswith("*"):
-        near = nearest_word(word, sorted({name[at:] for name, at in places}))
-        return f"*{near}" if near else None
-    near = nearest_word(word, sorted({name[: at + 1] for name, at in places}))
-    return f"{near}*" if near else None
+        similar = nearest_word(word, sorted({name[at:] for name, at in underscores}))
+        return f"*{similar}" if similar else None
+    similar = nearest_word(word, sorted({name[: at + 1] for name, at in underscores}))
+    return f"{similar}*" if similar else None
 
 
 def report_missing_joint(
-    values: ValueReader, span: Span, pattern: str, model: RobotModel, known: Sequence[str]
+    values: ValueReader, span: Span, pattern: str, model: RobotModel, movable_names: Sequence[str]
 ) -> None:
-    """Report a joint where one of the `known` is needed: it does not exist, it cannot move, or it follows
-    another one."""
+    """Report a joint where one of the `movable_names` is needed: it does not exist, it cannot move, or it
+    follows another one."""
     matched = matching_names((joint.name for joint in model.joints), pattern)
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
     elif matched:
         joints = {joint.name for joint in model.joints}
         report_motionless_joint(
-            values, span, model.joint(matched[0]), [name for name in known if name in joints]
+            values, span, model.joint(matched[0]), [name for name in movable_names if name in joints]
         )
     else:
-        report_unmatched(values, span, pattern, "joint", known)
+        report_unmatched(values, span, pattern, "joint", movable_names)
 
 
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
@@ -202,8 +206,10 @@ def report_follower(values: ValueReader, span: Span, joint: str, model: RobotMod
     values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
 
 
-def report_motionless_joint(values: ValueReader, span: Span, joint: Joint, known: Sequence[str]) -> None:
-    names = ", ".join(f"`{name}`" for name in known)
+def report_motionless_joint(
+    values: ValueReader, span: Span, joint: Joint, movable_names: Sequence[str]
+) -> None:
+    names = ", ".join(f"`{name}`" for name in movable_names)
     help = f"joints that move are {names}" if names else "no joint of this robot can move"
     values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help)
 
@@ -219,12 +225,12 @@ def warn_beyond_limits(
     text: SourceText,
     dimension: Dimension,
     allowed: Interval,
-    what: str,
-    found: Interval,
+    description: str,
+    actual: Interval,
     help: str,
 ) -> None:
-    """Report DB304: `what` is `found`, which is not all within the range that the robot file allows for the
-    value that is written in `text`."""
+    """Report DB304: `description` is `actual`, which is not all within the range that the robot file allows for
+    the value that is written in `text`."""
     tree = values.parsed(text)
     numbers = list(_numbers(tree)) if tree else []
     units = [
@@ -242,7 +248,10 @@ def warn_beyond_limits(
         return low if low == high else f"{low} .. {high}"
 
     limits = allowed if allowed.low > -math.inf else single(allowed.high)
-    headline = f"{what} {in_unit(found)} {unit.text}, but the robot file allows {in_unit(limits)} {unit.text}"
+    headline = (
+        f"{description} {in_unit(actual)} {unit.text},"
+        f" but the robot file allows {in_unit(limits)} {unit.text}"
+    )
     values.add("DB304", text.span, headline, help, fix=_within(text, numbers, allowed))
 
 
@@ -254,11 +263,11 @@ def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -
         return None
     edits = []
     for number, value in zip(numbers, values, strict=True):
-        written = _NUMBER.match(text.text, number.start)
-        if written is None:
+        match = _NUMBER.match(text.text, number.start)
+        if match is None:
             return None
-        span = text.part(*written.span())
-        if span.text != written.group():
+        span = text.part(*match.span())
+        if span.text != match.group():
             return None
         if value != number.value:
             edits.append(Edit(span, f"{value:.{_DIGITS}g}"))
@@ -288,9 +297,9 @@ def _numbers(tree: syntax.Node) -> Iterator[syntax.Number]:
 
 def _rounded(limit: float, inwards: Callable[[float], int]) -> float:
     """Return a limit with a few digits, and not beyond itself."""
-    near = float(f"{limit:.{_DIGITS}g}")
-    if math.isclose(near, limit, rel_tol=1e-9) or limit == 0.0:
-        return near
+    rounded = float(f"{limit:.{_DIGITS}g}")
+    if math.isclose(rounded, limit, rel_tol=1e-9) or limit == 0.0:
+        return rounded
     digits = _DIGITS - 1 - math.floor(math.log10(abs(limit)))
     scale = 10.0**digits
     return inwards(limit * scale) / scale
@@ -413,11 +422,11 @@ class Overrides:
     def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, read = OfLink(self.robot, link.name), self.namespace.fields
-        offset = read.vector_or_randomized(change, "com", "center_of_mass", subject, per_component=SPACE)
+        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        offset = fields.vector_or_randomized(change, "com", "center_of_mass", subject, per_component=SPACE)
         if offset is None:
             return model
-        varies = read.is_randomized("center_of_mass", subject)
+        varies = fields.is_randomized("center_of_mass", subject)
         fixed: Vector = ZERO if varies else (offset[0], offset[1], offset[2])
         model = self._accepted(model, with_center(model, link.name, fixed), change, "com")
         return with_link(model, replace(model.link(link.name), center_varies=varies))
@@ -425,11 +434,11 @@ class Overrides:
     def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, read = OfLink(self.robot, link.name), self.namespace.fields
-        factor = read.scalar_or_randomized(change, "inertia", "inertia", subject, None)
+        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        factor = fields.scalar_or_randomized(change, "inertia", "inertia", subject, None)
         if factor is None:
             return model
-        fixed = 1.0 if read.is_randomized("inertia", subject) else factor
+        fixed = 1.0 if fields.is_randomized("inertia", subject) else factor
         return self._accepted(model, with_inertia(model, link.name, fixed), change, "inertia")
 
     def _accepted(self, old: RobotModel, new: RobotModel | str, change: LinkOverride, key: str) -> RobotModel:
@@ -482,7 +491,7 @@ class Overrides:
             return limit
         scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
         ends = self.namespace.fields.ends(
-            change, "range", what="the range of a joint", dimension=dimension, scope=scope
+            change, "range", description="the range of a joint", dimension=dimension, scope=scope
         )
         return replace(limit, lower=ends.low[0], upper=ends.high[0]) if ends else limit
 
@@ -588,14 +597,18 @@ class ResolvedRobot:
         return () if missing else names
 
     def report_missing_joint(
-        self, values: ValueReader, span: Span, pattern: str, known: Sequence[str]
+        self, values: ValueReader, span: Span, pattern: str, movable_names: Sequence[str]
     ) -> None:
-        """Report a joint or group where one of the `known` is needed; for a group without any of them, its
-        first joint is reported."""
+        """Report a joint or group where one of the `movable_names` is needed; for a group without any of them,
+        its first joint is reported."""
         kind, members = self.groups.get(pattern, (None, ()))
         groups = [name for name, (kind_of_group, _) in self.groups.items() if kind_of_group is Kind.JOINTS]
         report_missing_joint(
-            values, span, members[0] if kind is Kind.JOINTS else pattern, self.model, [*groups, *known]
+            values,
+            span,
+            members[0] if kind is Kind.JOINTS else pattern,
+            self.model,
+            [*groups, *movable_names],
         )
 
     @property
@@ -700,16 +713,16 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
     groups: dict[str, NameGroup] = {}
     joints, links = [joint.name for joint in model.moving_joints], [link.name for link in model.links]
     for name, patterns in spec.groups.items():
-        place = (*spec.path, "groups", name)
+        path = (*spec.path, "groups", name)
         if name in joints or name in links:
             noun = "joint" if name in joints else "link"
-            values.add_at_key("DB202", place, f"`{name}` is already a {noun}", "choose another name")
+            values.add_at_key("DB202", path, f"`{name}` is already a {noun}", "choose another name")
         as_joints, not_joints = expand_patterns(joints, patterns, groups)
         as_links, not_links = expand_patterns(links, patterns, groups)
         if not not_joints and len({joint_dimension(model.joint(joint)) for joint in as_joints}) > 1:
             values.add(
                 "DB404",
-                place,
+                path,
                 "turning and sliding joints in one group",
                 "make one group of turning joints, and one of sliding joints",
             )
@@ -720,7 +733,7 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
             groups[name] = (Kind.LINKS, as_links)
             continue
         elif odd := [pattern for pattern in not_joints if pattern in not_links]:
-            span = values.span((*place, patterns.index(odd[0])))
+            span = values.span((*path, patterns.index(odd[0])))
             if matching_names((joint.name for joint in model.joints), odd[0]):
                 report_missing_joint(values, span, odd[0], model, joints)
             else:
@@ -729,7 +742,7 @@ def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str
                 )
         else:
             values.add(
-                "DB203", place, "joints and links in one group", "make one group of joints, and one of links"
+                "DB203", path, "joints and links in one group", "make one group of joints, and one of links"
             )
         values.mark_invalid(name)
     return groups

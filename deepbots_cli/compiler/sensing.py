@@ -218,14 +218,14 @@ class SensorsCompiler(NamespaceReader):
 
     def _against(self, spec: Touch) -> tuple[str, ...]:
         """Return the full names of the parts that a touch sensor feels."""
-        written = spec.against or ()
+        names = spec.against or ()
         links: list[str] = []
-        for index, name in enumerate([written] if isinstance(written, str) else written):
+        for index, name in enumerate([names] if isinstance(names, str) else names):
             subject = self._namespace.subject(name, _LINKS)
             if subject is not None and subject.kind in _CONTACT_KINDS:
                 links += subject.members or subject.pieces or (subject.name,)
             elif subject is None or subject.kind is not Kind.BROKEN:
-                steps = ("against",) if isinstance(written, str) else ("against", index)
+                steps = ("against",) if isinstance(names, str) else ("against", index)
                 self._values.report_unknown(
                     self._values.span((*spec.path, *steps)), "body or link", name, [*self._felt(), "ground"]
                 )
@@ -298,9 +298,9 @@ class SensorsCompiler(NamespaceReader):
 def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
     """Return a frame on a link; values with findings are 0."""
 
-    def triple(whole: str, parts: Components) -> Vector:
-        if getattr(spec, whole) is not None:
-            return namespace.fields.triple(spec, whole) or (0.0, 0.0, 0.0)
+    def triple(vector_key: str, parts: Components) -> Vector:
+        if getattr(spec, vector_key) is not None:
+            return namespace.fields.triple(spec, vector_key) or (0.0, 0.0, 0.0)
         x, y, z = (
             namespace.fields.fixed(spec, part) or 0.0 if part in spec.model_fields_set else 0.0
             for part in parts
@@ -319,7 +319,7 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
         if spec.channels != "depth":
             help = "write `channels: depth`, or remove `range`"
             values.add_at_key("DB203", (*spec.path, "range"), "`range` applies to depth cameras only", help)
-        ends = namespace.fields.ends(spec, "range", what="the range of a camera", dimension=LENGTH)
+        ends = namespace.fields.ends(spec, "range", description="the range of a camera", dimension=LENGTH)
         if ends is None:
             return None
         (near,), (far,) = ends.low, ends.high
@@ -396,7 +396,7 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
         if count > 1:
             return None
         return {"" if spec.rays is None else "r0": _turned_down(Pose(), spec)}
-    ends = namespace.fields.ends(spec, "angle_range", what="`angle_range`", falling=True)
+    ends = namespace.fields.ends(spec, "angle_range", description="`angle_range`", falling=True)
     if ends is None:
         return None
     (first,), (last,) = ends.low, ends.high
@@ -483,7 +483,7 @@ _NUMERIC_KEYS = ("noise", "bias", "drift", "resolution", "range")
 def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[NoiseModel | None, Type]:
     """Return the errors of a sensor, period apart, and the type of its readings with them; None for a perfect
     sensor."""
-    drawn = len(namespace.fields.variations)
+    variations_before = len(namespace.fields.variations)
     latency = _latency(namespace, spec)
     if typed.boolean or typed.picture:
         readings = "takes pictures" if typed.picture else "reads true or false"
@@ -517,7 +517,9 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
                 for interval in reach
             ]
         typed = typed.with_intervals(reach)
-    return None if model == NoiseModel() and len(namespace.fields.variations) == drawn else model, typed
+    return None if model == NoiseModel() and len(
+        namespace.fields.variations
+    ) == variations_before else model, typed
 
 
 def _latency(namespace: Namespace, spec: SensorSpec) -> float:
@@ -539,14 +541,17 @@ def _error(
         dimension = typed.dimension / TIME
     else:
         dimension = typed.dimension
-    owner, drawn = _owner(spec.path, f"relative_{key}" if relative else key), len(namespace.fields.variations)
+    owner, variations_before = (
+        _owner(spec.path, f"relative_{key}" if relative else key),
+        len(namespace.fields.variations),
+    )
     error = (
         namespace.fields.vector_or_randomized(
             spec, key, "sensor", owner, dimension=dimension, per_component=typed.components or ("",)
         )
         or ()
     )
-    if not any(error) and drawn == len(namespace.fields.variations):
+    if not any(error) and variations_before == len(namespace.fields.variations):
         error = ()
     return ((), error) if relative else (error, ())
 
@@ -579,7 +584,11 @@ def _range(
     if spec.range is None:
         return (), ()
     ends = namespace.fields.ends(
-        spec, "range", what="the range of a sensor", dimension=typed.dimension, components=typed.components
+        spec,
+        "range",
+        description="the range of a sensor",
+        dimension=typed.dimension,
+        components=typed.components,
     )
     return (ends.low, ends.high) if ends else ((), ())
 

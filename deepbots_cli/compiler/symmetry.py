@@ -34,12 +34,12 @@ class RangedName(NamedTuple):
 def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     """Return the symmetry of the training of an agent; None without one, and after a finding."""
     spec = namespace.scenario.train
-    written = None if spec is None else spec.symmetry
-    if written is None or agent.training is None:
+    symmetry_spec = None if spec is None else spec.symmetry
+    if symmetry_spec is None or agent.training is None:
         return None
     if namespace.values.findings.errors:
         return None  # a name that another mistake has left out is no mistake of the symmetry
-    reader = _SymmetryReader(written, namespace.values, _acted_before(agent))
+    reader = _SymmetryReader(symmetry_spec, namespace.values, _acted_before(agent))
     if not reader.is_inverse:
         return None
     if agent.goal is not None or agent.images:
@@ -86,8 +86,8 @@ class _SymmetryReader:
         self._acted_before = acted_before
         self._words: dict[str, str] = {}
         self.is_inverse = True
-        for word, other in spec.swap.items():
-            for original, image in ((word, other), (other, word)):
+        for word, opposite in spec.swap.items():
+            for original, image in ((word, opposite), (opposite, word)):
                 if self._words.setdefault(original, image) != image:
                     self.is_inverse = False
                     self._values.add(
@@ -112,7 +112,7 @@ class _SymmetryReader:
 
     def mirror(self, section: str, numbers: Sequence[RangedName]) -> Mirror | None:
         """Return the mirror image of numbers; None after a finding."""
-        places = {(number.name, number.steps_ago): place for place, number in enumerate(numbers)}
+        indices = {(number.name, number.steps_ago): index for index, number in enumerate(numbers)}
         sources: list[int] = []
         factors: list[float] = []
         offsets: list[float] = []
@@ -120,16 +120,16 @@ class _SymmetryReader:
         wrong: dict[str, str] = {}
         for number in numbers:
             image = self.image(number.name)
-            place = places.get((image, number.steps_ago))
-            if place is None:
+            index = indices.get((image, number.steps_ago))
+            if index is None:
                 missing[number.name] = image
                 continue
-            image_number = numbers[place]
+            image_number = numbers[index]
             if reason := self._reason_against(number, image_number):
                 wrong[number.name] = reason
                 continue
             sign = -1.0 if self._changes_sign(number.name) else 1.0
-            sources.append(place)
+            sources.append(index)
             factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, image_number, sign)
             factors.append(factor)
             offsets.append(offset)
@@ -174,10 +174,10 @@ class _SymmetryReader:
         """Return the help where a word of a name without mirror image is a part of names that have one; empty
         for other names."""
         words = self._pattern.findall(name) if self._pattern else []
-        for other in names:
-            image = self.image(other)
-            pairs = zip(other.split("."), image.split("."), strict=False)
-            shared = set(words) & set(self._pattern.findall(other)) if self._pattern else set()
+        for candidate in names:
+            image = self.image(candidate)
+            pairs = zip(candidate.split("."), image.split("."), strict=False)
+            shared = set(words) & set(self._pattern.findall(candidate)) if self._pattern else set()
             part, part_image = next((pair for pair in pairs if pair[0] != pair[1]), ("", ""))
             if shared and image in names and part not in self._words:
                 return (

@@ -37,7 +37,7 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
     sensors = {field.name: field for field in (*reading_fields(program), *sensor_fields(program))}
     fields = {**{field.name: field for field in command_fields(program)}, **sensors}
     topics_by_field: dict[str, tuple[Field, Topic]] = {}
-    for name, written in spec.ros.items():
+    for name, topic_spec in spec.ros.items():
         field = fields.get(name)
         if field is None and namespace.document.agent is not None:
             continue  # `report_topics_of_no_agent` knows the names of all agents
@@ -46,7 +46,7 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
                 values.key_span(("ros", name)), "sensor, reading or actuator", name, list(fields)
             )
             continue
-        topic = Topic(written.topic, written.type, written.part)
+        topic = Topic(topic_spec.topic, topic_spec.type, topic_spec.part)
         try:
             part_of(field, topic)
         except ValueError as error:
@@ -54,7 +54,9 @@ def topics(namespace: Namespace, program: Program) -> dict[str, Topic]:
                 "choose another type, or another `part`; `deepbots inspect SCENARIO --ros` prints types"
                 " that fit"
             )
-            values.add("DB321", ("ros", name, "type" if written.part is None else "part"), str(error), help)
+            values.add(
+                "DB321", ("ros", name, "type" if topic_spec.part is None else "part"), str(error), help
+            )
         else:
             topics_by_field[name] = (field, topic)
     first = mapping(replace(program, ros={}))

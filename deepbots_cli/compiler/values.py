@@ -68,19 +68,19 @@ _MAX_KEY_DISTANCE = 200
 """The largest distance of a key before its finding, in characters."""
 
 
-def invalid_names(root: MappingNode, pruned: Iterable[NodePath], found: Iterable[Span]) -> set[str]:
+def invalid_names(root: MappingNode, pruned: Iterable[NodePath], spans: Iterable[Span]) -> set[str]:
     """Return the names in the entries that the schema took out of `root`, and the keys at and right before
-    the findings `found`."""
+    the findings at `spans`."""
     names: set[str] = set()
     data = to_data(root)
     for path in pruned:
         node, key, steps = descend(root, path)
         if steps == len(path):
-            near = replacement_for(data, path)
-            names.update([key.text] if key else [], [near.text] if near else [], _names(node))
+            replacement = replacement_for(data, path)
+            names.update([key.text] if key else [], [replacement.text] if replacement else [], _names(node))
             if path[-1:] and path[-1] in _NAME_SECTIONS and not isinstance(node, MappingNode):
                 names.add(ANY_NAME)
-    for span in found:
+    for span in spans:
         before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _MAX_KEY_DISTANCE), span.start)
         names.update([before[1]] if before else [])
         names.update([span.text] if span.end - span.start < _MAX_KEY_DISTANCE else [])
@@ -236,7 +236,7 @@ class ValueReader:
     def add(
         self,
         code: str,
-        place: Span | NodePath,
+        span_or_path: Span | NodePath,
         headline: str,
         help: str | None = None,
         *,
@@ -245,7 +245,7 @@ class ValueReader:
         fix: Fix | None = None,
     ) -> None:
         """Add a finding at a span, or at the value at a path."""
-        span = place if isinstance(place, Span) else self.span(place)
+        span = span_or_path if isinstance(span_or_path, Span) else self.span(span_or_path)
         self.findings.add(code, span, headline, help=help, labels=labels, notes=notes, fix=fix)
 
     def add_at_key(
@@ -262,11 +262,15 @@ class ValueReader:
 
     # Names
 
-    def report_duplicate(self, path: NodePath, name: str, what: str, first: NodePath) -> None:
-        """Report that the key at `path` defines a `name` that is already `what`, since `first`."""
+    def report_duplicate(self, path: NodePath, name: str, definition: str, first: NodePath) -> None:
+        """Report that the key at `path` defines a `name` that is already `definition`, since `first`."""
         also = (Label(self.key_span(first), "first defined here"),)
         self.add(
-            "DB202", self.key_span(path), f"`{name}` is already {what}", "choose another name", labels=also
+            "DB202",
+            self.key_span(path),
+            f"`{name}` is already {definition}",
+            "choose another name",
+            labels=also,
         )
 
     def mark_invalid(self, name: str) -> None:
@@ -282,20 +286,20 @@ class ValueReader:
         return name in self._invalid or not self._invalid.isdisjoint(name.split("."))
 
     def report_unknown(
-        self, span: Span, what: str, name: str, known: Sequence[str], code: str = "DB201"
+        self, span: Span, noun: str, name: str, names: Sequence[str], code: str = "DB201"
     ) -> None:
-        """Report that `name` is none of the `known`, unless its definition had a finding."""
+        """Report that `name` is none of the `names`, unless its definition had a finding."""
         if not self.is_invalid(name):
-            owned = check.with_owner(name, known)
-            near = owned or suggest_replacement(name, known)
-            fix = Fix.replacing(span, name, near.text, safe=near.safe) if near else None
-            place = _DEFINED_UNDER.get(what)
-            help = choices_help(name, known) if known else f"no {what} is defined"
+            owned = check.with_owner(name, names)
+            suggestion = owned or suggest_replacement(name, names)
+            fix = Fix.replacing(span, name, suggestion.text, safe=suggestion.safe) if suggestion else None
+            section = _DEFINED_UNDER.get(noun)
+            help = choices_help(name, names) if names else f"no {noun} is defined"
             if owned:
                 help = f"write `{owned.text}`"
-            elif not known and place is not None:
-                help = f"define `{name}` under `{place}`"
-            self.add(code, span, f"there is no {what} `{name}`", help, fix=fix)
+            elif not names and section is not None:
+                help = f"define `{name}` under `{section}`"
+            self.add(code, span, f"there is no {noun} `{name}`", help, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
@@ -338,15 +342,15 @@ class ValueReader:
                 help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
             fix = None
             if replacement is not None and replacement.at is not None:
-                place = text.part(replacement.at - 1, replacement.at)
+                last_span = text.part(replacement.at - 1, replacement.at)
                 last = text.text[replacement.at - 1]
-                fix = Fix.replacing(place, last, f"{last}{replacement.text}", safe=replacement.safe)
+                fix = Fix.replacing(last_span, last, f"{last}{replacement.text}", safe=replacement.safe)
             elif replacement is not None:
                 fix = Fix.replacing(span, piece, replacement.text, safe=replacement.safe)
-            written = [("parameters", name) for name in names if self.is_present(("parameters", name))]
-            labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in written)
-            if fix is None and len(written) == 1:
-                fix = self._definition_fix(written[0], names[written[0][1]])
+            paths = [("parameters", name) for name in names if self.is_present(("parameters", name))]
+            labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
+            if fix is None and len(paths) == 1:
+                fix = self._definition_fix(paths[0], names[paths[0][1]])
             self.add(code, span, headline, help, labels=labels, fix=fix)
 
         return report
@@ -396,15 +400,15 @@ class ValueReader:
         return checked
 
     def redrawn(
-        self, text: SourceText, what: str, scope: Scope, dimension: Dimension
+        self, text: SourceText, description: str, scope: Scope, dimension: Dimension
     ) -> tuple[Typed | None, Redraw | None]:
         """Return a single value that may be new in every step, like `quantity`; with it, how often its draws
         are repeated."""
         checked = self.drawn(text, scope)
         value = checked and expect_value(
-            checked.value, self.report(text), what, dimension=dimension, unit=text.unit
+            checked.value, self.report(text), description, dimension=dimension, unit=text.unit
         )
-        if checked is None or value is None or not self._is_within(value, text, what):
+        if checked is None or value is None or not self._is_within(value, text, description):
             return None, None
         return value, checked.redraw
 
@@ -417,7 +421,7 @@ class ValueReader:
     def quantity(
         self,
         text: SourceText,
-        what: str,
+        description: str,
         scope: Scope,
         dimension: Dimension | None,
         components: Components | None = None,
@@ -426,7 +430,7 @@ class ValueReader:
     ) -> Typed | None:
         """Return a value of the dimension (None: any) and components that a field declares, known by then.
 
-        `what` is the name of the field in findings, such as "the timestep"; `shape_help` as in
+        `description` is the name of the field in findings, such as "the timestep"; `shape_help` as in
         `expect_value`.
         """
         typed = self.expression(text, scope, boolean=False)
@@ -435,7 +439,7 @@ class ValueReader:
         value = expect_value(
             typed,
             self.report(text),
-            what,
+            description,
             dimension=dimension,
             components=components,
             known=known,
@@ -445,11 +449,13 @@ class ValueReader:
         )
         return (
             value
-            if value and self._is_vector(value, text, what) and self._is_within(value, text, what)
+            if value
+            and self._is_vector(value, text, description)
+            and self._is_within(value, text, description)
             else None
         )
 
-    def _is_vector(self, value: Typed, text: SourceText, what: str) -> bool:
+    def _is_vector(self, value: Typed, text: SourceText, description: str) -> bool:
         """Return whether a value with a direction has all its components; a size or a factor, which is fixed,
         may be one for all axes."""
         kind = text.kind
@@ -461,12 +467,12 @@ class ValueReader:
         ):
             return True
         unit = value.type.dimension
-        drawn = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
-        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({drawn})`"
-        self.add("DB404", text.span, f"{what} must be a vector; this is a single value", help)
+        example = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
+        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
+        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", help)
         return False
 
-    def _is_within(self, value: Typed, text: SourceText, what: str) -> bool:
+    def _is_within(self, value: Typed, text: SourceText, description: str) -> bool:
         """Return whether the value keeps the bounds of its field; the schema has looked at bare numbers
         only."""
         kind = text.kind
@@ -510,10 +516,10 @@ class ValueReader:
             verb = "is"
         else:
             verb = "contains"
-        self.add("DB105", text.span, f"{what} {verb} {_with_unit(odd, unit)}", help)
+        self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", help)
         return False
 
-    def fixed(self, value: Typed, text: SourceText, what: str) -> tuple[float | bool, ...] | None:
+    def fixed(self, value: Typed, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
         """Return the SI values of a value that is settled in the file; a finding where they cannot be
         computed."""
         values = constant_values(value)
@@ -522,13 +528,13 @@ class ValueReader:
                 "correct it: the expression divides by zero, leaves the domain of a function, or gives"
                 " too large a number"
             )
-            self.add("DB105", text.span, f"{what} cannot be computed", help)
+            self.add("DB105", text.span, f"{description} cannot be computed", help)
         return values
 
     def ends(
         self,
         text: SourceText,
-        what: str,
+        description: str,
         scope: Scope,
         *,
         dimension: Dimension | None = None,
@@ -539,10 +545,10 @@ class ValueReader:
         finding."""
         interval = self.range(text, scope, falling=falling)
         bounds = interval and expect_range(
-            interval, self.report(text), what, dimension=dimension, components=components
+            interval, self.report(text), description, dimension=dimension, components=components
         )
         low, high = (
-            (self.fixed(bounds.low, text, what), self.fixed(bounds.high, text, what))
+            (self.fixed(bounds.low, text, description), self.fixed(bounds.high, text, description))
             if bounds
             else (None, None)
         )

@@ -62,10 +62,10 @@ def define_bodies(namespace: Namespace) -> None:
     spec = namespace.scenario
     for name in spec.robots:
         namespace.define(name, Origin.ROBOT, ("robots", name))
-    for name, thing in spec.objects.items():
+    for name, body in spec.objects.items():
         namespace.define(name, Origin.OBJECT, ("objects", name))
-        if "count" in thing.model_fields_set:
-            group = _group(name, thing, namespace)
+        if "count" in body.model_fields_set:
+            group = _group(name, body, namespace)
             namespace.groups |= {name: group} if group else {}
             if group is None:
                 namespace.values.mark_invalid(name)
@@ -79,13 +79,13 @@ def define_bodies(namespace: Namespace) -> None:
         namespace.define(name, Origin.LINE, ("world", "lines", name))
 
 
-def _group(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> ObjectGroup | None:
+def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> ObjectGroup | None:
     """Return the group of an object with a `count`; None after a finding.
 
     There are as many bodies as the greatest count, and one at least; an episode without copies leaves them
     absent.
     """
-    values, count = namespace.values, namespace.fields.expression(thing, "count")
+    values, count = namespace.values, namespace.fields.expression(body, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
@@ -108,26 +108,26 @@ _MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (1e-5, 1e-4, 1e3, 1e6)
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
     """Return the mesh file of an object or a terrain; None after a finding."""
-    values, reference, place = namespace.values, spec.file, (*spec.path, "file")
+    values, reference, key_path = namespace.values, spec.file, (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.fields.triple(spec, "scale")
-    path = locate_file(reference, values.span(place), namespace.document, values)
+    path = locate_file(reference, values.span(key_path), namespace.document, values)
     if path is None or factors is None:
         return None
     loaded = meshes.MeshReader(lambda _reference: path).load(reference, factors)
     if isinstance(loaded, meshes.UnusableMesh):
-        values.add("DB301", place, loaded.headline, loaded.help)
+        values.add("DB301", key_path, loaded.headline, loaded.help)
         return None
     if 0.0 in factors:
         values.add(
             "DB105", (*spec.path, "scale"), "a mesh cannot be scaled by 0", "write factors other than 0"
         )
         return None
-    namespace.files[place] = path
+    namespace.files[key_path] = path
     mesh_shape = Mesh(str(loaded[0]), loaded[1], factors)
-    return mesh_shape if _is_sensible(namespace, place, path, mesh_shape) else None
+    return mesh_shape if _is_sensible(namespace, key_path, path, mesh_shape) else None
 
 
-def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Mesh) -> bool:
+def _is_sensible(namespace: Namespace, path: NodePath, file: FilePath, mesh: Mesh) -> bool:
     """Return whether an engine can hold so many triangles; a size that is hardly meant is a warning."""
     values = namespace.values
     measured = mesh_size(file.suffix.lower(), file.read_bytes())
@@ -136,7 +136,7 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
     if measured.triangles > MAX_TRIANGLES:
         values.add(
             "DB005",
-            place,
+            path,
             f"the mesh has {measured.triangles:,} triangles; the limit is {MAX_TRIANGLES:,}",
             "simplify it",
         )
@@ -152,11 +152,11 @@ def _is_sensible(namespace: Namespace, place: NodePath, file: FilePath, mesh: Me
     else:
         code = "DB105"
     if code is not None:
-        shown = " x ".join(f"{side:.3g}" for side in size)
+        dimensions = " x ".join(f"{side:.3g}" for side in size)
         values.add(
             code,
-            place,
-            f"the mesh is {shown} m in size",
+            path,
+            f"the mesh is {dimensions} m in size",
             "a mesh in millimeters needs `scale: 0.001 0.001 0.001`",
         )
     return code != "DB105"
@@ -319,8 +319,8 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
         cells = length / cell
         if abs(cells - round(cells)) > _TOLERANCE:
             headline = f"`{key}` is {length:g} m, which is not a multiple of `cell`, {cell:g} m"
-            place = (*spec.path, key if key in spec.model_fields_set else "cell")
-            values.add("DB308", values.span(place), headline, "write a multiple, or another `cell`")
+            path = (*spec.path, key if key in spec.model_fields_set else "cell")
+            values.add("DB308", values.span(path), headline, "write a multiple, or another `cell`")
     largest = side - 2 * TILE_MARGIN_M
     _check_width(spec, spec, "platform", platform, 0.0, largest, namespace)
     for tile_spec, tile in zip(spec.tiles.values(), tiles.values(), strict=True):
@@ -355,8 +355,8 @@ def _check_height(section: Section, key: str, height: float | None, namespace: N
         headline = f"the ground is up to {height:g} m high"
         if key == "depth":
             headline = f"the ground is up to {height:g} m deep"
-        place = (*section.path, key) if key in section.model_fields_set else section.path
-        namespace.values.add("DB105", place, headline, "write heights between -10 km and 10 km")
+        path = (*section.path, key) if key in section.model_fields_set else section.path
+        namespace.values.add("DB105", path, headline, "write heights between -10 km and 10 km")
 
 
 def _check_width(
@@ -377,10 +377,10 @@ def _check_width(
     if is_fine:
         headline = f"`{key}` is {width:g} m, but heights are {smallest:g} m apart"
         help = "write a larger one, or a smaller `cell`"
-    place = (*section.path, key)
+    path = (*section.path, key)
     if key not in section.model_fields_set:
-        place = (*terrain.path, "cell" if is_fine else "side")
-    namespace.values.add("DB105", namespace.values.span(place), headline, help)
+        path = (*terrain.path, "cell" if is_fine else "side")
+    namespace.values.add("DB105", namespace.values.span(path), headline, help)
 
 
 def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
@@ -433,9 +433,13 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     if typed is None:
         return None
     (heights,) = lower(typed, text.owner)
-    drawn = dict.fromkeys(name.name for name in names_in(heights) if name.name not in sides)
-    if drawn or is_drawn(heights):
-        subject = f"`{next(iter(drawn))}`, which is drawn in every episode" if drawn else "a random draw"
+    drawn_names = dict.fromkeys(name.name for name in names_in(heights) if name.name not in sides)
+    if drawn_names or is_drawn(heights):
+        subject = (
+            f"`{next(iter(drawn_names))}`, which is drawn in every episode"
+            if drawn_names
+            else "a random draw"
+        )
         help = "give it a fixed value; a stage of `curriculum` or a case of `evaluation` may set another one"
         values.add("DB407", text.span, f"`heights` must be fixed, but uses {subject}", help)
         return None
@@ -443,12 +447,12 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
         grid = _at(heights, {"x": x, "y": y})
         if not (isinstance(grid, Const) and abs(grid.value) < _MAX_HEIGHT_M):
-            place = f"at x = {x:g} m, y = {y:g} m"
+            position_text = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(grid, Const) and math.isfinite(grid.value):
-                headline = f"the ground is {grid.value:g} m high {place}"
+                headline = f"the ground is {grid.value:g} m high {position_text}"
                 help = "write heights between -10 km and 10 km"
             else:
-                headline = f"the height of the ground cannot be computed {place}"
+                headline = f"the height of the ground cannot be computed {position_text}"
                 help = (
                     "correct `heights`: the expression divides by zero, leaves the domain of a function,"
                     " or gives too large a number"
@@ -458,13 +462,13 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     return Formula(heights, size)
 
 
-def _at(heights: Scalar, place: dict[str, float]) -> Scalar:
+def _at(heights: Scalar, position: dict[str, float]) -> Scalar:
     """Return the formula at one place: a number, where it has one."""
     match heights:
-        case Name(name=name) if name in place:
-            return Const(place[name])
+        case Name(name=name) if name in position:
+            return Const(position[name])
         case Op(op=operation, args=args):
-            return fold_operation(operation, *(_at(arg, place) for arg in args))
+            return fold_operation(operation, *(_at(arg, position) for arg in args))
         case _:
             return heights
 
@@ -474,29 +478,29 @@ _DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
 _OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
-def bodies(name: str, thing: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
+def bodies(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
     """Return the object, or every copy of a group; none after a finding about its shape. Figures that are
     drawn become variations."""
     group = namespace.groups.get(name)
     names = group.copies if group else (name,)
-    if isinstance(thing, world_spec.VariedObject):
-        variants = tuple(_variant(kind, spec, thing, namespace) for kind, spec in thing.one_of.items())
+    if isinstance(body, world_spec.VariedObject):
+        variants = tuple(_variant(kind, spec, body, namespace) for kind, spec in body.one_of.items())
         if None in variants or not variants:  # none is left where each of them has a finding
             return []
         forms = tuple(variant for variant in variants if variant is not None)
-        return [_body(copy, thing, forms[0].shape, namespace, forms) for copy in names]
-    body_shape = shape(thing, namespace)
-    if not isinstance(thing, world_spec.Material):
+        return [_body(copy, body, forms[0].shape, namespace, forms) for copy in names]
+    body_shape = shape(body, namespace)
+    if not isinstance(body, world_spec.Material):
         return []
     if body_shape is None:  # its other values are checked all the same
-        _body(name, thing, Sphere(1.0), namespace)
+        _body(name, body, Sphere(1.0), namespace)
         return []
-    return [replace(_body(copy, thing, body_shape, namespace), pooled=group is not None) for copy in names]
+    return [replace(_body(copy, body, body_shape, namespace), pooled=group is not None) for copy in names]
 
 
 def _body(
     name: str,
-    thing: world_spec.Material,
+    material: world_spec.Material,
     body_shape: Shape,
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
@@ -505,21 +509,21 @@ def _body(
     return ObjectBody(
         name,
         body_shape,
-        mass=variants[0].mass if variants else _mass(thing, body_shape, subject, namespace),
-        color=(None if variants else namespace.fields.color(thing, subject)) or _DEFAULT_COLOR,
-        fixed=bool(thing.fixed),
-        solid=thing.solid is not False,
-        friction=1.0 if variants else value(thing, "friction", "lateral_friction", subject, 1.0),
-        spinning_friction=value(thing, "spinning_friction", "spinning_friction", subject, 0.0),
-        rolling_friction=value(thing, "rolling_friction", "rolling_friction", subject, 0.0),
-        restitution=value(thing, "restitution", "restitution", subject, 0.0),
+        mass=variants[0].mass if variants else _mass(material, body_shape, subject, namespace),
+        color=(None if variants else namespace.fields.color(material, subject)) or _DEFAULT_COLOR,
+        fixed=bool(material.fixed),
+        solid=material.solid is not False,
+        friction=1.0 if variants else value(material, "friction", "lateral_friction", subject, 1.0),
+        spinning_friction=value(material, "spinning_friction", "spinning_friction", subject, 0.0),
+        rolling_friction=value(material, "rolling_friction", "rolling_friction", subject, 0.0),
+        restitution=value(material, "restitution", "restitution", subject, 0.0),
         pooled=bool(variants),
         variants=variants,
     )
 
 
 def _variant(
-    kind: str, spec: world_spec.ShapedBody, thing: world_spec.VariedObject, namespace: Namespace
+    kind: str, spec: world_spec.ShapedBody, varied: world_spec.VariedObject, namespace: Namespace
 ) -> Variant | None:
     """Return a form that a body may take: properties that it does not set are those of the object; its values
     are fixed."""
@@ -531,7 +535,7 @@ def _variant(
             )
     variant_shape = shape(spec, namespace)
     massive, rough, painted, still = (
-        spec if getattr(spec, key) is not None else thing for key in ("mass", "friction", "color", "fixed")
+        spec if getattr(spec, key) is not None else varied for key in ("mass", "friction", "color", "fixed")
     )
     weight = namespace.fields.fixed(massive, "mass", known=Known.EPISODE)
     grip = namespace.fields.fixed(rough, "friction", known=Known.EPISODE)
@@ -541,7 +545,7 @@ def _variant(
     return Variant(
         kind,
         variant_shape,
-        mass=_usual_mass(variant_shape, spec, namespace, still=stays or thing.solid is False)
+        mass=_usual_mass(variant_shape, spec, namespace, still=stays or varied.solid is False)
         if massive.mass is None
         else weight or 0.0,
         color=namespace.fields.color(painted) or _DEFAULT_COLOR,
@@ -550,39 +554,41 @@ def _variant(
     )
 
 
-def shape(thing: world_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
+def shape(body: world_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
     """Return the shape of an object or of a variant; None after a finding."""
-    match thing:
+    match body:
         case world_spec.Box():
-            size = namespace.fields.triple(thing, "size")
+            size = namespace.fields.triple(body, "size")
             return Box(size) if size else None
         case world_spec.Sphere():
-            radius = namespace.fields.fixed(thing, "radius")
+            radius = namespace.fields.fixed(body, "radius")
             return Sphere(radius) if radius else None
         case world_spec.Cylinder() | world_spec.Capsule():
-            radius, height = namespace.fields.fixed(thing, "radius"), namespace.fields.fixed(thing, "height")
-            kind = Cylinder if isinstance(thing, world_spec.Cylinder) else Capsule
+            radius, height = namespace.fields.fixed(body, "radius"), namespace.fields.fixed(body, "height")
+            kind = Cylinder if isinstance(body, world_spec.Cylinder) else Capsule
             return kind(radius, height) if radius and height else None
         case world_spec.Mesh():
-            return mesh(namespace, thing)
+            return mesh(namespace, body)
     return None
 
 
-def _mass(thing: world_spec.Material, body_shape: Shape, subject: OfLink, namespace: Namespace) -> float:
+def _mass(material: world_spec.Material, body_shape: Shape, subject: OfLink, namespace: Namespace) -> float:
     """Return the mass in kg."""
-    still = bool(thing.fixed) or thing.solid is False
-    if thing.mass is None:
-        return _usual_mass(body_shape, thing, namespace, still=still)
+    still = bool(material.fixed) or material.solid is False
+    if material.mass is None:
+        return _usual_mass(body_shape, material, namespace, still=still)
     if still:  # there is nothing that a drawn mass would change
-        return namespace.fields.fixed(thing, "mass", known=Known.EPISODE) or 0.0
-    return namespace.fields.scalar_or_randomized(thing, "mass", "mass", subject, 0.0)
+        return namespace.fields.fixed(material, "mass", known=Known.EPISODE) or 0.0
+    return namespace.fields.scalar_or_randomized(material, "mass", "mass", subject, 0.0)
 
 
-def _usual_mass(body_shape: Shape, thing: world_spec.Material, namespace: Namespace, *, still: bool) -> float:
+def _usual_mass(
+    body_shape: Shape, material: world_spec.Material, namespace: Namespace, *, still: bool
+) -> float:
     """Return the mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(body_shape, Mesh) and not still:
         namespace.values.add_at_key(
-            "DB102", thing.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`"
+            "DB102", material.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`"
         )
     return _WATER_DENSITY * (volume(body_shape) or 0.0)
 
@@ -608,10 +614,12 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
         fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
-        body for name, thing in namespace.scenario.objects.items() for body in bodies(name, thing, namespace)
+        body
+        for name, placed in namespace.scenario.objects.items()
+        for body in bodies(name, placed, namespace)
     ]
     pieces = walls(namespace)
-    _check_bodies(len(robots), sum(thing.bodies for thing in objects), len(pieces), namespace)
+    _check_bodies(len(robots), sum(body.bodies for body in objects), len(pieces), namespace)
     return WorldModel(
         timestep or 0.032,
         spec.substeps,
@@ -656,10 +664,10 @@ def _check_timestep(timestep: float, spec: world_spec.World, namespace: Namespac
         code = "DB105"
     if code:
         text = namespace.values.field(spec, "timestep")
-        written = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
+        match = re.fullmatch(r"\s*([0-9.]+)\s*s\s*", text.text)
         hint = (
-            f"write `{written[1]} ms` if you mean milliseconds; "
-            if written and timestep > _LONG_TIMESTEP_S
+            f"write `{match[1]} ms` if you mean milliseconds; "
+            if match and timestep > _LONG_TIMESTEP_S
             else ""
         )
         namespace.values.add(

@@ -58,7 +58,7 @@ def create(name: str, world: WorldModel) -> Engine:
         if (
             kind is not None
             and error.name == kind.library
-            and any(other.is_installed for other in ENGINES.values())
+            and any(candidate.is_installed for candidate in ENGINES.values())
         ):
             raise UsageError(f"the engine '{name}' cannot be used: {kind.missing}; {kind.remedy}") from error
         if error.name in _OF_EXTRA_SIM:
@@ -127,8 +127,8 @@ def _factory(name: str) -> EngineFactory:
     for entry in plugins.entry_points_of(ENTRY_POINT_GROUP):
         if entry.name == name:
             return _of_plugin(entry)
-    near = nearest_word(name, names())
-    hint = f"; did you mean '{near}'?" if near else ""
+    suggestion = nearest_word(name, names())
+    hint = f"; did you mean '{suggestion}'?" if suggestion else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
 
 

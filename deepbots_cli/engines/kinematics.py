@@ -82,8 +82,8 @@ class Chain:
         ]
         self._driven = [self.moving_joints.index(name) for name in driven]
         self._followers = [
-            (place, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)
-            for place, name in enumerate(self.moving_joints)
+            (index, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)
+            for index, name in enumerate(self.moving_joints)
             if (mimic := model.followers.get(name)) is not None and mimic.joint in driven
         ]
         """The followers of driven joints: their place, that of the leader among the driven joints, and their
@@ -109,14 +109,14 @@ class Chain:
             second_solution, still_missing = self._search(self._middle(positions), goal, local_attitude)
             if still_missing < missing:
                 solution = second_solution
-        return [solution[place] for place in self._driven]
+        return [solution[index] for index in self._driven]
 
     def _middle(self, positions: Sequence[float]) -> list[float]:
         """Return these positions, with the driven joints in the middle of their ranges, if they have any."""
         middle = list(positions)
-        for place, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
+        for index, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
             if low > -inf and high < inf:
-                middle[place] = (low + high) / 2
+                middle[index] = (low + high) / 2
         return middle
 
     def _search(
@@ -128,14 +128,14 @@ class Chain:
         for _ in range(MAX_ITERATIONS):
             if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
                 break
-            now = np.array([joints[place] for place in self._driven])
+            now = np.array([joints[index] for index in self._driven])
             normal = jacobian.T @ jacobian + damping * np.eye(len(now))
             step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
             tried = list(joints)
-            for place, value in zip(
+            for index, value in zip(
                 self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True
             ):
-                tried[place] = value
+                tried[index] = value
             new_error, new_jacobian = self._linearized(tried, goal, local_attitude)
             left = float(new_error @ new_error)
             idle = idle + 1 if left > STALL_RATIO * missing else 0
@@ -150,13 +150,13 @@ class Chain:
         self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the error at these positions, and how it shrinks with each driven joint."""
-        here, drives = self._forward(joints)
-        error = list(frames.subtract(goal, here[0]))
-        columns = [drive.movement_of(here[0]) for drive in drives]
+        end_frame, drives = self._forward(joints)
+        error = list(frames.subtract(goal, end_frame[0]))
+        columns = [drive.movement_of(end_frame[0]) for drive in drives]
         if attitude is None:
             return np.array(error), self._with_followers(np.array(columns)).T
         error += frames.scaled(
-            _rotation_vector(frames.multiply(attitude, frames.inverse(here[1]))), METERS_PER_RAD
+            _rotation_vector(frames.multiply(attitude, frames.inverse(end_frame[1]))), METERS_PER_RAD
         )
         full = [(*column, *drive.rotation) for column, drive in zip(columns, drives, strict=True)]
         return np.array(error), self._with_followers(np.array(full)).T
@@ -167,18 +167,24 @@ class Chain:
         joints = list(joints)
         for follower, leader, mimic in self._followers:
             joints[follower] = mimic.position(joints[self._driven[leader]])
-        here = IDENTITY_FRAME
+        end_frame = IDENTITY_FRAME
         drives = [_Drive(IDENTITY_FRAME[0], IDENTITY_FRAME[0], True)] * len(joints)
-        for frame, axis, turning, place in self._segments:
-            here = frames.compose(here, frame)
-            if place is not None:
-                drive = drives[place] = _Drive(frames.rotate(here[1], axis), here[0], turning)
+        for frame, axis, turning, index in self._segments:
+            end_frame = frames.compose(end_frame, frame)
+            if index is not None:
+                drive = drives[index] = _Drive(frames.rotate(end_frame[1], axis), end_frame[0], turning)
                 if turning:
-                    here = here[0], frames.multiply(here[1], frames.from_axis_angle(axis, joints[place]))
+                    end_frame = (
+                        end_frame[0],
+                        frames.multiply(end_frame[1], frames.from_axis_angle(axis, joints[index])),
+                    )
                 else:
-                    here = frames.add(here[0], frames.scaled(drive.axis, joints[place])), here[1]
-        places = [*self._driven, *(follower for follower, _, _ in self._followers)]
-        return here, [drives[place] for place in places]
+                    end_frame = (
+                        frames.add(end_frame[0], frames.scaled(drive.axis, joints[index])),
+                        end_frame[1],
+                    )
+        indices = [*self._driven, *(follower for follower, _, _ in self._followers)]
+        return end_frame, [drives[index] for index in indices]
 
     def _with_followers(self, rows: FloatArray) -> FloatArray:
         """Return a row for each driven joint, from its own row and those of its followers."""

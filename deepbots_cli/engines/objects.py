@@ -46,11 +46,11 @@ def is_movable(body: ObjectBody) -> bool:
 def forms_of(body: ObjectBody) -> dict[str, ObjectBody]:
     """Return the object in each of its variants, by their names; by its own if it has none."""
     fields = ("shape", "mass", "color", "friction", "fixed")
-    shown = {
+    forms = {
         v.name: replace(body, variants=(), **{field: getattr(v, field) for field in fields})
         for v in body.variants
     }
-    return shown or {body.name: body}
+    return forms or {body.name: body}
 
 
 def as_robot(body: ObjectBody) -> RobotModel:

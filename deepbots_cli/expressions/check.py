@@ -104,7 +104,9 @@ _CONTEXT_HELP = {
         for family in Family
     },
     **{
-        (place, family): _STATIC_HELP for place in _STATIC_PLACES for family in (Family.WORLD, Family.MESSAGE)
+        (context, family): _STATIC_HELP
+        for context in _STATIC_PLACES
+        for family in (Family.WORLD, Family.MESSAGE)
     },
     (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
     (
@@ -343,7 +345,7 @@ class _Checker:
                 raise self._unknown("component", member, (*rows, *columns), node, before)
             selection = RowComponents(rows, tuple(member))
             by_column = [components.column(name) for name in member]
-            indices = tuple(place for row in zip(*by_column, strict=True) for place in row)
+            indices = tuple(index for row in zip(*by_column, strict=True) for index in row)
         selected = value.type.selected(indices)._replace(components=selection)
         return ComponentSelection(selected, node.start, node.end, value, indices)
 
@@ -365,7 +367,7 @@ class _Checker:
         fitting = [
             fitting_name
             for fitting_name in dict.fromkeys(scope.subjects())
-            if (other := scope.subject(fitting_name, kinds)) and other.kind in kinds
+            if (candidate := scope.subject(fitting_name, kinds)) and candidate.kind in kinds
         ]
         if subject is None and symbol is None:
             raise self._unknown("name", name, fitting, node)
@@ -416,15 +418,15 @@ class _Checker:
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """Return `position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
-            body, (member, *rest) = ".".join(node.parts[:length]), node.parts[length:]
+            body, (member, *components) = ".".join(node.parts[:length]), node.parts[length:]
             subject = (
                 self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
             )
             if subject is not None and subject.kind in (Kind.ROBOT, Kind.LINK, Kind.OBJECT, Kind.WALL):
                 function = FUNCTIONS.get(member)
                 if function is not None and function.family is Family.WORLD and len(function.params) == 1:
-                    return ".".join([f"{member}({body})", *rest])
-                return f"position({body}).{member}" if member in SPACE and not rest else None
+                    return ".".join([f"{member}({body})", *components])
+                return f"position({body}).{member}" if member in SPACE and not components else None
         return None
 
     def _unknown(
@@ -432,28 +434,36 @@ class _Checker:
         noun: str,
         name: str,
         choices: Iterable[str],
-        place: syntax.Node,
+        node: syntax.Node,
         before: str | None = "",
         also: str | None = None,
     ) -> StopChecking:
         """Return the error DB402 with the nearest of the known names, and a list of them.
 
-        `before` and the name are the text of `place`; with None, no fix is offered. The help `also` is for
+        `before` and the name are the text of `node`; with None, no fix is offered. The help `also` is for
         names that are like none of the known.
         """
         names = sorted(choices)
         owned = with_owner(name, names)
-        near = owned or suggest_replacement(name, names)
-        shown = _known(names, "no name can be used here", name)
-        listed = "; ".join(filter(None, (shown, None if near else also)))
+        suggestion = owned or suggest_replacement(name, names)
+        available = _known(names, "no name can be used here", name)
+        listed = "; ".join(filter(None, (available, None if suggestion else also)))
         is_clear = (
-            near is not None and len(names) > MAX_BESIDE and (owned is not None or is_typo(name, near.text))
+            suggestion is not None
+            and len(names) > MAX_BESIDE
+            and (owned is not None or is_typo(name, suggestion.text))
         )
         help = " ".join(
-            filter(None, (f"did you mean `{near.text}`?" if near else "", "" if is_clear else listed))
+            filter(
+                None, (f"did you mean `{suggestion.text}`?" if suggestion else "", "" if is_clear else listed)
+            )
         )
-        fix = near._replace(text=f"{before}{near.text}") if near and before is not None else None
-        return self._fault("DB402", place, f"unknown {noun} `{name}`", help, fix)
+        fix = (
+            suggestion._replace(text=f"{before}{suggestion.text}")
+            if suggestion and before is not None
+            else None
+        )
+        return self._fault("DB402", node, f"unknown {noun} `{name}`", help, fix)
 
     # literals
 
@@ -510,15 +520,15 @@ class _Checker:
     def _require_item(self, node: syntax.Vector, name: syntax.Name) -> None:
         """Require that the name behind the numbers is their last item; otherwise it is a misspelled unit, or
         an operator is missing."""
-        written = name.dotted
-        symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(written)
+        name_text = name.dotted
+        symbol = self._scope.lookup(name.parts[0]) or self._scope.lookup(name_text)
         if symbol is None:
             raise self._unknown_unit(name)
         if len(node.items) == 2:
-            missing, help = "an operator", f"to multiply, write `*` before `{written}`"
+            missing, help = "an operator", f"to multiply, write `*` before `{name_text}`"
             if symbol.type is not None and symbol.type.boolean:
-                missing, help = "`when`", f"write `when {written}` if it is the condition of a reward"
-            raise self._fault("DB401", node, f"{missing} is missing before `{written}`", help)
+                missing, help = "`when`", f"write `when {name_text}` if it is the condition of a reward"
+            raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", help)
 
     def _require_unit(self, node: syntax.Binary) -> None:
         """Require that a name right behind a unit, as in `5 rad/sx`, is a value; otherwise it is a misspelled
@@ -536,14 +546,14 @@ class _Checker:
         )
 
     def _unknown_unit(self, name: syntax.Name) -> StopChecking:
-        written = name.dotted
-        unit, scaled = suggest_unit(written), prefixed_unit(written)
+        name_text = name.dotted
+        unit, scaled = suggest_unit(name_text), prefixed_unit(name_text)
         help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
         if unit is not None:
             help = f"did you mean `{unit.text}`?"
         elif scaled is not None:
-            help = f"write it in {scaled[1]}: 1 {written} is {scaled[0]:g} {scaled[1]}"
-        return self._fault("DB501", name, f"unknown unit `{written}`", help, unit)
+            help = f"write it in {scaled[1]}: 1 {name_text} is {scaled[0]:g} {scaled[1]}"
+        return self._fault("DB501", name, f"unknown unit `{name_text}`", help, unit)
 
     # operators
 
@@ -613,16 +623,16 @@ class _Checker:
         return Operation(truth, node.start, node.end, COMPARISONS.get(node.operator, node.operator), both)
 
     def _result_dimension(self, node: syntax.Binary, left: Typed, right: Typed) -> Dimension:
-        base, other = left.type.dimension, right.type.dimension
+        left_dimension, right_dimension = left.type.dimension, right.type.dimension
         match node.operator:
             case "*":
-                return base * other
+                return left_dimension * right_dimension
             case "/":
-                return base / other
+                return left_dimension / right_dimension
             case "^":
                 require_dimension(right, NUMBER, "the exponent", self._report)
                 interval = right.type.interval
-                if base == NUMBER:
+                if left_dimension == NUMBER:
                     return NUMBER
                 # A quantity takes only exponents that are known and simple.
                 if (
@@ -630,12 +640,15 @@ class _Checker:
                     and right.type.components is None
                     and abs(interval.low) <= _MAX_EXPONENT
                 ):
-                    near = Fraction(interval.low).limit_denominator(_MAX_DENOMINATOR)
-                    if float(near) == interval.low:
-                        return base ** (near if near.denominator > 1 else int(near))
+                    exponent = Fraction(interval.low).limit_denominator(_MAX_DENOMINATOR)
+                    if float(exponent) == interval.low:
+                        return left_dimension ** (exponent if exponent.denominator > 1 else int(exponent))
                 help = "divide by a unit first, because only a plain number can have any exponent"
                 raise self._fault(
-                    "DB503", right, f"the exponent of {base.description} must be a fixed, simple number", help
+                    "DB503",
+                    right,
+                    f"the exponent of {left_dimension.description} must be a fixed, simple number",
+                    help,
                 )
             case _:
                 return dimension_of((left, right), node, self._report, is_paid=id(node) in self._paid)
@@ -754,10 +767,10 @@ class _Checker:
         """Return the type of the value of a call."""
         values = [value for _, value in bound]
         truths = [value for param, value in bound if param.boolean]
-        others = [value for param, value in bound if not param.boolean]
-        any_truth = function.accepts_truths and any(value.type.boolean for value in others)
+        quantities = [value for param, value in bound if not param.boolean]
+        any_truth = function.accepts_truths and any(value.type.boolean for value in quantities)
         require_kind(truths, self._report, boolean=True)
-        require_kind(others, self._report, boolean=any_truth)
+        require_kind(quantities, self._report, boolean=any_truth)
         boolean = function.boolean or any_truth
 
         for param, value in bound:
@@ -781,10 +794,10 @@ class _Checker:
             return result
         if reduction:
             count = len(values[0].type.components or ()) // len(components or ("",))
-            whole = reduction.interval(values[0].type.interval, count)
+            joined_interval = reduction.interval(values[0].type.interval, count)
             if values[0].type.has_group_components:  # there may be none of them
-                whole = hull([whole, single(float(reduction.empty or 0.0))])
-            return result._replace(interval=whole)
+                joined_interval = hull([joined_interval, single(float(reduction.empty or 0.0))])
+            return result._replace(interval=joined_interval)
         if function.name == "vector":
             return result.with_intervals(chain.from_iterable(map(_intervals, values)))
         return _ranged(result, function.interval, (*subjects, *(value.type for value in values)))
@@ -886,11 +899,11 @@ def _positions(count: int) -> Components:
     return {len(PLANE): PLANE, len(SPACE): SPACE}.get(count) or tuple(str(n + 1) for n in range(count))
 
 
-def with_owner(name: str, known: Sequence[str]) -> Replacement | None:
+def with_owner(name: str, names: Sequence[str]) -> Replacement | None:
     """Return `cart.speed.x` for `speed.x`, if one part alone has a `speed`."""
-    first, dot, rest = name.partition(".")
-    longer = [other for other in known if other.endswith(f".{first}")]
-    return Replacement(f"{longer[0]}{dot}{rest}", safe=False) if len(longer) == 1 else None
+    first, dot, suffix = name.partition(".")
+    longer = [full_name for full_name in names if full_name.endswith(f".{first}")]
+    return Replacement(f"{longer[0]}{dot}{suffix}", safe=False) if len(longer) == 1 else None
 
 
 def _known(names: list[str], none: str, like: str = "") -> str:

@@ -105,14 +105,14 @@ class Param(NamedTuple):
     variadic: bool = False
 
     def __str__(self) -> str:
-        shown = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
+        text = {Form.RANGE: "low .. high", Form.SPREAD: "mean +- std", Form.OPTIONS: "a | b | ..."}.get(
             self.form, self.name
         )
         if self.optional:
-            return f"[{shown}]"
+            return f"[{text}]"
         if self.variadic:
-            return f"{shown}, ..."
-        return shown
+            return f"{text}, ..."
+        return text
 
 
 class Reduction(NamedTuple):
@@ -243,10 +243,10 @@ def whole_exponent(exponent: float) -> int | None:
 
 def _power(base: float, exponent: float) -> float:
     """Compute a power as `lower` prints it: `x * x`, `x ** n`, `pow(x, y)`."""
-    whole = whole_exponent(exponent)
-    if whole == 2:
+    integer = whole_exponent(exponent)
+    if integer == 2:
         return base * base
-    return math.pow(base, exponent) if whole is None else float(base) ** whole
+    return math.pow(base, exponent) if integer is None else float(base) ** integer
 
 
 # Scalar trees of functions of the world, over readings of the engine: the same on every engine. World frame,
@@ -271,9 +271,9 @@ def rotation(body: str, row: int, column: int) -> Scalar:
     if row == column:
         a, b = (q[axis] for axis in range(3) if axis != row)
         return _op("sub", Const(1.0), _op("mul", two, _op("add", _op("mul", a, a), _op("mul", b, b))))
-    other = q[3 - row - column]
+    third = q[3 - row - column]
     sign = "add" if (row - column) % 3 == 1 else "sub"
-    return _op("mul", two, _op(sign, _op("mul", q[row], q[column]), _op("mul", other, q[3])))
+    return _op("mul", two, _op(sign, _op("mul", q[row], q[column]), _op("mul", third, q[3])))
 
 
 def _roll(body: str) -> Scalar:
@@ -298,22 +298,22 @@ def _tilt(body: str) -> Scalar:
     return _op("mul", Const(2.0), _op("atan2", _op("hypot", x, y), _op("hypot", z, w)))
 
 
-def _apart(body: str, other: str, axis: str) -> Scalar:
-    return _op("sub", _position(other, axis), _position(body, axis))
+def _apart(body: str, target: str, axis: str) -> Scalar:
+    return _op("sub", _position(target, axis), _position(body, axis))
 
 
-def _distance(body: str, other: str) -> Scalar:
-    return _op("hypot", *(_apart(body, other, axis) for axis in "xyz"))
+def _distance(body: str, target: str) -> Scalar:
+    return _op("hypot", *(_apart(body, target, axis) for axis in "xyz"))
 
 
-def _ground_distance(body: str, other: str) -> Scalar:
-    return _op("hypot", *(_apart(body, other, axis) for axis in "xy"))
+def _ground_distance(body: str, target: str) -> Scalar:
+    return _op("hypot", *(_apart(body, target, axis) for axis in "xy"))
 
 
-def _bearing(body: str, other: str) -> Scalar:
+def _bearing(body: str, target: str) -> Scalar:
     """Return the angle between the body's forward axis and the line to the other, both seen from above."""
     ahead_x, ahead_y = rotation(body, 0, 0), rotation(body, 1, 0)
-    dx, dy = _apart(body, other, "x"), _apart(body, other, "y")
+    dx, dy = _apart(body, target, "x"), _apart(body, target, "y")
     across = _op("sub", _op("mul", ahead_x, dy), _op("mul", ahead_y, dx))
     along = _op("add", _op("mul", ahead_x, dx), _op("mul", ahead_y, dy))
     return _op("atan2", across, along)

@@ -176,8 +176,8 @@ class Lowering:
         if vector.type.has_group_components:
             copies = zip(vector.type.components or (), parts, strict=True)
             parts = tuple(_if_present(reduction, copy, part) for copy, part in copies)
-        whole = fold_operation(reduction.operation, *parts)
-        return fold_operation("div", whole, Const(float(len(parts)))) if reduction.mean else whole
+        joined = fold_operation(reduction.operation, *parts)
+        return fold_operation("div", joined, Const(float(len(parts)))) if reduction.mean else joined
 
     def _world(self, value: Invocation, function: Function) -> Scalars:
         components = value.type.components
@@ -323,10 +323,10 @@ def operation_code(
     """Return the code of an operation on arguments with this code; `scalars` are the trees of the
     arguments."""
     function = function_named(name)
-    whole = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
+    integer = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
     # Over columns, `a**2` would be a product, which rounds otherwise than the power of a single world.
-    if whole is not None and (target is SCALAR or _is_product(whole, scalars[0])):
-        return _power(args[0], whole, scalars[0])
+    if integer is not None and (target is SCALAR or _is_product(integer, scalars[0])):
+        return _power(args[0], integer, scalars[0])
     names = function.arguments
     text = target.function_code(function)
     if len(args) > len(names) and not names[-1].startswith("*"):  # `a + b` of more than two

@@ -242,8 +242,8 @@ class _Parser:
         """Return whether `1/s` or the like begins here, written without spaces."""
         if self._peek.text != "1" or self._ahead.text != "/":
             return False
-        one, slash, unit = self._tokens[self._at : self._at + 3]
-        return one.end == slash.start and slash.end == unit.start and self._unit_at(self._at + 2)
+        numerator, slash, unit = self._tokens[self._at : self._at + 3]
+        return numerator.end == slash.start and slash.end == unit.start and self._unit_at(self._at + 2)
 
     def _percent_ends(self) -> bool:
         """Return whether the `%` here closes its number; before an operand it would be a modulo."""
@@ -297,8 +297,8 @@ class _Parser:
             help = "put the inner one in parentheses: `a if (b if c else d) else e`"
             raise _SyntaxError(self._peek.start, self._peek.end, "`if` inside a condition", help)
         if self._peek.text != "else" and self._peek.text in _SLOT_ENDS:
-            written = f"{self._written(value)} if {self._written(condition)}"
-            help = f"write what the value is otherwise, as in `{written} else 0`"
+            conditional = f"{self._written(value)} if {self._written(condition)}"
+            help = f"write what the value is otherwise, as in `{conditional} else 0`"
             raise _SyntaxError(word.start, condition.end, "`if` without `else`", help)
         if not self._take("else"):
             raise self._misplaced()
@@ -492,9 +492,9 @@ class _Parser:
     def _never_closed(self, opening: Token, at: int | None = None) -> _SyntaxError:
         """Return the error of a parenthesis, which is probably to be closed at the offset `at`."""
         at = _closing_offset(self._tokens, opening) if at is None else at
-        written = f"{self._text[:at]}){self._text[at:]}"
-        help = f"add the closing `)`: `{' '.join(written.split())}`"
-        if len(written) > _MAX_SHOWN_CHARACTERS:
+        closed = f"{self._text[:at]}){self._text[at:]}"
+        help = f"add the closing `)`: `{' '.join(closed.split())}`"
+        if len(closed) > _MAX_SHOWN_CHARACTERS:
             help = "add the closing `)`"
         replacement = Replacement(")", safe=False, at=at)
         return _SyntaxError(opening.start, opening.end, "a parenthesis that is not closed", help, replacement)
@@ -568,8 +568,8 @@ def _rewritten(node: Node, text: str, *, in_operation: bool = False) -> str:
     if isinstance(node, Call) and node.function == "where" and len(node.args) == 3:
         condition, value, otherwise = node.args
         parts = [_rewritten(part, text, in_operation=True) for part in (value, condition)]
-        written = f"{parts[0]} if {parts[1]} else {_rewritten(otherwise, text)}"
-        return f"({written})" if in_operation or text[node.start] == "(" else written
+        conditional = f"{parts[0]} if {parts[1]} else {_rewritten(otherwise, text)}"
+        return f"({conditional})" if in_operation or text[node.start] == "(" else conditional
     pieces, at = [], node.start
     for child in children(node):
         is_operand = isinstance(node, Unary | Binary | Member)
@@ -644,7 +644,7 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     """Return headline, help and correction for the token `at`, which cannot be here; `missing` if a value was
     due."""
     token, before = tokens[at], tokens[at - 1] if at else tokens[at]
-    shown = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
+    token_text = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
     is_copy = token.text == "#" and tokens[at + 1].kind == "NUMBER"
     help, text = (COPIES_HELP, None) if is_copy else _HINTS.get(token.text, (None, None))
     if token.kind == "END":
@@ -656,25 +656,25 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
         # Of three dots, the last may be the point of a decimal.
         return (
-            f"`{shown}` in an expression",
+            f"`{token_text}` in an expression",
             help,
             None if text is None else Replacement(text, safe=token.text != "..."),
         )
     if missing:
-        return f"a value is missing before `{shown}`", help, None
+        return f"a value is missing before `{token_text}`", help, None
     if token.text in _OUT_OF_PLACE:
         return _OUT_OF_PLACE[token.text], help, None
     if token.text == ",":
         return _about_comma(tokens, at)
     if token.kind == "SIGN" and token.text != "(":
-        return f"unexpected `{shown}`", help, None
+        return f"unexpected `{token_text}`", help, None
     if token.text == "(" and before.kind == "NAME":
         help = "call a function by its name, as in `abs(x)`; to multiply, write `*`"
     elif token.kind == before.kind == "NUMBER":
         help = "inside an expression, write a vector as `vector(a, b, c)`"
     elif token.kind == "NAME" and tokens[at + 1].kind == "END":
-        help = f"to multiply, write `*` before `{shown}`; if it is a condition, `when`"
-    return f"an operator is missing before `{shown}`", help, None
+        help = f"to multiply, write `*` before `{token_text}`; if it is a condition, `when`"
+    return f"an operator is missing before `{token_text}`", help, None
 
 
 def _unclosed(tokens: list[Token]) -> Token | None:
@@ -711,11 +711,16 @@ def _closing_offset(tokens: list[Token], opening: Token) -> int:
 def _about_comma(tokens: list[Token], at: int) -> tuple[str, str | None, Replacement | None]:
     if tokens[at + 1].kind == "END":
         return "a comma at the end", "remove it", Replacement("", safe=True)
-    whole, comma, part = tokens[at - 1 : at + 2]
-    if whole.text.isdigit() and part.text.isdigit() and whole.end == comma.start and comma.end == part.start:
+    integer, comma, decimals = tokens[at - 1 : at + 2]
+    if (
+        integer.text.isdigit()
+        and decimals.text.isdigit()
+        and integer.end == comma.start
+        and comma.end == decimals.start
+    ):
         return (
             "a comma in a number",
-            f"write a decimal point: `{whole.text}.{part.text}`",
+            f"write a decimal point: `{integer.text}.{decimals.text}`",
             Replacement(".", safe=False),
         )
     return "unexpected `,`", _HINTS[","].help, None

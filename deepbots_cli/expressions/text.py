@@ -23,9 +23,9 @@ def value_text(value: object) -> str:
         case float():
             return f"{value:.5g}"
         case list() | tuple():
-            shown = value if len(value) <= _MAX_LISTED + 1 else value[:_MAX_LISTED]
-            rest = [] if len(shown) == len(value) else [f"... {len(value)} in all"]
-            return ", ".join([*map(value_text, shown), *rest]) or "-"
+            listed = value if len(value) <= _MAX_LISTED + 1 else value[:_MAX_LISTED]
+            more = [] if len(listed) == len(value) else [f"... {len(value)} in all"]
+            return ", ".join([*map(value_text, listed), *more]) or "-"
         case _:
             return str(value).replace("\n", " ") or "-"
 
@@ -38,8 +38,8 @@ def formula_text(scalar: Scalar, digits: int = 12) -> str:
 def _rounded(scalar: Scalar, digits: int) -> Scalar:
     match scalar:
         case Const(value=float() as value):
-            shown = float(f"{value:.{digits}g}")
-            return Const(int(shown) if shown.is_integer() and abs(shown) < 1e6 else shown)
+            rounded = float(f"{value:.{digits}g}")
+            return Const(int(rounded) if rounded.is_integer() and abs(rounded) < 1e6 else rounded)
         case Op(args=args) | State(args=args) | Draw(args=args):
             return scalar._replace(args=tuple(_rounded(arg, digits) for arg in args))
         case _:

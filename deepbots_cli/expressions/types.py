@@ -55,7 +55,7 @@ class RowComponents(tuple[str, ...]):
     @property
     def of_rows(self) -> tuple[int, ...]:
         """The position of the row of each component."""
-        return tuple(place for place in range(len(self.rows)) for _ in self.columns)
+        return tuple(row for row in range(len(self.rows)) for _ in self.columns)
 
     @property
     def of_columns(self) -> tuple[int, ...]:

@@ -60,7 +60,7 @@ class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
 def report_at(
     report: FindingReporter,
     code: str,
-    place: Place,
+    node: Place,
     headline: str,
     help: str | None = None,
     replacement: Replacement | None = None,
@@ -68,7 +68,7 @@ def report_at(
     corrected: Callable[[str], str] | None = None,
 ) -> StopChecking:
     """Report a finding about a node; the caller raises the result."""
-    report(code, place.start, place.end, headline, help, replacement, names, corrected)
+    report(code, node.start, node.end, headline, help, replacement, names, corrected)
     return StopChecking()
 
 
@@ -119,7 +119,7 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
 
 
 def dimension_of(
-    values: Sequence[Typed], place: Place, report: FindingReporter, *, is_paid: bool = False
+    values: Sequence[Typed], node: Place, report: FindingReporter, *, is_paid: bool = False
 ) -> Dimension:
     """Return the one dimension of all values except bare zeros; DB502 or DB503 where they differ.
 
@@ -133,7 +133,7 @@ def dimension_of(
         if value.type.dimension == first.type.dimension:
             continue
         if is_bare_number(value):
-            is_sum = isinstance(place, syntax.Binary) and place.operator in ("+", "-")
+            is_sum = isinstance(node, syntax.Binary) and node.operator in ("+", "-")
             raise missing_unit(
                 value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
             )
@@ -141,20 +141,20 @@ def dimension_of(
         help, names = _plain_names(needed.type.dimension, first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
         headline = f"{first.type.description} is combined with {value.type.description}"
-        raise report_at(report, "DB503", place, headline, help, names=names)
+        raise report_at(report, "DB503", node, headline, help, names=names)
     return first.type.dimension
 
 
 def require_dimension(
     value: Typed,
     dimension: Dimension,
-    what: str,
+    description: str,
     report: FindingReporter,
     unit: str | None = None,
     noun: str | None = None,
 ) -> None:
-    """Require a dimension (a bare zero has any); otherwise report DB502 or DB503 about `what`. `unit` is the
-    probable unit of a bare number."""
+    """Require a dimension (a bare zero has any); otherwise report DB502 or DB503 about `description`. `unit`
+    is the probable unit of a bare number."""
     if is_bare_zero(value) or value.type.dimension == dimension:
         return
     if is_bare_number(value):
@@ -162,7 +162,7 @@ def require_dimension(
     help, names = _plain_names(dimension, value)
     if help is None:
         help, names = _remedy(value, dimension)
-    headline = f"{what} must be {_expected(dimension, noun)}; this is {value.type.description}"
+    headline = f"{description} must be {_expected(dimension, noun)}; this is {value.type.description}"
     corrected = divided_text(value, f" / {WHEEL_RADIUS} * rad") if CORRECTED_LINE in help else None
     raise report_at(report, "DB503", value, headline, help, names=names, corrected=corrected)
 
@@ -194,23 +194,23 @@ def missing_unit(
     help, replacement, corrected = f"write its unit, as in `{dimension.example}`", None, None
     constants = [end for end in ends if isinstance(end, Constant)]
     if len(constants) == len(ends):
-        written = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
+        numbers_text = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
         units = _probable_units(dimension, largest)
         if dimension != ANGLE and unit and largest >= 1:
             units = (unit,)
-        help = "write its unit: " + " or ".join(f"`{written} {name}`" for name in units)
+        help = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
         if len(units) == 1:
             replacement = Replacement(
-                f"{written} {units[0]}", safe=units[0] == str(dimension) and other is None
+                f"{numbers_text} {units[0]}", safe=units[0] == str(dimension) and other is None
             )
     if other is not None:
         corrected = divided_text(other, f" / {_divisor(dimension)}")
         plain = f"divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
         help, replacement = (plain, None) if is_paid else (f"{help}; or {plain}", replacement)
-    place = value._replace(start=ends[0].start, end=ends[-1].end)
+    node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
-    return report_at(report, "DB502", place, headline, help, replacement, corrected=corrected)
+    return report_at(report, "DB502", node, headline, help, replacement, corrected=corrected)
 
 
 def _number_text(number: float) -> str:
@@ -226,17 +226,19 @@ def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict
     if not names:
         return None, {}
     listed = " and ".join(f"`{name}` is {text}, without a unit" for name, text in names.items())
-    place = "where you set the value (in the file or with `--set`)"
+    location_text = "where you set the value (in the file or with `--set`)"
     if len(names) > 1:
-        return f"{listed}; if one of them should have a unit, add it {place}", dict.fromkeys(names)
+        return f"{listed}; if one of them should have a unit, add it {location_text}", dict.fromkeys(names)
     ((name, text),) = names.items()
     if not all(map(_is_proportional, plain)):
-        return f"{listed}; if it should have a unit, add it {place}", {name: None}
+        return f"{listed}; if it should have a unit, add it {location_text}", {name: None}
     quantities = [
         f"{text} {unit}" for unit in _probable_units(dimension, max(map(abs, map(float, text.split()))))
     ]
-    written = " or ".join(f"`{name}: {quantity}`" for quantity in quantities)
-    return f"{listed}: write {written} {place}", {name: quantities[0] if len(quantities) == 1 else None}
+    assignments = " or ".join(f"`{name}: {quantity}`" for quantity in quantities)
+    return f"{listed}: write {assignments} {location_text}", {
+        name: quantities[0] if len(quantities) == 1 else None
+    }
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
@@ -281,15 +283,15 @@ def _remedy(value: Typed, needed: Dimension) -> tuple[str, dict[str, str | None]
         return "multiply by the angle: `* rad`", {}
     names: dict[str, str | None] = {name: None for name, text in _named_numbers(value) if not text}
     suffix = f" of {' or '.join(f'`{name}`' for name in names)}" if names else ""
-    name, written = _with_unit(value, needed)
-    line = f"{name}: {written}" if name else written
-    shown = f": `{line}`" if line else ""
+    name, corrected = _with_unit(value, needed)
+    line = f"{name}: {corrected}" if name else corrected
+    example = f": `{line}`" if line else ""
     if name in names and len(names) == 1:
-        names[name] = written
+        names[name] = corrected
     if dimension == SPEED and needed == ANGULAR_VELOCITY:
         hint = f"if it is the speed of a wheel's rim, divide it by the wheel's radius, here {WHEEL_RADIUS}"
-        return f"correct the unit{suffix}{shown}; or, {hint}: {CORRECTED_LINE}", names
-    return f"correct the unit{suffix}{shown}, or multiply by a factor in {needed / dimension}", names
+        return f"correct the unit{suffix}{example}; or, {hint}: {CORRECTED_LINE}", names
+    return f"correct the unit{suffix}{example}, or multiply by a factor in {needed / dimension}", names
 
 
 def _divisor(dimension: Dimension) -> str:
@@ -331,7 +333,7 @@ def _references(value: Typed) -> Iterator[Reference]:
             yield from _references(part)
 
 
-def components_of(values: Sequence[Typed], place: Place, report: FindingReporter) -> Components | None:
+def components_of(values: Sequence[Typed], node: Place, report: FindingReporter) -> Components | None:
     """Return the components of the result, None for a single value; DB404 where vectors differ.
 
     A vector for each row combines with a vector that has a value for each row, or for each column.
@@ -344,18 +346,18 @@ def components_of(values: Sequence[Typed], place: Place, report: FindingReporter
     )
     for components in vectors:
         if components != largest and not _is_part(components, largest):
-            raise _differing(largest, components, place, report)
+            raise _differing(largest, components, node, report)
     return largest
 
 
-def _is_part(components: Components | None, whole: Components | None) -> bool:
-    """Return whether a vector has a value for each row, or for each column, of the `whole`."""
-    return isinstance(whole, RowComponents) and components in (whole.rows, whole.columns)
+def _is_part(components: Components | None, vector: Components | None) -> bool:
+    """Return whether `components` are the rows, or the columns, of those of a `vector`."""
+    return isinstance(vector, RowComponents) and components in (vector.rows, vector.columns)
 
 
-def aligned(values: Sequence[Typed], place: Place, report: FindingReporter) -> tuple[Typed, ...]:
+def aligned(values: Sequence[Typed], node: Place, report: FindingReporter) -> tuple[Typed, ...]:
     """Return the values with the same components, single values as they are; DB404 where vectors differ."""
-    components = components_of(values, place, report)
+    components = components_of(values, node, report)
     return tuple(spread(value, components) for value in values)
 
 
@@ -369,7 +371,7 @@ def spread(value: Typed, components: Components | None) -> Typed:
     return ComponentSelection(spread_type, value.start, value.end, value, indices)
 
 
-def _differing(first: Components, second: Components, place: Place, report: FindingReporter) -> StopChecking:
+def _differing(first: Components, second: Components, node: Place, report: FindingReporter) -> StopChecking:
     both = [name for name in first if name in second]
     example = "".join(both) if both and all(len(name) == 1 for name in both) else "x"
     help = f"both sides need the same components; select them, as in `v.{example}`"
@@ -378,7 +380,7 @@ def _differing(first: Components, second: Components, place: Place, report: Find
     return report_at(
         report,
         "DB404",
-        place,
+        node,
         f"a vector of {shortened_list(first)} is combined with one of {shortened_list(second)}",
         help,
     )
@@ -414,7 +416,7 @@ def expect_kind(value: Typed, report: FindingReporter, *, boolean: bool) -> Type
 def expect_value(
     value: Typed,
     report: FindingReporter,
-    what: str,
+    description: str,
     *,
     dimension: Dimension | None = None,
     components: Components | None = None,
@@ -438,25 +440,25 @@ def expect_value(
     """
     require_kind([value], report, boolean=boolean)
     if not boolean and dimension is not None and value.type.dimension != dimension:
-        require_dimension(value, dimension, what, report, unit, noun)
+        require_dimension(value, dimension, description, report, unit, noun)
         value = value._replace(type=value.type._replace(dimension=dimension))
-    _require_shape(value, components, what, report, shape_help)
+    _require_shape(value, components, description, report, shape_help)
     if value.type.known > known:
         needed, alternative = ("fixed or drawn once per episode", "that does not change within an episode")
         if known is Known.FIXED:
             needed, alternative = ("fixed", "with a fixed value")
-        headline = f"{what} must be {needed}, but this value is {value.type.known.description}"
+        headline = f"{description} must be {needed}, but this value is {value.type.known.description}"
         raise report_at(report, "DB407", value, headline, f"use a fixed value, or a parameter {alternative}")
     if value.type.interval.is_finite and not boolean:
-        _require_size(value, known, what, report)
+        _require_size(value, known, description, report)
     return spread(value, components)
 
 
 @none_after_finding
 def expect_range(
-    found: TypedRange,
+    typed_range: TypedRange,
     report: FindingReporter,
-    what: str,
+    description: str,
     *,
     dimension: Dimension | None = None,
     components: Components | None = None,
@@ -465,27 +467,38 @@ def expect_range(
     if (
         dimension is not None
         and dimension != NUMBER
-        and is_bare_number(found.low)
-        and is_bare_number(found.high)
-        and not is_bare_zero(found.high)
+        and is_bare_number(typed_range.low)
+        and is_bare_number(typed_range.high)
+        and not is_bare_zero(typed_range.high)
     ):
-        raise missing_unit(found, dimension, report)  # one unit is missing, behind both ends
+        raise missing_unit(typed_range, dimension, report)  # one unit is missing, behind both ends
     # The right end first: the unit of both stands there.
     high = expect_value(
-        found.high, report, what, dimension=dimension, components=components, known=Known.FIXED
+        typed_range.high, report, description, dimension=dimension, components=components, known=Known.FIXED
     )
     low = (
-        expect_value(found.low, report, what, dimension=dimension, components=components, known=Known.FIXED)
+        expect_value(
+            typed_range.low,
+            report,
+            description,
+            dimension=dimension,
+            components=components,
+            known=Known.FIXED,
+        )
         if high
         else None
     )
     if low is None or high is None:
         raise StopChecking
-    return found._replace(low=low, high=high)
+    return typed_range._replace(low=low, high=high)
 
 
 def _require_shape(
-    value: Typed, components: Components | None, what: str, report: FindingReporter, help: str | None = None
+    value: Typed,
+    components: Components | None,
+    description: str,
+    report: FindingReporter,
+    help: str | None = None,
 ) -> None:
     shape = value.type.components
     if components == ANY_SHAPE or shape is None or shape == components or _is_part(shape, components):
@@ -497,21 +510,22 @@ def _require_shape(
             report,
             "DB404",
             value,
-            f"{what} must be a single value; this is {value.type.shape_description}",
+            f"{description} must be a single value; this is {value.type.shape_description}",
             help,
         )
     if help and shape[0] == "x" and "x" not in components:
         headline = (
-            f"{what} has the components {shortened_list(components)}; this is {value.type.shape_description}"
+            f"{description} has the components {shortened_list(components)};"
+            f" this is {value.type.shape_description}"
         )
         raise report_at(report, "DB404", value, headline, help)
     if len(shape) != len(components) and shape[0] in ("x", "1"):
-        headline = f"{what} has {len(shape)} values, not {len(components)}"
+        headline = f"{description} has {len(shape)} values, not {len(components)}"
         raise report_at(report, "DB106", value, headline, f"write {' and '.join(components)}")
     raise _differing(components, shape, value, report)
 
 
-def _require_size(value: Typed, known: Known, what: str, report: FindingReporter) -> None:
+def _require_size(value: Typed, known: Known, description: str, report: FindingReporter) -> None:
     """Warn of implausible values; refuse values beyond an engine's precision that are known before the
     episode."""
     dimension, interval = value.type.dimension, value.type.interval
@@ -522,12 +536,16 @@ def _require_size(value: Typed, known: Known, what: str, report: FindingReporter
     if largest > limit and known is not Known.STEP:
         unit = "" if dimension == NUMBER else f" {dimension}"
         help = f"write at most {limit:g}{unit}" if farthest > 0.0 else f"write at least {-limit:g}{unit}"
-        raise report_at(report, "DB105", value, f"{what} {is_or_reaches} {farthest:g}{unit}", help)
+        raise report_at(report, "DB105", value, f"{description} {is_or_reaches} {farthest:g}{unit}", help)
     if dimension == ANGLE:
         warn_of_degrees(value, report)
     if largest > plausible:
         report_at(
-            report, "DB505", value, f"{what} {is_or_reaches} {farthest:g} {dimension}", "check the unit"
+            report,
+            "DB505",
+            value,
+            f"{description} {is_or_reaches} {farthest:g} {dimension}",
+            "check the unit",
         )
 
 
@@ -539,15 +557,15 @@ def negated_text(value: Typed) -> Callable[[str], str]:
     length = part.end - part.start
 
     def turned(text: str) -> str:
-        amount, rest = text[:length], text[length:]
+        amount, remainder = text[:length], text[length:]
         if isinstance(part, Operation) and part.operator == "where" and part.args[1].start == part.start:
-            return f"-({amount}){rest}"
+            return f"-({amount}){remainder}"
         if not (isinstance(part, Operation) and _is_sum(part)):
-            return amount[1:].lstrip() + rest if amount.startswith("-") else f"-{amount}{rest}"
+            return amount[1:].lstrip() + remainder if amount.startswith("-") else f"-{amount}{remainder}"
         if part.operator == "add":
-            return f"-({amount}){rest}"
+            return f"-({amount}){remainder}"
         left, right = (amount[arg.start - part.start : arg.end - part.start] for arg in part.args)
-        return f"{right} - ({left}){rest}" if _is_sum(part.args[0]) else f"{right} - {left}{rest}"
+        return f"{right} - ({left}){remainder}" if _is_sum(part.args[0]) else f"{right} - {left}{remainder}"
 
     return turned
 

@@ -46,7 +46,7 @@ def units_in(text: str) -> Iterator[Unit]:
 
 def _unit(text: str) -> Unit | None:
     """Return `deg/s` as a unit; None if a word is no unit."""
-    whole, divides = ONE, False
+    unit, divides = ONE, False
     for word in re.split(r"([*/])", text):
         if word in ("*", "/"):
             divides = word == "/"
@@ -56,9 +56,9 @@ def _unit(text: str) -> Unit | None:
             return None
         power = UNITS[name] if not exponent else UNITS[name].to_power(int(exponent))._replace(text=word)
         if divides:
-            whole = whole.per(power)
-        elif whole is ONE:
-            whole = power
+            unit = unit.per(power)
+        elif unit is ONE:
+            unit = power
         else:
-            whole = whole.times(power)
-    return whole._replace(text=text)
+            unit = unit.times(power)
+    return unit._replace(text=text)

@@ -294,8 +294,8 @@ class TrainingCallback:
             return
         began = time.monotonic()
         statistics = self.active.statistics
-        done = self.evaluations.evaluate()
-        summary = Summary.of_episodes(done)
+        episodes = self.evaluations.evaluate()
+        summary = Summary.of_episodes(episodes)
         self._scalars.record_evaluation(summary)
         meets = summary.meets_solved(statistics.solved)
         if self.teaching is not None:
@@ -308,7 +308,7 @@ class TrainingCallback:
         self.confirmations.met_in_a_row = self.confirmations.met_in_a_row + 1 if meets else 0
         if self.confirmations.is_due and self.stopped_by is None:
             returns = self.evaluations.possible_returns()
-            confirmed = self.confirmations.confirm(done, returns, self.report)
+            confirmed = self.confirmations.confirm(episodes, returns, self.report)
             if confirmed is not None and self._until_solved:
                 self.evaluations.put_first(confirmed)
         self.evaluation_seconds += time.monotonic() - began

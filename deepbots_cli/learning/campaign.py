@@ -123,8 +123,8 @@ class Campaign(ABC, Generic[R]):
                 f"{folder} is a {cls.noun} of format {version}, but this version of deepbots reads {FORMAT};"
                 " use the version that wrote it"
             )
-        read = read_json(record, cls.record_type, _MAX_RECORD_BYTES)
-        campaign = cls(folder, read)  # type: ignore[arg-type]  # R is its record_type
+        contents = read_json(record, cls.record_type, _MAX_RECORD_BYTES)
+        campaign = cls(folder, contents)  # type: ignore[arg-type]  # R is its record_type
         if len(set(campaign.record.seeds)) < len(campaign.record.seeds):
             raise RunError(f"{record} is damaged: it lists a seed twice")
         for member in (record, *(folder / name for name in cls.files), *campaign.planned):

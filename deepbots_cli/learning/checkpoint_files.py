@@ -148,17 +148,17 @@ class CheckpointState(CheckpointPart):
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
         steps, statistics = self.steps, self.statistics
-        places = [
+        step_counts = [
             self.callback.evaluated_at,
             self.callback.next_beat - MAX_CHECK_INTERVAL,
             self.curriculum.first_step,
         ]
-        places += [
+        step_counts += [
             statistics.episodes,
             *(stage.steps for stage in self.curriculum.ends),
             *([statistics.solved_at.steps] if statistics.solved_at else []),
         ]
-        if max(places) > steps:
+        if max(step_counts) > steps:
             raise ValueError("its counts of steps contradict each other")
         if len(self.stages) != len(self.starts):
             raise ValueError("its counts of worlds contradict each other")
@@ -275,9 +275,9 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
                 )
 
 
-def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str] = ()) -> dict[str, Array]:
+def read_arrays(path: Path, specs: Mapping[str, ArraySpec], ignored: Sequence[str] = ()) -> dict[str, Array]:
     """Read the arrays of an uncompressed `.npz`. They match `specs`, and all numbers are finite. Members in
-    `others` are not read.
+    `ignored` are not read.
 
     Raises:
         RunError: The file is missing, damaged, or has other content.
@@ -288,7 +288,7 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], others: Sequence[str
         if path.stat().st_size > _OVERHEAD_BYTES + sum(spec.max_bytes + 1_000 for spec in specs.values()):
             raise ValueError("it is larger than what it should hold")
         with zipfile.ZipFile(path) as archive:
-            members = [member for member in archive.infolist() if member.filename not in others]
+            members = [member for member in archive.infolist() if member.filename not in ignored]
             if sum(member.file_size for member in members) > path.stat().st_size or any(
                 m.compress_type for m in members
             ):

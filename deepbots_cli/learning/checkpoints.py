@@ -175,9 +175,9 @@ class Checkpoints:
                 shutil.copyfile(folder / "model.zip", copy)
                 flush_to_disk(copy)
                 os.replace(copy, self.run.model(name))
-            whole = self.run.checkpoints / f"{steps:012d}"
-            shutil.rmtree(whole, ignore_errors=True)
-            folder.rename(whole)  # from here on, this is the last checkpoint
+            checkpoint = self.run.checkpoints / f"{steps:012d}"
+            shutil.rmtree(checkpoint, ignore_errors=True)
+            folder.rename(checkpoint)  # from here on, this is the last checkpoint
             flush_to_disk(self.run.checkpoints)
         except (OSError, RunError) as error:
             shutil.rmtree(folder, ignore_errors=True)
@@ -186,7 +186,7 @@ class Checkpoints:
             if isinstance(error, RunError):
                 raise
             raise StorageError(unwritable_message(self.run.checkpoints, error)) from error
-        self._remove_others({whole, *self._learner.shared_files()})
+        self._remove_others({checkpoint, *self._learner.shared_files()})
         self._last = steps
         now = time.monotonic()
         self._due = now + max(INTERVAL_S, MIN_INTERVAL_PER_COST * (now - began))
@@ -296,10 +296,10 @@ class Checkpoints:
         )
 
     def _restore(self, state: CheckpointState, arrays: Arrays) -> None:
-        here = self._arithmetic()
+        arithmetic = self._arithmetic()
         for name, value in state.arithmetic.items():
-            if here.get(name) != value:
-                self.note(f"{name} changed at {state.steps:,} steps from {value} to {here.get(name)}")
+            if arithmetic.get(name) != value:
+                self.note(f"{name} changed at {state.steps:,} steps from {value} to {arithmetic.get(name)}")
         if state.digest != self.run.digest:
             self.note(f"the scenario now compiles to a different program than at {state.steps:,} steps")
         self._learner.restore(state, arrays, same=self._repeat_episodes(state, arrays))

@@ -420,7 +420,7 @@ def evaluate_group(
     """
     members = _open_runs(Group.open(group), options.pop("model", "best"))
     judged = None if scenario is None else api.compile(scenario)
-    done: list[EvaluationResult] = []
+    group_results: list[EvaluationResult] = []
     before: list[Episode] = []
 
     def enough(episodes: Sequence[Episode]) -> bool:
@@ -433,14 +433,14 @@ def evaluate_group(
         executor.map(_evaluate, calls, watcher=Counter(on_run, len(calls)), files=_records(members.models))
     )
     for ref, result in zip(members.models, evaluations, strict=False):
-        done.append(
+        group_results.append(
             result if executor.is_here else until_enough(result, enough, ref.run, **evaluation_options)
         )
-        before += done[-1].outcomes
+        before += group_results[-1].outcomes
         if enough(()):
             break
     evaluations.close()
-    return GroupResult(members.name, tuple(done), members.waiting)
+    return GroupResult(members.name, tuple(group_results), members.waiting)
 
 
 class _Evaluation(NamedTuple):
@@ -475,7 +475,7 @@ def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
         for ref in (ModelRef.open(folder, model=model) for folder in run_folders([path])):
             key = ref.run.record.digest, ref.run.record.engine, ref.name
             alike = single.setdefault(key, [])
-            if ref.path not in [other.path for other in alike]:
+            if ref.path not in [member.path for member in alike]:
                 alike.append(ref)
             name = alike[0].label + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
             groups_by_key[key] = _GroupMembers(name, alike)

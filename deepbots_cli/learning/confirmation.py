@@ -137,8 +137,10 @@ class Confirmation:
         """Return a confirmation with this number of episodes, which may be too few to pass."""
         successes = 0
         if solved.success_rate is not None:
-            shown = required_successes(episodes, max(0.0, solved.success_rate - MARGIN), error_level(number))
-            successes = max(shown, math.ceil(solved.success_rate * episodes - 1e-9))
+            required = required_successes(
+                episodes, max(0.0, solved.success_rate - MARGIN), error_level(number)
+            )
+            successes = max(required, math.ceil(solved.success_rate * episodes - 1e-9))
         return Confirmation(solved, number, returns, episodes, successes)
 
     @property
@@ -157,31 +159,31 @@ class Confirmation:
             parts.append(f"a mean return of at least {self.solved.mean_return:g}, with {bound}")
         return " and ".join(parts)
 
-    def is_lost(self, done: Sequence[Episode]) -> bool:
+    def is_lost(self, episodes: Sequence[Episode]) -> bool:
         """Return whether the first episodes rule out a confirmation that passes, or make it very unlikely."""
-        left, successes = self.episodes - len(done), sum(episode.is_success for episode in done)
+        left, successes = self.episodes - len(episodes), sum(episode.is_success for episode in episodes)
         if successes + left < self.successes:
             return True
         if self.solved.success_rate is not None:
             halfway = (1 + self.solved.success_rate) / 2
-            if 1.0 - probability_of_at_least(successes + 1, len(done), halfway) <= HOPELESS:
+            if 1.0 - probability_of_at_least(successes + 1, len(episodes), halfway) <= HOPELESS:
                 return True
         if self.solved.mean_return is None:
             return False
-        returns = [episode.total_return for episode in done]
+        returns = [episode.total_return for episode in episodes]
         best = math.fsum(returns) + left * self.returns[1]
         return (
             best < self.solved.mean_return * self.episodes
             or upper_bound(returns, HOPELESS) < self.solved.mean_return
         )
 
-    def passes(self, done: Sequence[Episode]) -> bool:
+    def passes(self, episodes: Sequence[Episode]) -> bool:
         """Return whether all episodes of the confirmation show that the task is solved."""
-        returns = [episode.total_return for episode in done]
-        successes = sum(episode.is_success for episode in done)
-        if len(done) < self.episodes or successes < self.successes:
+        returns = [episode.total_return for episode in episodes]
+        successes = sum(episode.is_success for episode in episodes)
+        if len(episodes) < self.episodes or successes < self.successes:
             return False
-        return meets_solved(self.solved, fmean(returns), successes / len(done)) and self._return_passes(
+        return meets_solved(self.solved, fmean(returns), successes / len(episodes)) and self._return_passes(
             returns
         )
 
@@ -200,13 +202,13 @@ class Confirmation:
         return (self.solved.mean_return or 0.0) - MARGIN * (high - low)
 
 
-def _cautious_mean(done: Sequence[Episode]) -> float:
+def _cautious_mean(episodes: Sequence[Episode]) -> float:
     """Return the mean return less its standard error.
 
     In a plan for the mean itself, a policy of PitEscape had 0.912 in its evaluation and 0.908 in its
     confirmation, which failed because 100 starts were too few.
     """
-    returns = [episode.total_return for episode in done]
+    returns = [episode.total_return for episode in episodes]
     error = stdev(returns) / math.sqrt(len(returns)) if len(returns) > 1 else 0.0
     return fmean(returns) - error
 

@@ -103,15 +103,15 @@ class Confirmations:
         self.activity = Activity(f"confirming on {plan.episodes:,} new starts", f"needs {plan.requirement}")
         report()
         root = confirmation_root(self._active.run.record.seed, number)
-        done = self._play(plan, root)
+        episodes = self._play(plan, root)
         self.count, self.activity = number, None
-        self.steps += sum(episode.length for episode in done)
-        summary = Summary.of_episodes(done)
-        passes = plan.passes(done)
+        self.steps += sum(episode.length for episode in episodes)
+        summary = Summary.of_episodes(episodes)
+        passes = plan.passes(episodes)
         self._note_outcome(plan, summary, passes=passes)
         if not passes:
             return None
-        self.passed = Confirmed(root, number, done)
+        self.passed = Confirmed(root, number, episodes)
         self._active.statistics.note_solved(summary.mean_return, summary.success_rate)
         return summary
 
@@ -131,12 +131,12 @@ class Confirmations:
 
     def _play(self, plan: Confirmation, root: int) -> list[Episode]:
         active = self._active
-        done: list[Episode] = []
-        while len(done) < plan.episodes and not plan.is_lost(done):
-            part = range(len(done), min(plan.episodes, len(done) + CONFIRMATION_PART))
+        episodes: list[Episode] = []
+        while len(episodes) < plan.episodes and not plan.is_lost(episodes):
+            part = range(len(episodes), min(plan.episodes, len(episodes) + CONFIRMATION_PART))
             seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
-            done += active.evaluator.play(active.learner, active.run.program, active.interruption, seeds)
-        return done
+            episodes += active.evaluator.play(active.learner, active.run.program, active.interruption, seeds)
+        return episodes
 
     def _note_outcome(self, plan: Confirmation, summary: Summary, *, passes: bool) -> None:
         score = f"a mean return of {summary.mean_return:.4g} on {summary.episodes:,} new starts"

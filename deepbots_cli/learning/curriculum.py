@@ -180,13 +180,13 @@ class Curriculum:
     def describe(self, steps: int) -> str:
         """Return the state for a progress display, such as `few (2 of 3): success rate 0.45 of 0.7`."""
         until, value = self.criterion, self.value(steps)
-        place = f"{self.name} ({self.index + 1} of {len(self.stages)})"
+        stage = f"{self.name} ({self.index + 1} of {len(self.stages)})"
         if until is None:
-            return place
+            return stage
         form = ",.0f" if until.metric == "steps" else ".3g"
         metric = until.metric.replace("_", " ") + (" in evaluation" if until.episodes is None else "")
         return (
-            f"{place}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
+            f"{stage}: {metric} {'-' if value is None else format(value, form)} of {until.threshold:{form}}"
         )
 
     def state(self) -> CurriculumState:

@@ -135,7 +135,7 @@ def _fall(
     late = _joined(scores[split:])
     is_few = len(rows) - split <= 2
     least, share = (MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW) if is_few else (MIN_EFFECT, MIN_SHARE)
-    windows = [range(place, place + size) for size in _WINDOWS for place in range(split - size + 1)]
+    windows = [range(start, start + size) for size in _WINDOWS for start in range(split - size + 1)]
     better: list[tuple[float, range]] = []
     for window in windows:
         episodes = _joined([scores[number] for number in window])
@@ -180,8 +180,8 @@ def _range(scores: Sequence[Sequence[float]]) -> float:
 def _change(means: Sequence[float]) -> int:
     """Return the place, from 1, at which a split into two means leaves the smallest squared error."""
 
-    def error(place: int) -> float:
-        parts = (means[:place], means[place:])
+    def error(split: int) -> float:
+        parts = (means[:split], means[split:])
         return sum((value - fmean(part)) ** 2 for part in parts for value in part)
 
     return min(range(1, len(means)), key=error)

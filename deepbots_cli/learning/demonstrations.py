@@ -87,7 +87,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
     scenario = (
         program.variant(None, stage) if stage in {entry.name for entry in program.curriculum} else program
     )
-    done: list[Step] = []
+    played_steps: list[Step] = []
     observations: list[Any] = []
     episodes = []
     with closing(build(scenario.with_critic)) as world:
@@ -99,9 +99,9 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
                 )
             )
             observations += [step.observation for step in episode[:-1]]
-            done += episode[1:]
+            played_steps += episode[1:]
             episodes.append(result_of(episode, recorded.seed))
-    if not done:
+    if not played_steps:
         raise UsageError(f"{path} contains no step; record an episode first")
     if program.defines_success and not any(episode.is_success for episode in episodes):
         count = (
@@ -114,10 +114,10 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
         )
     return Demonstrations(
         _stacked(observations),
-        np.stack([step.action for step in done]),
-        np.array([step.reward for step in done]),
-        _stacked([step.observation for step in done]),
-        np.array([step.terminated for step in done]),
+        np.stack([step.action for step in played_steps]),
+        np.array([step.reward for step in played_steps]),
+        _stacked([step.observation for step in played_steps]),
+        np.array([step.terminated for step in played_steps]),
         episodes,
     )
 

@@ -50,9 +50,9 @@ def read_json(path: Path, model: type[M], limit: int) -> M:
         return model.model_validate_json(content)
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
-        place = ".".join(str(part)[:40] for part in first["loc"])
-        if place:
-            reason = f"'{place}': {first['msg']}"
+        field = ".".join(str(part)[:40] for part in first["loc"])
+        if field:
+            reason = f"'{field}': {first['msg']}"
         elif first["type"] == "json_invalid":
             reason = "it is not valid JSON"
         else:
@@ -99,18 +99,18 @@ def write_numbered(folder: Path, text: str) -> Path:
     return path
 
 
-def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
-    """Create the directory of a new run: `wanted`, or else the next free `parent/<scenario>-<seed>-<n>`.
+def new_directory(folder: str | Path | None, parent: str | Path, scenario: str, seed: int | str) -> Path:
+    """Create the directory of a new run: `folder`, or else the next free `parent/<scenario>-<seed>-<n>`.
     `seed` is `seeds` for a group.
 
     Raises:
-        UsageError: `wanted` exists, or the directory cannot be made.
+        UsageError: `folder` exists, or the directory cannot be made.
     """
-    wanted, parent = None if wanted is None else Path(wanted), Path(parent)
+    folder, parent = None if folder is None else Path(folder), Path(parent)
     try:
-        if wanted is not None:
-            wanted.mkdir(parents=True)
-            return wanted
+        if folder is not None:
+            folder.mkdir(parents=True)
+            return folder
         parent.mkdir(parents=True, exist_ok=True)
         stem = f"{re.sub(r'[^a-z0-9]+', '_', scenario.lower()).strip('_') or 'run'}-{seed}-"
         number = 1 + max((_number(path.name, stem) for path in parent.iterdir()), default=0)
@@ -126,7 +126,7 @@ def new_directory(wanted: str | Path | None, parent: str | Path, scenario: str, 
             f"{error.filename} already exists; choose another directory, because runs are not overwritten"
         ) from error
     except OSError as error:
-        raise UsageError(unwritable_message(wanted or parent, error)) from error
+        raise UsageError(unwritable_message(folder or parent, error)) from error
 
 
 def _number(name: str, stem: str) -> int:

@@ -166,7 +166,7 @@ class DrawnEffects:
 
 
 def by_drawn_value(
-    done: Sequence[Episode],
+    episodes: Sequence[Episode],
     labels: Mapping[str, DrawLabel] | None = None,
     bounds: Interval = UNBOUNDED,
 ) -> DrawnEffects:
@@ -182,12 +182,12 @@ def by_drawn_value(
     """
     from scipy.special import ndtri  # commands that only read runs work without scipy
 
-    outcome: Outcome = "success" if len({episode.is_success for episode in done}) == 2 else "return"
-    names = {name: None for episode in done for name in episode.drawn if not is_of_member(name)}
+    outcome: Outcome = "success" if len({episode.is_success for episode in episodes}) == 2 else "return"
+    names = {name: None for episode in episodes for name in episode.drawn if not is_of_member(name)}
     chances: dict[str, float] = {}
     parts: dict[str, tuple[DrawnBin, ...]] = {}
     for name in names:
-        drawing = [episode for episode in done if name in episode.drawn]
+        drawing = [episode for episode in episodes if name in episode.drawn]
         if _is_ordered([episode.drawn[name] for episode in drawing]):
             bins = _parts(drawing, name, bounds)
             if len(bins) > 1:
@@ -201,7 +201,7 @@ def by_drawn_value(
         for name, chance in corrected.items()
     ]
     values.sort(key=lambda value: (not value.has_effect, not value.label.is_parameter, value.chance))
-    _, results = _by_start(done, outcome)
+    _, results = _by_start(episodes, outcome)
     detectable = None
     if values and len(results) > 1:
         needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
@@ -212,14 +212,14 @@ def by_drawn_value(
     )
 
 
-def _is_ordered(drawn: Sequence[object]) -> bool:
+def _is_ordered(values: Sequence[object]) -> bool:
     """Return whether all are words, or all are finite numbers."""
-    is_number = [isinstance(value, int | float) and math.isfinite(value) for value in drawn]
-    return all(is_number) or all(isinstance(value, str) for value in drawn)
+    is_number = [isinstance(value, int | float) and math.isfinite(value) for value in values]
+    return all(is_number) or all(isinstance(value, str) for value in values)
 
 
-def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
-    ordered = sorted(done, key=lambda episode: episode.drawn[name])
+def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnBin, ...]:
+    ordered = sorted(episodes, key=lambda episode: episode.drawn[name])
     options = sorted({episode.drawn[name] for episode in ordered})
     if len(options) <= MAX_OPTIONS:
         parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in options]
@@ -236,13 +236,13 @@ def _parts(done: Sequence[Episode], name: str, bounds: Interval) -> tuple[DrawnB
 # The test
 
 
-def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
+def _by_start(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
     """Return one episode of each start, and the mean outcome of each start.
 
     Several policies that begin with the same start are no independent observations of its difficulty.
     """
     groups: dict[tuple[str, int], list[Episode]] = {}
-    for number, episode in enumerate(done):
+    for number, episode in enumerate(episodes):
         key = ("number", number) if episode.seed is None else ("seed", episode.seed)
         groups.setdefault(key, []).append(episode)
     values = [
@@ -253,7 +253,7 @@ def _by_start(done: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode],
     return [group[0] for group in groups.values()], np.array(values, float)
 
 
-def _chance(drawn: Sequence[float | str], results: Floats) -> float:
+def _chance(values: Sequence[float | str], results: Floats) -> float:
     """Return the two-sided probability of a trend at least as strong if the value has no effect.
 
     The outcome, or its rank where it has more than two values, is compared with the rank of the value: for
@@ -261,11 +261,11 @@ def _chance(drawn: Sequence[float | str], results: Floats) -> float:
     order: each of them is compared with all others, with Bonferroni's correction.
     """
     ranks = results if len(set(results.tolist())) <= 2 else _ranks(results)
-    words = sorted({value for value in drawn if isinstance(value, str)})
+    words = sorted({value for value in values if isinstance(value, str)})
     if not words:
-        return _association(_ranks(np.array(drawn, float)), ranks)
+        return _association(_ranks(np.array(values, float)), ranks)
     compared = words if len(words) > 2 else words[:1]
-    indicators = (np.array([value == word for value in drawn], float) for word in compared)
+    indicators = (np.array([value == word for value in values], float) for word in compared)
     return min(1.0, len(compared) * min(_association(indicator, ranks) for indicator in indicators))
 
 
@@ -298,8 +298,9 @@ def _association(first: Floats, second: Floats) -> float:
     if skewness < 1e-3:
         return float(2 * ndtr(-z))
     shape = 4 / skewness**2
-    far, near = (max(0.0, shape + side * z * math.sqrt(shape)) for side in (1, -1))
-    return min(1.0, float(gammaincc(shape, far) + gammainc(shape, near)))  # the long tail and the short one
+    upper, lower = (max(0.0, shape + side * z * math.sqrt(shape)) for side in (1, -1))
+    # The long tail and the short one.
+    return min(1.0, float(gammaincc(shape, upper) + gammainc(shape, lower)))
 
 
 def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
@@ -325,8 +326,8 @@ def _holm(chances: Mapping[str, float]) -> dict[str, float]:
     """Return the probabilities after Holm's correction, by name, the smallest first."""
     corrected: dict[str, float] = {}
     largest = 0.0
-    for place, name in enumerate(sorted(chances, key=lambda name: chances[name])):
-        largest = max(largest, min(1.0, chances[name] * (len(chances) - place)))
+    for rank, name in enumerate(sorted(chances, key=lambda name: chances[name])):
+        largest = max(largest, min(1.0, chances[name] * (len(chances) - rank)))
         corrected[name] = largest
     return corrected
 

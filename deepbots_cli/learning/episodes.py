@@ -514,7 +514,7 @@ class Summary(Scores, frozen=True):
 
     @classmethod
     def of_episodes(
-        cls, done: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05, **further: Any
+        cls, episodes: Sequence[Episode], bounds: Interval = UNBOUNDED, error: float = 0.05, **further: Any
     ) -> Self:
         """Return the summary of at least one episode.
 
@@ -524,11 +524,11 @@ class Summary(Scores, frozen=True):
             error: The probability that an interval misses the true value.
             further: The fields of a subclass.
         """
-        returns = [episode.total_return for episode in done]
-        successes = sum(episode.is_success for episode in done)
-        names = {name: None for episode in done for name in episode.terms}
+        returns = [episode.total_return for episode in episodes]
+        successes = sum(episode.is_success for episode in episodes)
+        names = {name: None for episode in episodes for name in episode.terms}
         return cls(
-            episodes=len(done),
+            episodes=len(episodes),
             mean_return=fmean(returns),
             std_return=stdev(returns) if len(returns) > 1 else None,
             return_interval=mean_interval(returns, bounds, error),
@@ -536,11 +536,11 @@ class Summary(Scores, frozen=True):
             least_return=min(returns),
             greatest_return=max(returns),
             successes=successes,
-            success_rate=successes / len(done),
-            success_interval=wilson(successes, len(done), error),
-            mean_length=fmean(episode.length for episode in done),
-            endings=dict(Counter(episode.ended_by or "unknown" for episode in done).most_common()),
-            term_means={name: fmean(episode.terms.get(name, 0.0) for episode in done) for name in names},
+            success_rate=successes / len(episodes),
+            success_interval=wilson(successes, len(episodes), error),
+            mean_length=fmean(episode.length for episode in episodes),
+            endings=dict(Counter(episode.ended_by or "unknown" for episode in episodes).most_common()),
+            term_means={name: fmean(episode.terms.get(name, 0.0) for episode in episodes) for name in names},
             **further,
         )
 
@@ -557,11 +557,11 @@ class Summary(Scores, frozen=True):
 # Several agents
 
 
-def agents_line(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[str, dict[str, Any]]:
+def agents_line(members: Mapping[str, Member], outcomes: Sequence[Episode]) -> dict[str, dict[str, Any]]:
     """Return the returns and successes of each of several agents in the same episodes, for a log."""
     line: dict[str, dict[str, Any]] = {}
     for name, member in members.items():
-        episodes = [own_episode(member, episode) for episode in done]
+        episodes = [own_episode(member, episode) for episode in outcomes]
         line[name] = {
             "returns": [episode.total_return for episode in episodes],
             "successes": [episode.is_success for episode in episodes],
@@ -569,11 +569,11 @@ def agents_line(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[
     return line
 
 
-def agent_scores(members: Mapping[str, Member], done: Sequence[Episode]) -> dict[str, Scores]:
+def agent_scores(members: Mapping[str, Member], outcomes: Sequence[Episode]) -> dict[str, Scores]:
     """Return the scores of each of several agents in the same episodes."""
     scores: dict[str, Scores] = {}
     for name, member in members.items():
-        member_scores = Summary.of_episodes([own_episode(member, episode) for episode in done]).scores
+        member_scores = Summary.of_episodes([own_episode(member, episode) for episode in outcomes]).scores
         undefined: dict[str, Any] = (
             {} if member.defines_success else {"success_rate": None, "success_interval": None}
         )

@@ -160,8 +160,8 @@ def evaluate(
     policy = _Policy(model, deterministic, copies)
     rounds = math.ceil(setting.episodes / FORWARD_BATCH_SIZE)
     if executor.is_here or rounds == 1:
-        done = setting.play(range(setting.episodes), policy, on_episode, until)
-        return setting.result(model, done, deterministic=deterministic)
+        outcomes = setting.play(range(setting.episodes), policy, on_episode, until)
+        return setting.result(model, outcomes, deterministic=deterministic)
     if build is not None:
         raise UsageError("`build` makes worlds in this process only; leave out the workers")
     parts = min(executor.workers, rounds)
@@ -182,8 +182,8 @@ def evaluate(
     with closing(
         results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
     ) as played:
-        done = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
-    return setting.result(model, done, deterministic=deterministic)
+        outcomes = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
+    return setting.result(model, outcomes, deterministic=deterministic)
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ class _Part(NamedTuple):
 
 def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
     return _Setting(part.run, **part.options).play(
-        part.numbers, part.policy, lambda done, total: attempt.report(done)
+        part.numbers, part.policy, lambda count, total: attempt.report(count)
     )
 
 
@@ -250,7 +250,7 @@ class _Finished(Watcher):
         self.on_report(item, len(outcome) if isinstance(outcome, list) else None)
 
 
-def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode]) -> EvaluationResult:
+def confirmation_result(run: Run, number: int, seed: int, episodes: Sequence[Episode]) -> EvaluationResult:
     """Return the confirmation that ended a training as an evaluation of its best model.
 
     Args:
@@ -259,7 +259,7 @@ def confirmation_result(run: Run, number: int, seed: int, done: Sequence[Episode
         seed: The root seed of its starts.
         done: Its episodes.
     """
-    return _Setting(run, len(done), seed).result("best", done, confirmation=number)
+    return _Setting(run, len(episodes), seed).result("best", episodes, confirmation=number)
 
 
 def evaluate_trained(
@@ -484,7 +484,7 @@ class _Setting:
     def result(
         self,
         model: str,
-        done: Sequence[Episode],
+        episodes: Sequence[Episode],
         *,
         deterministic: bool = True,
         confirmation: int | None = None,
@@ -506,13 +506,13 @@ class _Setting:
         )
         number = 1 if result is None else result.confirmations + 1
         verdict = solved_verdict(
-            program.agent.solved, done, (low, high), None if needs_no_confirmation else number
+            program.agent.solved, episodes, (low, high), None if needs_no_confirmation else number
         )
         elsewhere, overrides = self._elsewhere()
         circumstances = self._circumstances(model, elsewhere, overrides, deterministic=deterministic)
-        remarks = (*circumstances, *remark_on_episodes(len(done), self.episodes, None))
+        remarks = (*circumstances, *remark_on_episodes(len(episodes), self.episodes, None))
         return EvaluationResult.of_episodes(
-            done,
+            episodes,
             (low, high),
             ALPHA if confirmation is None else error_level(confirmation),
             run=run.path,
@@ -533,13 +533,13 @@ class _Setting:
             digest=(self.judged or run).digest,
             agent=program.agent.name if program.others is None else program.others.agent,
             against=None if program.others is None else program.others.text,
-            agents=agent_scores(program.members, done),
+            agents=agent_scores(program.members, episodes),
             seed=self.seed,
             planned=self.episodes,
             required_episodes=verdict.required_episodes,
             deterministic=deterministic,
-            notes=tuple(self._notes(len(done), confirmation)),
-            outcomes=tuple(done),
+            notes=tuple(self._notes(len(episodes), confirmation)),
+            outcomes=tuple(episodes),
             draws=draw_labels(program, (self.judged or run.compiled).units),
             return_bounds=(low if low > -math.inf else None, high if high < math.inf else None),
         )
@@ -591,7 +591,7 @@ class _Setting:
             if judged.source.name != RESOLVED_NAME
             else f"{judged.source.parent.name}/{RESOLVED_NAME}"
         )
-        others = tuple(text for text in judged.overrides if text != f"world.engine={self.engine}")
-        return None if is_own else name, others or (
+        other_overrides = tuple(text for text in judged.overrides if text != f"world.engine={self.engine}")
+        return None if is_own else name, other_overrides or (
             judged.overrides if self.engine == self.run.record.engine else ()
         )

@@ -126,13 +126,13 @@ class _ThisProcess:
 SERIAL: Executor = _ThisProcess()
 
 
-def results(found: Generator[Result | DeepbotsError | None]) -> Generator[Result]:
+def results(outcomes: Generator[Result | DeepbotsError | None]) -> Generator[Result]:
     """Yield the results of `map`. The first error among them is raised, and ends the calls."""
     try:
-        for outcome in found:
+        for outcome in outcomes:
             if isinstance(outcome, DeepbotsError):
                 raise outcome
             if outcome is not None:
                 yield outcome
     finally:
-        found.close()
+        outcomes.close()

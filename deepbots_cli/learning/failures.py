@@ -136,8 +136,8 @@ class FailureRecorder(HistoryRecorder):
         if key != "observation" or self._program is None:
             return f"the {key.replace('_', ' ')}"
         names = [value.name for value in self._program.agent.inputs]
-        place = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
-        return f"the observation '{names[place % len(names)]}'" if names else "the observation"
+        index = int(np.flatnonzero(~np.isfinite(part).reshape(-1))[0])
+        return f"the observation '{names[index % len(names)]}'" if names else "the observation"
 
     def _fail(self, error: DeepbotsError) -> NoReturn:
         """Raise the error with its place, and with the command that reproduces it.
@@ -322,16 +322,16 @@ def reproduce(path: Path, *, permissions: Permissions = Permissions()) -> tuple[
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
     failure, run, program = read_failure(path)
-    done = 0
+    step_count = 0
     with closing(api.build(program, engine=run.record.engine, permissions=permissions)) as world:
         try:
-            for done in repeat_steps(failure, program, world, path):  # noqa: B007
+            for step_count in repeat_steps(failure, program, world, path):  # noqa: B007
                 pass
         except RunError:  # the recording is damaged; the world did not fail
             raise
         except DeepbotsError as error:
             return failure, str(error)
-    return failure.model_copy(update={"actions": failure.actions[:done]}), None
+    return failure.model_copy(update={"actions": failure.actions[:step_count]}), None
 
 
 def _start(start: int | dict[str, Any], options: Mapping[str, Any] | None) -> Start:

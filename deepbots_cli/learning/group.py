@@ -383,8 +383,8 @@ def _train_seeds(
                         break
                 elif executor.is_here:
                     break
-    done = {result.run for result in trained if not result.interrupted}
-    waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in done)
+    finished_runs = {result.run for result in trained if not result.interrupted}
+    waiting = tuple(seed for seed in left if seed not in failed and group.run(seed) not in finished_runs)
     return GroupTraining(group.path, tuple(trained), skipped, failed, waiting)
 
 

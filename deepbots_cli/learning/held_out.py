@@ -157,9 +157,9 @@ class Evaluator:
         self, model: Learner, scenario: Program, interruption: Interruption, stage: str | None = None
     ) -> list[Episode]:
         """Play the episodes of an evaluation; arguments and errors are those of `play`."""
-        done = self.play(model, scenario, interruption, self.starts, stage)
-        self.steps += sum(episode.length for episode in done)
-        return done
+        episodes = self.play(model, scenario, interruption, self.starts, stage)
+        self.steps += sum(episode.length for episode in episodes)
+        return episodes
 
     def play(
         self,
@@ -169,13 +169,14 @@ class Evaluator:
         seeds: Sequence[int],
         stage: str | None = None,
         *,
-        here: bool = False,
+        without_shards: bool = False,
     ) -> list[Episode]:
         """Play an episode from each seed in `scenario`, which is that of `stage`. The training's random
         numbers stay as they were.
 
         Args:
-            here: Whether to leave out the shards, such as for another model than that of the training.
+            without_shards: Whether to leave out the shards, such as for a model other than that of the
+                training.
 
         Raises:
             KeyboardInterrupt: The training was interrupted. When it is resumed, it continues from its last
@@ -183,14 +184,14 @@ class Evaluator:
         """
         state = torch.get_rng_state()
 
-        def look(done: int = 0, total: int = len(seeds)) -> None:
+        def look(count: int = 0, total: int = len(seeds)) -> None:
             if interruption.requested:
                 raise KeyboardInterrupt
 
         look()
         self._worlds.enter(scenario, stage=stage)
         try:
-            if self.shards is not None and not here and not self._worlds.has_batch_for(len(seeds)):
+            if self.shards is not None and not without_shards and not self._worlds.has_batch_for(len(seeds)):
                 return self.shards.evaluate(model.actor(), seeds, stage)
             return self._worlds.play(model, seeds, on_episode=look)
         finally:

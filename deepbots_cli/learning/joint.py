@@ -82,7 +82,7 @@ class JointLearner(Learner):
         program, critic_program = setup.program, setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
-        self._places = {name: Place(member, program.agent) for name, member in program.members.items()}
+        self._seats = {name: Place(member, program.agent) for name, member in program.members.items()}
         self._critical = {
             name: Place(member, critic_program.agent) for name, member in critic_program.members.items()
         }
@@ -100,10 +100,10 @@ class JointLearner(Learner):
             return {name: self._create(name, training, None) for name, training in trainings.items()}
         created: dict[str, Learner] = {}
         for first, names in self._policies.items():
-            places = [self._critical[name] for name in names]
-            is_shared = len(places) > 1
+            seats = [self._critical[name] for name in names]
+            is_shared = len(seats) > 1
             self._collectors[first] = (
-                SharedCollector(places, collector) if is_shared else SeatCollector(places[0], collector)
+                SharedCollector(seats, collector) if is_shared else SeatCollector(seats[0], collector)
             )
             learner = self._create(first, trainings[first], self._collectors[first])
             created |= dict.fromkeys(names, learner)
@@ -111,18 +111,18 @@ class JointLearner(Learner):
 
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
         """Return a learner for an agent."""
-        setup, place = self.setup, self._critical[agent]
+        setup, seat = self.setup, self._critical[agent]
         return learners.create(
             Setup(
                 training,
-                place.observation_space,
-                place.action_space,
+                seat.observation_space,
+                seat.action_space,
                 derive_seed(setup.seed, agent),
                 setup.total_timesteps,
                 setup.longest_episode,
                 collector,  # type: ignore[arg-type]  # checkpoints are of all agents
                 rows=setup.rows,
-                policy_columns=place.member.program.agent.policy_columns,
+                policy_columns=seat.member.program.agent.policy_columns,
             )
         )
 
@@ -250,12 +250,12 @@ class JointLearner(Learner):
         is_single = example.ndim == len(example_space.shape or ())
         actions, states = [], {}
         for name, learner in self.learners.items():
-            place = self._places[name]
+            seat = self._seats[name]
             masks = (
-                action_masks[..., place.masks] if name in self._masked and action_masks is not None else None
+                action_masks[..., seat.masks] if name in self._masked and action_masks is not None else None
             )
             agent_actions, states[name] = learner.predict(
-                place.observation(observation),
+                seat.observation(observation),
                 None if state is None else state[name],
                 episode_start,
                 deterministic,
@@ -333,11 +333,11 @@ class JointLearner(Learner):
             for key, spec in learner.specs(self._own_state(state, name, learner)).items()
         }
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
-        self.steps = kept.steps
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        self.steps = saved_state.steps
         for name, learner in self._own.items():
             learner.restore(
-                self._own_state(kept, name, learner),
+                self._own_state(saved_state, name, learner),
                 own_entries(arrays, _array_name(name, "")[:-1]),
                 same=same,
             )
@@ -433,10 +433,10 @@ def _common_steps(learners: Mapping[str, Learner]) -> int:
     """Return how many steps each learner collects between two updates."""
     steps = {name: learner.fragment_steps for name, learner in learners.items()}
     if len(set(steps.values())) > 1:
-        shown = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
+        step_counts = ", ".join(f"{number} of `{name}`" for name, number in steps.items())
         raise UsageError(
             f"agents that learn in the same worlds collect the same number of steps between two updates,"
-            f" not {shown}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
+            f" not {step_counts}; write `n_steps` (`train_freq` of SAC, TD3 and DQN) for each of them"
         )
     return next(iter(steps.values()))
 

@@ -275,7 +275,7 @@ class Learner(ABC):
         return _specs(self.arrays())
 
     @abstractmethod
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         """Continue from a checkpoint, after `load`, in restored worlds; `same` is true if their observations
         are the same as before."""
 
@@ -370,13 +370,13 @@ class ArrayLearner(Learner):
             write_arrays(draft, self.weights(), data=json.dumps({"num_timesteps": self.steps}))
 
     def load(self, path: Path) -> None:
-        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), others=("data",)))
+        _overwrite(self.weights(), read_arrays(path, _specs(self.weights()), ignored=("data",)))
 
     def arrays(self) -> dict[str, Array]:
         return self.memory()
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
-        self.steps = kept.steps
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        self.steps = saved_state.steps
         _overwrite(self.memory(), arrays)
 
 

@@ -96,11 +96,11 @@ def list_runs(folder: Path) -> list[ListedRun]:
 
 def read_listed(path: Path) -> ListedRun:
     """Read a run, a group or a study. If its files cannot be read, `problem` has the reason."""
-    read = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(
+    reader = {SourceKind.GROUP: _listed_group, SourceKind.STUDY: _listed_study}.get(
         folder_kind(path) or SourceKind.RUN, _listed_run
     )
     try:
-        return read(path)
+        return reader(path)
     except DeepbotsError as error:
         return ListedRun(path, "unreadable", problem=str(error))
 

@@ -139,9 +139,9 @@ def play_matches(
     pairs = [*combinations(rows, 2)] if is_symmetric else [*product(rows, columns)]
     count, total = 0, len(pairs) * len(starts) * (2 if is_symmetric else 1)
 
-    def counted(done: Iterator[Episode]) -> Iterator[Episode]:
+    def counted(outcomes: Iterator[Episode]) -> Iterator[Episode]:
         nonlocal count
-        for episode in done:
+        for episode in outcomes:
             count += 1
             if on_episode is not None:
                 on_episode(count, total)
@@ -158,12 +158,12 @@ def play_matches(
             return [*counted(play(world, driver, start) for start in starts)]
 
         for a, b in pairs:
-            done = played(a, b)
+            outcomes = played(a, b)
             if is_symmetric:
-                matches.append(_both_sides(program, a, b, done, played(b, a)))
+                matches.append(_both_sides(program, a, b, outcomes, played(b, a)))
             else:
-                scores = agent_scores(program.members, done)
-                matches.append(_match(program, a, b, done, agents=scores))
+                scores = agent_scores(program.members, outcomes)
+                matches.append(_match(program, a, b, outcomes, agents=scores))
     return MatchTable(
         scenario=program.name,
         agents=(first_agent, second_agent),
@@ -197,7 +197,9 @@ def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Ma
             if not acting or not random or acting[0].success_rate is None:
                 continue
             episodes = sum(scores.episodes for scores in acting)
-            rate, chance = (fmean(scores.success_rate or 0.0 for scores in each) for each in (acting, random))
+            rate, chance = (
+                fmean(scores.success_rate or 0.0 for scores in group) for group in (acting, random)
+            )
             low, high = wilson(round(rate * episodes), episodes)
             if low <= chance:
                 yield (
@@ -265,8 +267,8 @@ def _both_sides(
     """Return the match of two players: the episodes with `a` as the first agent, and as the second one."""
     first, second = program.members.values()
     wins = losses = 0
-    for done, side, opponent in ((as_first, first, second), (as_second, second, first)):
-        for episode in done:
+    for episodes, side, opponent in ((as_first, first, second), (as_second, second, first)):
+        for episode in episodes:
             won, lost = (own_episode(member, episode).is_success for member in (side, opponent))
             wins += won and not lost
             losses += lost and not won
@@ -283,13 +285,13 @@ def _both_sides(
     )
 
 
-def _match(program: Program, a: Player, b: Player, done: Sequence[Episode], **results: Any) -> Match:
+def _match(program: Program, a: Player, b: Player, episodes: Sequence[Episode], **results: Any) -> Match:
     """Return the match of two players with these episodes and `results`."""
     return Match(
         row=a.name,
         column=b.name,
-        episodes=len(done),
-        endings=dict(Counter(str(episode.ended_by) for episode in done).most_common()),
-        mean_seconds=fmean(episode.length for episode in done) * program.period,
+        episodes=len(episodes),
+        endings=dict(Counter(str(episode.ended_by) for episode in episodes).most_common()),
+        mean_seconds=fmean(episode.length for episode in episodes) * program.period,
         **results,
     )

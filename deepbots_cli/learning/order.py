@@ -133,9 +133,9 @@ def play_off(
     steps, numbers, remaining = 0, range(FIRST_ROUND), list(models)
     results: dict[int, Candidate] = {}
     while not results or (len(remaining) > 1 and steps < max_steps):
-        for model, done in zip(remaining, play(remaining, numbers), strict=True):
-            steps += sum(episode.length for episode in done)
-            summary = Summary.of_episodes(done)
+        for model, episodes in zip(remaining, play(remaining, numbers), strict=True):
+            steps += sum(episode.length for episode in episodes)
+            summary = Summary.of_episodes(episodes)
             results[model] = (
                 results[model].joined(summary) if model in results else Candidate.of(model, summary)
             )
@@ -192,10 +192,10 @@ class Shortlist:
 
     def add(self, candidate: Candidate, save: Callable[[Path], object]) -> bool:
         """Add a model if it is among the best, and return whether it is the best one; `save` writes it."""
-        others = [other for other in self.candidates if other.steps != candidate.steps]
+        remaining = [model for model in self.candidates if model.steps != candidate.steps]
         if self.keeps_newest:
-            others = []
-        ordered = self._ordered([*others, candidate])
+            remaining = []
+        ordered = self._ordered([*remaining, candidate])
         self.candidates = ordered[:SHORTLIST]
         if candidate in self.candidates:
             save(self.model(candidate))
@@ -207,8 +207,8 @@ class Shortlist:
 
     def put_first(self, candidate: Candidate, save: Callable[[Path], object]) -> None:
         """Make a model the best one, regardless of its rank; `save` writes it."""
-        others = [other for other in self.candidates if other.steps != candidate.steps]
-        self.candidates = [candidate, *others][:SHORTLIST]
+        remaining = [model for model in self.candidates if model.steps != candidate.steps]
+        self.candidates = [candidate, *remaining][:SHORTLIST]
         for path in (self.model(candidate), self._run.model("best")):
             save(path)
         self._remove_others()

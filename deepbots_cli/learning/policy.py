@@ -87,10 +87,10 @@ class Policy:
             numbers = np.atleast_1d(part)
             wrong = np.argwhere(~np.isfinite(numbers))
             if len(wrong):
-                place = int(wrong[0][-1])
+                index = int(wrong[0][-1])
                 name = (
-                    f" of {self.observation[place].name}"
-                    if part is observation and place < len(self.observation)
+                    f" of {self.observation[index].name}"
+                    if part is observation and index < len(self.observation)
                     else ""
                 )
                 raise UsageError(

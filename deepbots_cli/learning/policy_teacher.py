@@ -113,11 +113,11 @@ def _columns(teacher: ModelRef, program: Program) -> list[int]:
         raise UsageError(
             f"the policy of {name} has another action than {program.name}:\n  " + "\n  ".join(differ)
         )
-    places = {observed: place for place, observed in enumerate(learner.inputs)}
-    missing = [observed for observed in agent.inputs if observed not in places]
+    indices = {observed: index for index, observed in enumerate(learner.inputs)}
+    missing = [observed for observed in agent.inputs if observed not in indices]
     if missing:
         raise UsageError(_missing_text(name, missing[0].name, len(missing), learner))
-    return [places[observed] for observed in agent.inputs]
+    return [indices[observed] for observed in agent.inputs]
 
 
 def _missing_text(name: str, first: str, count: int, learner: Agent) -> str:

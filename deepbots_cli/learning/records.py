@@ -388,8 +388,10 @@ class EvaluationRecord(Evaluation, frozen=True):
         if agent_scores is None:
             return self
         scores = {name: getattr(agent_scores, name) for name in Scores.model_fields}
-        others = ", ".join(f"{name} (its policy of the same model)" for name in self.agents if name != agent)
-        changes = {"agents": {}, "agent": agent, "against": others}
+        opponents = ", ".join(
+            f"{name} (its policy of the same model)" for name in self.agents if name != agent
+        )
+        changes = {"agents": {}, "agent": agent, "against": opponents}
         return self.model_copy(
             update={**scores, **changes, "success_defined": agent_scores.success_rate is not None}
         )

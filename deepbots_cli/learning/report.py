@@ -285,17 +285,17 @@ class GroupProgressReporter(GroupReporter):
 
         seeds, room = range(len(self._seeds)), max(1, height - 4)
         by_state = sorted(seeds, key=lambda item: self._states[item] != "training")
-        shown = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
+        listed = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
         names = [
             name
             for name in ("seed", "state", "steps", "episodes", "return", "success")
-            if any(name in row for row in shown)
+            if any(name in row for row in listed)
         ]
         rows = Table.grid(padding=(0, 2))
         for name in names:
             rows.add_column(no_wrap=True, justify="left" if name in ("seed", "state") else "right")
         rows.add_row(*(Text(name, style="dim") for name in names))
-        for row in shown:
+        for row in listed:
             rows.add_row(*(Text(row.get(name, "")) for name in names))
         return Group(rows, Text(self._summary(), style="dim"))
 
@@ -372,11 +372,11 @@ def longer_goal(steps: int) -> int:
 
 def duration(seconds: float) -> str:
     """Return a time as text: `42 s`, `3:07 min` or `2:15 h`."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
+    total = round(seconds)
+    if total < 60:
+        return f"{total} s"
     return (
-        f"{whole // 60}:{whole % 60:02} min" if whole < 3600 else f"{whole // 3600}:{whole % 3600 // 60:02} h"
+        f"{total // 60}:{total % 60:02} min" if total < 3600 else f"{total // 3600}:{total % 3600 // 60:02} h"
     )
 
 

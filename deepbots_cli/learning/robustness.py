@@ -109,7 +109,7 @@ class Side:
         if not between:
             return ", ".join(parts)
         if _may_be_ordered(between):
-            rest = (
+            remark = (
                 f"not decided at {listed([entry.level for entry in between])}, which do not differ within"
                 " their intervals"
             )
@@ -117,8 +117,8 @@ class Side:
             failing, holding = (
                 listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True)
             )
-            rest = f"fails at {failing} but holds at {holding}: here, a larger change is not always harder"
-        return "; ".join([*([", ".join(parts)] if parts else []), rest])
+            remark = f"fails at {failing} but holds at {holding}: here, a larger change is not always harder"
+        return "; ".join([*([", ".join(parts)] if parts else []), remark])
 
     @property
     def _held(self) -> list[RobustnessLevel]:
@@ -129,12 +129,12 @@ class Side:
         return list(takewhile(lambda entry: not entry.holds, reversed(self.levels)))[::-1]
 
 
-def _surely(words: str, boundary: RobustnessLevel, others: Sequence[RobustnessLevel]) -> str:
+def _surely(words: str, boundary: RobustnessLevel, levels: Sequence[RobustnessLevel]) -> str:
     """Return a remark on a boundary that is not significant: the nearest level on its side of the boundary
     that is."""
     if boundary.certain:
         return ""
-    sure = next((entry.level for entry in others if entry.certain), None)
+    sure = next((entry.level for entry in levels if entry.certain), None)
     return f" ({words} {sure} with 95 % confidence)" if sure else " (not significant)"
 
 
@@ -142,7 +142,7 @@ def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
     """Return whether scores within the intervals can fall from level to level. An unknown interval allows all
     scores."""
     intervals = [entry.interval for entry in levels if entry.interval is not None]
-    return all(after[0] <= before[1] for place, after in enumerate(intervals) for before in intervals[:place])
+    return all(after[0] <= before[1] for index, after in enumerate(intervals) for before in intervals[:index])
 
 
 def listed(names: Sequence[str]) -> str:
@@ -494,9 +494,9 @@ def plans(root: MappingNode, program: Program, mass_of: str | None = None) -> It
         )
 
 
-def delayed(delay: float, own: str | None) -> str:
+def delayed(delay: float, base: str | None) -> str:
     """Return a time of the scenario, or 0, plus `delay` ms."""
-    return f"{delay:g} ms" + (f" + {own}" if own else "")
+    return f"{delay:g} ms" + (f" + {base}" if base else "")
 
 
 def _latency(direction: str, latency: str | None, delay: float) -> Change:

@@ -110,10 +110,10 @@ class Run:
         """Return the run of all agents as that of one of them. The others act by their first scripts, or by
         the policies of the best model of the run (`beside_policies`)."""
         model = json.dumps(str(self.model("best").absolute()))
-        others = [f"{name}: {model}" for name in self.program.members if beside_policies and name != agent]
+        policies = [f"{name}: {model}" for name in self.program.members if beside_policies and name != agent]
         source = Source.kept(self.path, Permissions(folders=(self.path,)))
         compiled = api.compile(
-            source, overrides=[f"role={{agent: {agent}, others: {{{', '.join(others)}}}}}"]
+            source, overrides=[f"role={{agent: {agent}, others: {{{', '.join(policies)}}}}}"]
         )
         is_changed = self.digest != self.record.digest
         record = self.record if is_changed else self.record.model_copy(update={"digest": compiled.digest})
@@ -160,13 +160,13 @@ class Run:
 
     def notes(self) -> list[str]:
         """Notes on the use of this run, one sentence each."""
-        here = deepbots_cli.__version__
-        there = self.record.deepbots
+        version = deepbots_cli.__version__
+        trained_version = self.record.deepbots
         stages = [stage.name for stage in self.program.curriculum]
         texts = (
             []
-            if there == here
-            else [f"{self.path} was trained by deepbots {there}, but this is deepbots {here}"]
+            if trained_version == version
+            else [f"{self.path} was trained by deepbots {trained_version}, but this is deepbots {version}"]
         )
         if self.digest != self.record.digest:
             cause = "with this version of deepbots" if texts else "because it was changed after the training"
@@ -281,15 +281,15 @@ class ModelRef:
         if isinstance(source, Run):
             return cls(source, model)
         if isinstance(source, ModelRef):
-            shown, ref = str(source.path), source
+            label, ref = str(source.path), source
         else:
             opened = Source.open(source, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
-            shown = opened.name
+            label = opened.name
             run = Run.open(Source.kept(opened.path, opened.permissions))
             ref = cls(run, model if opened.model is None else opened.model, opened.model is not None)
         if ref.is_named and model != "best":
             raise UsageError(
-                f"--{model} chooses a model of a run, but {shown} is already a model; leave it out"
+                f"--{model} chooses a model of a run, but {label} is already a model; leave it out"
             )
         return ref
 

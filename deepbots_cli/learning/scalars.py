@@ -19,7 +19,7 @@ class Scalars:
         agent = active.run.program.agent
         newest = zip(agent.numbers, agent.newest, strict=True)
         self._seen = {
-            number.full_name: place for number, place in newest if number.clip and not number.is_truth
+            number.full_name: index for number, index in newest if number.clip and not number.is_truth
         }
         """The place of the newest value of each clipped number in an observation. Truth values are left out,
         because they are always at an end of their range."""
@@ -69,8 +69,8 @@ class Scalars:
         # A world of the caller may have other observations.
         if observations is not None and observations.shape[-1] > max(self._seen.values(), default=0):
             shares = (np.abs(observations) >= 1.0).mean(axis=(0, 1))
-            for name, place in self._seen.items():
-                log.record(f"saturation/{name}", float(shares[place]))
+            for name, number_index in self._seen.items():
+                log.record(f"saturation/{name}", float(shares[number_index]))
         for part, column in zip(
             choices, np.asarray(actions).reshape(-1, max(1, len(choices))).T, strict=False
         ):

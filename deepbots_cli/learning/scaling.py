@@ -84,7 +84,7 @@ def measure(
         on_measured: Called with the number of measurements that are done and that of all.
     """
     timings: list[ShardTiming] = []
-    show = on_measured or (lambda done, total: None)
+    show = on_measured or (lambda finished, total: None)
     for number, count in enumerate(shards):
         show(number, len(shards))
         executor = workers if count > 1 else SERIAL
@@ -182,14 +182,14 @@ def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
     return best if best.steps_per_second >= MIN_GAIN * timings[0].steps_per_second else timings[0]
 
 
-def described(timings: Sequence[ShardTiming], chosen: ShardTiming) -> str:
+def described(timings: Sequence[ShardTiming], choice: ShardTiming) -> str:
     """Return a sentence with the measurements and the choice."""
     rates = ", ".join(
         f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
     )
     reason = (
         ""
-        if chosen is not timings[0] or len(timings) == 1
+        if choice is not timings[0] or len(timings) == 1
         else f", because more are less than {MIN_GAIN} times as fast"
     )
-    return f"measured: {rates}; the training has {counted_noun(chosen.shards, 'shard')}{reason}"
+    return f"measured: {rates}; the training has {counted_noun(choice.shards, 'shard')}{reason}"

@@ -92,23 +92,25 @@ def run_tests(
 
 
 def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | None) -> TestResult:
-    began, done = time.perf_counter(), list[Episode]()
+    began, episodes = time.perf_counter(), list[Episode]()
     misses: list[UnmetExpectation] = []
     cut = 0
     try:
         for number in range(test.episodes):
-            done.append(_episode(environment, test, number, misses))
+            episodes.append(_episode(environment, test, number, misses))
             if on_episode is not None:
                 on_episode(number + 1, test.episodes)
     except DeepbotsError as error:
         cut = environment.step_count
-        misses.append(UnmetExpectation("no error", test.span.location, str(error), len(done), cut or None))
+        misses.append(
+            UnmetExpectation("no error", test.span.location, str(error), len(episodes), cut or None)
+        )
     else:
-        misses += _over_episodes(environment.scenario, test, done)
-    steps = cut + sum(episode.length for episode in done)
+        misses += _over_episodes(environment.scenario, test, episodes)
+    steps = cut + sum(episode.length for episode in episodes)
     return TestResult(
         test,
-        len(done),
+        len(episodes),
         steps,
         time.perf_counter() - began,
         tuple(_first_of_each(misses, test, environment.scenario.period)),
@@ -218,13 +220,13 @@ class _ExpectationMonitor:
 
 
 def _over_episodes(
-    program: Program, test: ScenarioTest, done: Sequence[Episode]
+    program: Program, test: ScenarioTest, episodes: Sequence[Episode]
 ) -> Iterator[UnmetExpectation]:
     """Yield the requirements that the episodes together do not meet."""
     if test.agent is not None:
         member = program.members[test.agent]
-        program, done = member.program, [own_episode(member, episode) for episode in done]
-    returns = [episode.total_return for episode in done]
+        program, episodes = member.program, [own_episode(member, episode) for episode in episodes]
+    returns = [episode.total_return for episode in episodes]
     for expected in test.expected:
         match expected.key:
             case "success_rate" | "failure_rate":
@@ -232,11 +234,11 @@ def _over_episodes(
                     episode.is_success
                     if expected.key == "success_rate"
                     else episode.ended_by in program.failures
-                    for episode in done
+                    for episode in episodes
                 ]
-                share = sum(counted) / len(done)
+                share = sum(counted) / len(episodes)
                 if not expected.low <= share <= expected.high:
-                    words = f"{sum(counted)} of {len(done)} episodes ({100 * share:.3g} %)"
+                    words = f"{sum(counted)} of {len(episodes)} episodes ({100 * share:.3g} %)"
                     yield _miss(expected, words, counted.index(share > expected.high))
             case "mean_return":
                 mean = fmean(returns)
@@ -246,7 +248,7 @@ def _over_episodes(
                     )
                     words = (
                         f"{mean:.6g}"
-                        if len(done) == 1
-                        else f"{mean:.6g} over {len(done)} episodes, the {extreme} is {worst:.6g}"
+                        if len(episodes) == 1
+                        else f"{mean:.6g} over {len(episodes)} episodes, the {extreme} is {worst:.6g}"
                     )
                     yield _miss(expected, words, returns.index(worst))

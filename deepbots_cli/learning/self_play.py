@@ -61,12 +61,12 @@ class Sides(NamedTuple):
         """Divide the worlds: in the first ones the policy plays against itself, and in the last ones against
         scripts. Where it plays one side, it takes each side in turn."""
         self_play_count = min(worlds, round(newest * worlds))
-        others = np.arange(self_play_count, worlds)
+        opponent_worlds = np.arange(self_play_count, worlds)
         return cls(
-            np.concatenate([np.arange(self_play_count), others[::2]]),
-            np.concatenate([np.arange(self_play_count), others[1::2]]),
-            others,
-            others[len(others) - min(len(others), round(scripts * worlds)) :],
+            np.concatenate([np.arange(self_play_count), opponent_worlds[::2]]),
+            np.concatenate([np.arange(self_play_count), opponent_worlds[1::2]]),
+            opponent_worlds,
+            opponent_worlds[len(opponent_worlds) - min(len(opponent_worlds), round(scripts * worlds)) :],
         )
 
 
@@ -74,9 +74,9 @@ class SidesCollector(OfferedCollector):
     """The part of the learning policy in the fragments of two equal agents: a row for each side that it
     plays, those of the first agent first."""
 
-    def __init__(self, of_all: Any, places: Sequence[Place], sides: Sides) -> None:
-        super().__init__(of_all, places[0])
-        self._places, self._sides = places, sides
+    def __init__(self, of_all: Any, seats: Sequence[Place], sides: Sides) -> None:
+        super().__init__(of_all, seats[0])
+        self._seats, self._sides = seats, sides
         self.rows = len(sides.first) + len(sides.second)
 
     @property
@@ -98,11 +98,11 @@ class SidesCollector(OfferedCollector):
 
     def seen(self, of_all: Any, axis: int = 0) -> Any:
         """Return the observations of the policy, given those of all agents in all worlds."""
-        first, second = (place.observation(of_all) for place in self._places)
+        first, second = (seat.observation(of_all) for seat in self._seats)
         return self.rows_of(first, second, axis)
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        first, second = self._places
+        first, second = self._seats
         rewards = of_all.agent_rewards
         return replace(
             of_all,
@@ -125,10 +125,10 @@ class SidesCollector(OfferedCollector):
             {int(world): offset + row for row, world in enumerate(self._sides.second)},
         ]
         of_rows = [
-            (number, own_ending(place, ending)._replace(row=places[ending.row]))
+            (number, own_ending(seat, ending)._replace(row=own_rows[ending.row]))
             for number, ending in of_all.endings
-            for place, places in zip(self._places, rows, strict=True)
-            if ending.row in places
+            for seat, own_rows in zip(self._seats, rows, strict=True)
+            if ending.row in own_rows
         ]
         yield from sorted(of_rows, key=lambda entry: (entry[0], entry[1].row))
 
@@ -187,8 +187,8 @@ class SelfPlayLearner(JointLearner):
 
     @classmethod
     def check(cls, training: Training) -> None:
-        (_, first), *others = training.agents
-        if any(replace(agent_training, agents=()) != first for _, agent_training in others):
+        (_, first), *other_trainings = training.agents
+        if any(replace(agent_training, agents=()) != first for _, agent_training in other_trainings):
             raise UsageError(
                 "agents that share a policy have the same `train`; write it, with `self_play`, at the top level"
             )
@@ -226,10 +226,10 @@ class SelfPlayLearner(JointLearner):
             )
         self._rater = _Rater()
         (name, training), _ = setup.training.agents
-        places = [self._critical[agent] for agent, _ in setup.training.agents]
+        seats = [self._critical[agent] for agent, _ in setup.training.agents]
         self._scripts = {
-            agent: [joint_name(agent, script.name) for script in place.member.program.agent.scripts]
-            for agent, place in self._critical.items()
+            agent: [joint_name(agent, script.name) for script in seat.member.program.agent.scripts]
+            for agent, seat in self._critical.items()
         }
         settings = self._settings
         self._sides = Sides.divided(training.environments, settings.newest, settings.scripts)
@@ -239,7 +239,7 @@ class SelfPlayLearner(JointLearner):
             raise UsageError(
                 "`scripts` of `self_play` needs agents with `scripts`; write one, or leave it out"
             )
-        self._collector = SidesCollector(setup.collector, places, self._sides)
+        self._collector = SidesCollector(setup.collector, seats, self._sides)
         self._collectors[name] = self._collector
         learner = self._create(name, training, self._collector)
         return {agent: learner for agent, _ in setup.training.agents}
@@ -265,8 +265,8 @@ class SelfPlayLearner(JointLearner):
     def decide(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         """Return the actions of both agents in all worlds, to learn from."""
         names = [*self.learners]
-        places = [self._critical[name] for name in names]
-        own_masks = [None, None] if masks is None else [masks[:, place.masks] for place in places]
+        seats = [self._critical[name] for name in names]
+        own_masks = [None, None] if masks is None else [masks[:, seat.masks] for seat in seats]
         self._draw_opponents(starts)
         collector, sides = self._collector, self._sides
         decision = self._learner.actor()(
@@ -281,9 +281,9 @@ class SelfPlayLearner(JointLearner):
         # In the first of the worlds with another opponent, the policy is the first agent.
         for side, worlds in ((1, sides.others[::2]), (0, sides.others[1::2])):
             self._let_opponents_act(
-                worlds, places[side].observation(observations), own_masks[side], actions[side]
+                worlds, seats[side].observation(observations), own_masks[side], actions[side]
             )
-            self._let_scripts_act(worlds, places[side], actions[side])
+            self._let_scripts_act(worlds, seats[side], actions[side])
         columns = {**decision.columns, _OPPONENTS: self._opponents.copy()}
         return Decision(joined_actions(actions), columns)
 
@@ -303,22 +303,22 @@ class SelfPlayLearner(JointLearner):
     ) -> None:
         """Write the actions of past policies in some worlds; each samples from its distribution."""
         policies = worlds[self._opponents[worlds] >= _PRESENT]
-        for place in np.unique(self._opponents[policies]):
-            rows = worlds[self._opponents[worlds] == place]
-            policy = self._learner if place == _PRESENT else self.pool[place].policy
+        for opponent in np.unique(self._opponents[policies]):
+            rows = worlds[self._opponents[worlds] == opponent]
+            policy = self._learner if opponent == _PRESENT else self.pool[opponent].policy
             actions[rows], _ = policy.predict(
                 by_part(lambda part, rows=rows: part[rows], observations),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
 
-    def _let_scripts_act(self, worlds: Array, place: Place, actions: Array) -> None:
+    def _let_scripts_act(self, worlds: Array, seat: Place, actions: Array) -> None:
         """Write the actions of the scripts of an agent in some worlds."""
         scripted = worlds[self._opponents[worlds] <= _FIRST_SCRIPT]
         worlds_of_all = cast("LocalCollector", self.setup.collector).worlds
         for opponent in np.unique(self._opponents[scripted]):
             rows = scripted[self._opponents[scripted] == opponent]
-            name = self._scripts[place.member.name][_FIRST_SCRIPT - opponent]
-            actions[rows] = place.actions(worlds_of_all.scripted(name)[rows])
+            name = self._scripts[seat.member.name][_FIRST_SCRIPT - opponent]
+            actions[rows] = seat.actions(worlds_of_all.scripted(name)[rows])
 
     def collect(self) -> bool:
         if not super().collect():
@@ -342,19 +342,19 @@ class SelfPlayLearner(JointLearner):
         wins = losses = 0
         against_scripts = []
         for number, ending in fragment.endings:
-            place = int(fragment.columns[_OPPONENTS][number, ending.row])
-            if place == _PRESENT:
+            index = int(fragment.columns[_OPPONENTS][number, ending.row])
+            if index == _PRESENT:
                 continue
             is_first = ending.row in self._sides.first
             member, opponent = (first, second) if is_first else (second, first)
             by = ending.episode.ended_by
             endings = () if by is None else (by,)
             score = int(member.has_succeeded(endings)) - int(opponent.has_succeeded(endings))
-            if place <= _FIRST_SCRIPT:
+            if index <= _FIRST_SCRIPT:
                 against_scripts.append(score)
                 continue
             wins, losses = wins + (score > 0), losses + (score < 0)
-            past = self.pool[place]
+            past = self.pool[index]
             past.wins, past.losses = past.wins + (score > 0), past.losses + (score < 0)
             self.ratings[-1], past.rating = self._rater.rated(self.ratings[-1], past.rating, score)
         self.ratings[-1] = self.ratings[-1]._replace(steps=self.steps)
@@ -418,15 +418,15 @@ class SelfPlayLearner(JointLearner):
             for name, spec in weights.items()
         }
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
-        super().restore(kept, arrays, same=same)
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        super().restore(saved_state, arrays, same=same)
         names = [*self._learner.weights()]
         self.pool = []
-        for number, past in enumerate(kept.pool):
+        for number, past in enumerate(saved_state.pool):
             weights = {name: arrays[_pool_name(number, name)] for name in names}
             member = self._past(Rating(past.steps, past.mean, past.deviation), weights)
             self.pool.append(replace(member, wins=past.wins, losses=past.losses))
-        self.ratings = [Rating(**rating.model_dump()) for rating in kept.ratings]
+        self.ratings = [Rating(**rating.model_dump()) for rating in saved_state.ratings]
         opponents = arrays[_OPPONENTS]
         scripts = min(len(names) for names in self._scripts.values())
         if opponents.min() <= _FIRST_SCRIPT - scripts or opponents.max() >= len(self.pool):
@@ -474,14 +474,14 @@ class _Rater:
         fresh = self._model.rating()
         return Rating(0, fresh.mu, fresh.sigma)
 
-    def rated(self, one: Rating, two: Rating, score: int) -> tuple[Rating, Rating]:
-        """Return the ratings after a game, in which `score` is 1 if `one` has won, -1 if `two` has, else
+    def rated(self, first: Rating, second: Rating, score: int) -> tuple[Rating, Rating]:
+        """Return the ratings after a game, in which `score` is 1 if `first` has won, -1 if `second` has, else
         0."""
-        teams = [[self._model.rating(mu=rating.mean, sigma=rating.deviation)] for rating in (one, two)]
+        teams = [[self._model.rating(mu=rating.mean, sigma=rating.deviation)] for rating in (first, second)]
         ((a,), (b,)) = self._model.rate(teams, ranks=[1 + (score < 0), 1 + (score > 0)])
         return (
-            one._replace(mean=a.mu, deviation=a.sigma),
-            two._replace(mean=b.mu, deviation=b.sigma),
+            first._replace(mean=a.mu, deviation=a.sigma),
+            second._replace(mean=b.mu, deviation=b.sigma),
         )
 
 

@@ -213,7 +213,7 @@ class Shard:
             self._stack,
             plan,
             on_step=lambda: None,
-            on_episode=lambda world, episode, stage, drawn: self._ended.append((stage, drawn)),
+            on_episode=lambda world, episode, stage, draws: self._ended.append((stage, draws)),
             next_episode=lambda: self._next_episode,
             note=self._notes.append,
         )

@@ -447,11 +447,11 @@ def create_study(
             f"the objective `success_rate` needs a success, which {program.name} does not define; use"
             " --objective mean_return"
         )
-    written = {name: node_at(root, *setting_path(root, name)) for name in checked.search}
+    nodes = {name: node_at(root, *setting_path(root, name)) for name in checked.search}
     values = {
         name: space.value_of(inline_text(node))
         for name, space in checked.search.items()
-        if (node := written[name]) is not None
+        if (node := nodes[name]) is not None
     }
     present = {name: value for name, value in values.items() if value is not None}
     record = StudyRecord(

@@ -152,15 +152,15 @@ class Teaching:
     def _lesson(self, worlds: int) -> Lesson | None:
         return Lesson(self.teacher.script, worlds) if self._is_script else None
 
-    def on_evaluation(self, found: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
+    def on_evaluation(self, summary: Summary, steps: int, *, defines_success: bool, is_solved: bool) -> None:
         """Called with the summary of each evaluation, and whether it meets `solved`."""
         if self._imitated_until >= 0 or self.score is None:
             return
         if defines_success:
-            enough = (found.success_rate or 0.0) >= ENOUGH * (self.score.success_rate or 0.0)
+            enough = (summary.success_rate or 0.0) >= ENOUGH * (self.score.success_rate or 0.0)
         else:
             target = self.score.mean_return
-            enough = found.mean_return >= target - (1.0 - ENOUGH) * abs(target)
+            enough = summary.mean_return >= target - (1.0 - ENOUGH) * abs(target)
         if enough or is_solved:
             self._imitated_until = steps
 

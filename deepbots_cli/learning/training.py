@@ -426,11 +426,11 @@ def _validate_setup(
             return None
         with _initial_model(source, program) as model:
             initialized = learner.initialize(model)
-        shown = source.path if source.is_named else source.run.path
+        label = source.path if source.is_named else source.run.path
         new = ", ".join(f"{name} ({reason})" for name, reason in initialized.not_copied.items())
         changed = "; ".join(identity.differences(source.run.program, program))
         return (
-            f"{shown}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
+            f"{label}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
             " tensors"
             f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )

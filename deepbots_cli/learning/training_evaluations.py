@@ -85,17 +85,17 @@ class TrainingEvaluations:
         best."""
         active = self._active
         scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
-        done = active.evaluator.evaluate(active.learner, scenario, active.interruption, stage)
-        summary = Summary.of_episodes(done)
+        episodes = active.evaluator.evaluate(active.learner, scenario, active.interruption, stage)
+        summary = Summary.of_episodes(episodes)
         self.evaluated_at, self.has_new_weights = active.statistics.steps, False
         lowest, highest = self.returns or (math.inf, -math.inf)
         self.returns = min(lowest, summary.least_return), max(highest, summary.greatest_return)
         self.newest = Candidate.of(self.evaluated_at, summary)
         is_best = self.shortlist.add(self.newest, active.learner.save)
         about = {"steps": self.evaluated_at, "stage": stage, "is_best": is_best}
-        self._append("training.jsonl", about, done)
+        self._append("training.jsonl", about, episodes)
         self.count += 1
-        return done
+        return episodes
 
     def put_first(self, confirmed: Summary) -> None:
         """Make the evaluated model the best one, with the result of its confirmation."""
@@ -137,9 +137,11 @@ class TrainingEvaluations:
             first = EVALUATION_EPISODES
             new = range(first + numbers.start, first + numbers.stop)
             seeds = evaluation_seeds(active.run.record.seed, new)
-            done = active.evaluator.play(load(model), scenario, active.interruption, seeds, stage, here=True)
-            self._append("choice.jsonl", {"model": model.stem, "first_start": numbers.start}, done)
-            return done
+            episodes = active.evaluator.play(
+                load(model), scenario, active.interruption, seeds, stage, without_shards=True
+            )
+            self._append("choice.jsonl", {"model": model.stem, "first_start": numbers.start}, episodes)
+            return episodes
 
         self.chosen_steps = self.shortlist.choose(play, COST_SHARE * active.statistics.steps)
         self.activity = None
@@ -150,16 +152,16 @@ class TrainingEvaluations:
                 f"of the {count} best models, that of {best.steps:,} steps is the best on new starts ({score})"
             )
 
-    def _append(self, name: str, about: Mapping[str, Any], done: Sequence[Episode]) -> None:
+    def _append(self, name: str, about: Mapping[str, Any], episodes: Sequence[Episode]) -> None:
         """Append a line for episodes to a file of `evaluations`."""
         line = {
             **about,
-            "returns": [episode.total_return for episode in done],
-            "lengths": [episode.length for episode in done],
-            "successes": [episode.is_success for episode in done],
-            "ended_by": [episode.ended_by for episode in done],
+            "returns": [episode.total_return for episode in episodes],
+            "lengths": [episode.length for episode in episodes],
+            "successes": [episode.is_success for episode in episodes],
+            "ended_by": [episode.ended_by for episode in episodes],
         }
         if members := self._active.run.program.members:
-            line[AGENTS_COLUMN] = agents_line(members, done)
+            line[AGENTS_COLUMN] = agents_line(members, episodes)
         with (self._active.run.evaluations / name).open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")

@@ -387,11 +387,11 @@ class TrainingCounter:
     def on_row(self) -> None:
         self._statistics.steps += 1
 
-    def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+    def on_episode(self, world: int, episode: Episode, stage: int, draws: Mapping[str, Any]) -> None:
         statistics, curriculum = self._statistics, self._curriculum
         is_present = curriculum.has_levels or stage == curriculum.index
         statistics.add(episode, world, present=is_present)
-        self._log.write(episode, statistics, curriculum.name_of(stage), drawn)
+        self._log.write(episode, statistics, curriculum.name_of(stage), draws)
         if not is_present or self._callback.is_taught:
             return
         if curriculum.add(episode, statistics.steps, statistics.episodes, world):
@@ -408,7 +408,7 @@ def create_learner(
     program: Program,
     collector: Collector,
     seed: int,
-    shown: Demonstrations | None = None,
+    demonstrations: Demonstrations | None = None,
     teacher: PolicyTeacher | None = None,
 ) -> Learner:
     setup = Setup(
@@ -419,7 +419,7 @@ def create_learner(
         training.total_timesteps,
         longest_episode(program),
         collector,
-        demonstrations=shown,
+        demonstrations=demonstrations,
         policy_columns=program.with_critic.agent.policy_columns,
         teacher=teacher,
         program=program,
@@ -445,10 +445,10 @@ def _storage_errors_of_threads_left_out() -> Iterator[None]:
 
 
 def _teaching(
-    training: Training, shown: Demonstrations | None, policy: PolicyTeacher | None
+    training: Training, demonstrations: Demonstrations | None, policy: PolicyTeacher | None
 ) -> Teaching | None:
     """Imitate the demonstrations or the policy if there is one, otherwise the script of the scenario."""
-    teacher = training.teacher or (None if shown is None and policy is None else Teacher(""))
+    teacher = training.teacher or (None if demonstrations is None and policy is None else Teacher(""))
     if teacher is None:
         return None
     imitates = ALGORITHMS[training.algorithm].imitates
@@ -457,7 +457,7 @@ def _teaching(
         training.total_timesteps,
         training.environments,
         imitates=imitates,
-        demonstrations=shown,
+        demonstrations=demonstrations,
         policy=policy,
     )
 

@@ -425,9 +425,9 @@ class _Follower(Reporter):
 
     def add_evaluation(self, run: Path) -> str | None:
         """Called after each evaluation of a training."""
-        place, evaluations = self._runs.index(run), self._evaluations(run)
+        index, evaluations = self._runs.index(run), self._evaluations(run)
         point = int(GRID * evaluations[-1][0]) if evaluations else 0
-        return PRUNED_BY if 0 < point < GRID and self._is_worse(place, point) else None
+        return PRUNED_BY if 0 < point < GRID and self._is_worse(index, point) else None
 
     def is_pruned(self) -> bool:
         """Return whether a training of the trial was stopped, or the next one is not worth its time."""
@@ -443,36 +443,45 @@ class _Follower(Reporter):
         """Called after the last training."""
         self._report(len(self._runs) - 1, GRID)
 
-    def _is_worse(self, place: int, point: int) -> bool:
-        """Report the scores up to a point of the training at `place`, and return whether the score at the
+    def _is_worse(self, index: int, point: int) -> bool:
+        """Report the scores up to a point of the training at `index`, and return whether the score at the
         point is worse than the median."""
-        value, step = self._report(place, point), GRID * place + point
+        value, step = self._report(index, point), GRID * index + point
         complete = [
             trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"
         ]
-        others = [values[step] for values in complete if step in values]
-        if value is None or not self._study.record.prune or step <= WARM_UP or len(others) < MIN_COMPARED:
+        other_values = [values[step] for values in complete if step in values]
+        if (
+            value is None
+            or not self._study.record.prune
+            or step <= WARM_UP
+            or len(other_values) < MIN_COMPARED
+        ):
             return False
-        return value > median(others) if self._study.record.lower_is_better else value < median(others)
+        return (
+            value > median(other_values)
+            if self._study.record.lower_is_better
+            else value < median(other_values)
+        )
 
-    def _report(self, place: int, point: int) -> float | None:
-        """Report the scores up to a point of the training at `place`, each once, and return the score at the
+    def _report(self, index: int, point: int) -> float | None:
+        """Report the scores up to a point of the training at `index`, each once, and return the score at the
         point."""
-        step = GRID * place + point
+        step = GRID * index + point
         reported = dict(self._journal.trials[self._trial.number].intermediate_values)
         for number in range(1, point + 1):
-            value = self._score(place, number) if GRID * place + number not in reported else None
+            value = self._score(index, number) if GRID * index + number not in reported else None
             if value is not None:
                 with self._journal.file.checked():
-                    self._trial.report(value, GRID * place + number)
-                reported[GRID * place + number] = value
+                    self._trial.report(value, GRID * index + number)
+                reported[GRID * index + number] = value
         return reported.get(step)
 
-    def _score(self, place: int, point: int) -> float | None:
-        """Return the mean score of the trainings up to `place` at a point of the last one; None before its
+    def _score(self, index: int, point: int) -> float | None:
+        """Return the mean score of the trainings up to `index` at a point of the last one; None before its
         first evaluation."""
-        scores = [self._score_of(run, GRID) for run in self._runs[:place]]
-        scores.append(self._score_of(self._runs[place], point))
+        scores = [self._score_of(run, GRID) for run in self._runs[:index]]
+        scores.append(self._score_of(self._runs[index], point))
         return None if None in scores else fmean(mean for mean in scores if mean is not None)
 
     def _score_of(self, run: Path, point: int) -> float | None:

@@ -39,7 +39,10 @@ class SolvedVerdict(NamedTuple):
 
 
 def solved_verdict(
-    solved: Solved | None, done: Sequence[Episode], returns: Interval = UNBOUNDED, number: int | None = None
+    solved: Solved | None,
+    outcomes: Sequence[Episode],
+    returns: Interval = UNBOUNDED,
+    number: int | None = None,
 ) -> SolvedVerdict:
     """Return whether these episodes show that the task is solved, and why.
 
@@ -50,8 +53,8 @@ def solved_verdict(
         number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
             whose episodes need only meet the criterion.
     """
-    episodes, mean_return = len(done), fmean(episode.total_return for episode in done)
-    success_rate = fmean(episode.is_success for episode in done)
+    episodes, mean_return = len(outcomes), fmean(episode.total_return for episode in outcomes)
+    success_rate = fmean(episode.is_success for episode in outcomes)
     if solved is None:
         return SolvedVerdict(None, "the scenario has no `solved` criterion", None)
     if episodes < solved.episodes and solved.success_rate is not None:
@@ -77,16 +80,16 @@ def solved_verdict(
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
     from deepbots_cli.learning.confirmation import Confirmation
 
-    lowest = min(episode.total_return for episode in done)
-    highest = max(episode.total_return for episode in done)
+    lowest = min(episode.total_return for episode in outcomes)
+    highest = max(episode.total_return for episode in outcomes)
     bounds = (
         returns[0] if math.isfinite(returns[0]) else lowest,
         returns[1] if math.isfinite(returns[1]) else highest,
     )
     confirmation = Confirmation.by(solved, number, bounds, episodes)
-    if confirmation.passes(done):
+    if confirmation.passes(outcomes):
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    plan = Confirmation.plan(solved, number, bounds, done)
+    plan = Confirmation.plan(solved, number, bounds, outcomes)
     if plan is not None and plan.episodes > episodes:
         luck = f"{', '.join(reasons)} may be luck in {episodes:,} episodes"
         text = f"solved: unknown, because {luck}; evaluate with `--episodes {plan.episodes}`"

@@ -30,8 +30,8 @@ class CascadeFilter:
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
     def is_consequence(self, finding: Finding) -> bool:
-        places = (finding.span, *(label.span for label in finding.labels))
-        return finding.severity == "warning" and any(map(self._texts.around, places))
+        spans = (finding.span, *(label.span for label in finding.labels))
+        return finding.severity == "warning" and any(map(self._texts.around, spans))
 
 
 class _Texts:
@@ -42,11 +42,11 @@ class _Texts:
         for span in sorted(set(spans), key=lambda span: span.start):
             self._spans[span.source].append(span)
 
-    def around(self, place: Span) -> Span | None:
-        """Return the piece that contains `place`."""
-        spans = self._spans.get(place.source, ())
-        at = bisect_right(spans, place.start, key=lambda span: span.start) - 1
-        return spans[at] if at >= 0 and place.end <= spans[at].end else None
+    def around(self, part: Span) -> Span | None:
+        """Return the piece that contains `part`."""
+        spans = self._spans.get(part.source, ())
+        at = bisect_right(spans, part.start, key=lambda span: span.start) - 1
+        return spans[at] if at >= 0 and part.end <= spans[at].end else None
 
 
 def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
@@ -66,8 +66,12 @@ def _depending_on(checked: CheckedScenario, doubtful: list[Span]) -> set[Span]:
     waiting = [text for span in doubtful if (text := texts.around(span))]
     while waiting:
         text = waiting.pop()
-        place = definitions.around(text)
+        defined_span = definitions.around(text)
         if text not in spans:
             spans.add(text)
-            waiting += [user for name in (defined[place] if place else ()) for user in users.pop(name, ())]
+            waiting += [
+                user
+                for name in (defined[defined_span] if defined_span else ())
+                for user in users.pop(name, ())
+            ]
     return spans

@@ -87,8 +87,8 @@ class Simulation(RuleContext):
 
     def terms(self) -> Iterator[tuple[Expression, dict[str, TermStatistics]]]:
         """Yield every term of the reward, with its statistics by policy."""
-        for place, term in enumerate(self.program.agent.reward):
-            yield term, {by: measured.terms[place] for by, measured in self.measured.items()}
+        for index, term in enumerate(self.program.agent.reward):
+            yield term, {by: measured.terms[index] for by, measured in self.measured.items()}
 
     # Places in the scenario
 

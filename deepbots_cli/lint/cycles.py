@@ -152,8 +152,8 @@ class _Search:
     def _cycles(self, within: Way, finish: Values, outside: list[Way]) -> Iterator[Cycle]:
         bases: list[tuple[Way, Values]] = []
         for out in outside:
-            others = {key: required for key, required in within.items() if key not in out}
-            avoiding = merged(out, others)
+            remaining = {key: required for key, required in within.items() if key not in out}
+            avoiding = merged(out, remaining)
             if avoiding is not None:
                 bases.append((out, {**finish, **self._values(avoiding)}))
         for out, base in bases:
@@ -164,7 +164,7 @@ class _Search:
 
     def _nearly_held(self, within: Way, finish: Values, out: Way, base: Values) -> Iterator[Cycle]:
         """Yield cycles that hold the success condition almost as long as required."""
-        near = dict(finish)
+        nearly_held = dict(finish)
         for key, required in out.items():
             edge = _just_outside(required)
             if (
@@ -173,22 +173,22 @@ class _Search:
                 or not within[key].within.low <= edge <= within[key].within.high
             ):
                 continue
-            near[key] = single(edge)
-        count = self._held(base, near)
+            nearly_held[key] = single(edge)
+        count = self._held(base, nearly_held)
         changing = next(iter(out))
         if count:
-            yield Cycle(((near, count), (base, 1)), changing)
-            yield Cycle(((near, 1), (base, 1)), changing)
-            yield Cycle(((near, max(1, count // 2)), (base, max(1, count // 2))), changing)
+            yield Cycle(((nearly_held, count), (base, 1)), changing)
+            yield Cycle(((nearly_held, 1), (base, 1)), changing)
+            yield Cycle(((nearly_held, max(1, count // 2)), (base, max(1, count // 2))), changing)
 
-    def _held(self, base: Values, near: Values) -> int:
+    def _held(self, base: Values, nearly_held: Values) -> int:
         """Return the number of timesteps for which the values of success do not yet end the episode; 0 if
         nothing ends it."""
-        course = self._course({**base, **near}, is_moving=False)
+        course = self._course({**base, **nearly_held}, is_moving=False)
         for _ in range(2):
             course.follow(base)
         for count in range(_MAX_HELD):
-            course.follow(near)
+            course.follow(nearly_held)
             if course.of(self._condition).high > 0.0:
                 return count
         return 0
@@ -256,10 +256,10 @@ class _Search:
             self._nodes[key] = node
             start = base[key].low if key in base else self._resting_value(node)
             away = -1.0 if key in out and out[key].within.low == -INF else 1.0
-            here = {**base, key: single(start + away * 4.0 * rate)}
-            there = {**base, key: single(start + away * 5.0 * rate)}
+            first = {**base, key: single(start + away * 4.0 * rate)}
+            second = {**base, key: single(start + away * 5.0 * rate)}
             steps = [{**base, key: single(start + away * (4.0 + part / 4.0) * rate)} for part in range(5)]
-            yield Cycle(((here, 1), (there, 1)), key)
+            yield Cycle(((first, 1), (second, 1)), key)
             yield Cycle(tuple((values, 1) for values in steps), key)
             yield Cycle(tuple((values, 1) for values in reversed(steps)), key)
 
@@ -388,12 +388,12 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
     parts = []
     for values, count in cycle.phases:
         value = values[cycle.changing]
-        shown = (
+        value_text = (
             with_unit(float(f"{value.low:.4g}"), dimension) if dimension is not None else f"{value.low:.4g}"
         )
         if dimension is None and value in (ALWAYS, NEVER):
-            shown = "true" if value == ALWAYS else "false"
-        parts.append(shown if cycle.ticks == 1 else f"{shown} for {counted(count, 'step')}")
+            value_text = "true" if value == ALWAYS else "false"
+        parts.append(value_text if cycle.ticks == 1 else f"{value_text} for {counted(count, 'step')}")
     return f"the cycle: `{text}` {'stays' if cycle.ticks == 1 else 'is'} {', then '.join(parts)}"
 
 

@@ -76,10 +76,13 @@ def _own_contacts(analysis: Analysis, ending: Expression) -> list[str]:
 def _help_for_untrue(analysis: Analysis, ending: Expression) -> str:
     touches = _impossible_contacts(analysis, ending)
     if touches:
-        thing, *others = sorted(touches[0].subjects, key=lambda name: name not in analysis.intangible)
-        body = others[0] if others else "a"
+        intangible_body, *solid_bodies = sorted(
+            touches[0].subjects, key=lambda name: name not in analysis.intangible
+        )
+        body = solid_bodies[0] if solid_bodies else "a"
         return (
-            f"use a distance, as in `distance({body}, {thing}) < 5 cm`, or remove `solid: false` of `{thing}`"
+            f"use a distance, as in `distance({body}, {intangible_body}) < 5 cm`, or remove `solid: false` of"
+            f" `{intangible_body}`"
         )
     return "correct the condition, or remove the ending"
 
@@ -189,9 +192,9 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
     """Report the later one of `max_steps` and `max_time`, if it is the same in every case and every stage."""
     later = {_later(analysis.program) for analysis in context.versions}
     if len(later) == 1 and (name := later.pop()):
-        other = "max_steps" if name == "max_time" else "max_time"
-        headline = f"`{name}` has no effect: `{other}` always ends the episode first"
-        also = (Label(context.values.span(("truncation", other)), "ends the episode first"),)
+        earlier = "max_steps" if name == "max_time" else "max_time"
+        headline = f"`{name}` has no effect: `{earlier}` always ends the episode first"
+        also = (Label(context.values.span(("truncation", earlier)), "ends the episode first"),)
         yield Finding(
             "DB804", context.values.span(("truncation", name)), headline, "remove one of the two", labels=also
         )
@@ -239,13 +242,13 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
 def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
     """Report an ending that depends only on the time, which the agent does not observe."""
     analysis = context.analysis
-    shown = {
+    observed_names = {
         name
         for entry in context.program.agent.observation
         for node in analysis.scalars(entry.value)
         for name in _leaves(analysis, node)
     }
-    for ending in context.program.endings if not shown & _CLOCK_NAMES else ():
+    for ending in context.program.endings if not observed_names & _CLOCK_NAMES else ():
         names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
         if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
             headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
@@ -484,11 +487,16 @@ def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) ->
 def _cores(analysis: Analysis, body: str) -> list[SolidProfile]:
     """Return the solid parts around the vertical through the origin of a body in its initial attitude."""
     world = analysis.program.world
-    for thing in world.objects:
-        if thing.name == body:
-            height = _height(analysis, body, thing.shape)
-            is_known = thing.solid and not thing.pooled and not thing.variants and height is not None
-            return _core(thing.shape, height or 0.0, upright=thing.fixed) if is_known else []
+    for object_body in world.objects:
+        if object_body.name == body:
+            height = _height(analysis, body, object_body.shape)
+            is_known = (
+                object_body.solid
+                and not object_body.pooled
+                and not object_body.variants
+                and height is not None
+            )
+            return _core(object_body.shape, height or 0.0, upright=object_body.fixed) if is_known else []
     model = next((robot.model for robot in world.robots if robot.name == body), None)
     if model is None or (height := _height(analysis, f"{body}.{model.root}", model)) is None:
         return []
@@ -531,15 +539,15 @@ def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
             return []
 
 
-def _is_outside(analysis: Analysis, body: str, near: float) -> bool:
-    """Return whether an object begins farther than `near` (m) beyond the walls of the arena."""
+def _is_outside(analysis: Analysis, body: str, margin: float) -> bool:
+    """Return whether an object begins farther than `margin` (m) beyond the walls of the arena."""
     arena = analysis.program.world.arena
-    if arena is None or not any(thing.name == body for thing in analysis.program.world.objects):
+    if arena is None or not any(object_body.name == body for object_body in analysis.program.world.objects):
         return False
     for axis, size in zip("xy", arena.size, strict=True):
         coordinates = analysis.start.initial(EngineRead("position", (body,), axis))
         if coordinates is not None and (
-            coordinates.low > size / 2 + near or coordinates.high < -size / 2 - near
+            coordinates.low > size / 2 + margin or coordinates.high < -size / 2 - margin
         ):
             return True
     return False

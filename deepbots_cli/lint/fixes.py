@@ -86,7 +86,7 @@ class Fixer:
     Args:
         load: Reads and checks a scenario by its name.
         unsafe: Whether to apply unsafe fixes too.
-        wanted: The findings to fix.
+        selects: Returns whether to fix a finding.
         drafts: The contents of files that are open in an editor.
     """
 
@@ -96,13 +96,13 @@ class Fixer:
         load: Load,
         *,
         unsafe: bool = False,
-        wanted: Callable[[Finding], bool] = lambda _finding: True,
+        selects: Callable[[Finding], bool] = lambda _finding: True,
         preview: bool = False,
         drafts: Drafts = NO_DRAFTS,
     ) -> None:
         self._load = load
         self._unsafe = unsafe
-        self._wanted = wanted
+        self._selects = selects
         self._preview = preview
         self._originals: dict[Path, bytes] = dict(drafts)
         self.drafts: dict[Path, bytes] = dict(drafts)
@@ -168,7 +168,7 @@ class Fixer:
         return applicable
 
     def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:
-        if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._wanted(finding):
+        if finding.fix is None or not (finding.fix.safe or self._unsafe) or not self._selects(finding):
             return False
         if any(edit.span.source not in linted.editable for edit in finding.fix.edits):
             return False
@@ -183,11 +183,11 @@ class Fixer:
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}
-        for other, earlier in before.items():
-            if other != name and earlier.files.keys().isdisjoint(edited):
+        for file_name, earlier in before.items():
+            if file_name != name and earlier.files.keys().isdisjoint(edited):
                 continue
-            linted = after[other] = self._lint(other, {**drafts, **edited})
-            if _does_harm(earlier, linted, edits if other == name else ()):
+            linted = after[file_name] = self._lint(file_name, {**drafts, **edited})
+            if _does_harm(earlier, linted, edits if file_name == name else ()):
                 return False
         if before[name].root is not None and not _are_fixed(fixes, before[name], after[name]):
             return False
@@ -229,8 +229,8 @@ def _does_harm(before: LintResult, after: LintResult, edits: Iterable[Edit]) -> 
 
 def _are_fixed(fixes: Sequence[Finding], before: LintResult, after: LintResult) -> bool:
     """Whether none of the findings `fixes` remains."""
-    others = _counted(before.findings) - _counted(fixes)
-    return not _counted(fixes) & (_counted(after.findings) - others)
+    remaining = _counted(before.findings) - _counted(fixes)
+    return not _counted(fixes) & (_counted(after.findings) - remaining)
 
 
 def edited(source: Source, edits: Iterable[Edit]) -> str:

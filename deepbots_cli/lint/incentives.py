@@ -57,12 +57,12 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         return
     dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
     also = (Label(ending.span, "the cheaper ending"),)
-    whole, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
+    total_cost, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= MIN_BREAK_EVEN:
             headline = (
-                f"an episode that lasts until the time limit costs at least {whole}, but"
+                f"an episode that lasts until the time limit costs at least {total_cost}, but"
                 f" `{ending.name}` {price}"
             )
             headline += f"; `{success.name}` pays {prize:.3g}"
@@ -75,11 +75,11 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
                 labels=also,
             )
         return
-    headline = f"continuing an episode costs at least {whole}, but `{ending.name}` {price}"
+    headline = f"continuing an episode costs at least {total_cost}, but `{ending.name}` {price}"
     help = "reward each good step, as in `alive: 1`, or make a failure cost more than all steps together"
     if program.agent.goal is not None:
         headline = (
-            f"an episode that misses the goal costs at least {whole}, but one that ends with"
+            f"an episode that misses the goal costs at least {total_cost}, but one that ends with"
             f" `{ending.name}` {price} or less"
         )
         help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"

@@ -53,25 +53,26 @@ class MirrorPlane(NamedTuple):
     def __str__(self) -> str:
         return f"{'xyz'[self.coordinate]} = {round(self.value, 4) + 0.0:g} m"
 
-    def distance(self, place: JointPlace) -> float:
-        return place.position[self.coordinate] - self.value
+    def distance(self, joint_place: JointPlace) -> float:
+        return joint_place.position[self.coordinate] - self.value
 
-    def are_opposite(self, place: JointPlace, other: JointPlace) -> bool:
+    def are_opposite(self, first: JointPlace, second: JointPlace) -> bool:
         """Return whether the places of two joints are mirror images of each other."""
         return all(
-            abs(self.distance(place) + self.distance(other) if k == self.coordinate else a - b) < _TOLERANCE_M
-            for k, (a, b) in enumerate(zip(place.position, other.position, strict=True))
+            abs(self.distance(first) + self.distance(second) if k == self.coordinate else a - b)
+            < _TOLERANCE_M
+            for k, (a, b) in enumerate(zip(first.position, second.position, strict=True))
         )
 
-    def sign(self, place: JointPlace, other: JointPlace) -> int | None:
+    def sign(self, first: JointPlace, second: JointPlace) -> int | None:
         """Return the sign with which the position of a joint is that of its mirror image; None if their axes
         are no mirror images of each other.
 
         A rotation is mirrored in the other direction than a vector.
         """
-        turns = place.joint.type != "prismatic"
-        x, y, z = (-a if (k == self.coordinate) != turns else a for k, a in enumerate(place.axis))
-        cosine = frames.dot((x, y, z), other.axis)
+        turns = first.joint.type != "prismatic"
+        x, y, z = (-a if (k == self.coordinate) != turns else a for k, a in enumerate(first.axis))
+        cosine = frames.dot((x, y, z), second.axis)
         return None if abs(cosine) < _MIN_PARALLEL else round(cosine)
 
 
@@ -163,9 +164,9 @@ class _Mirrors:
 def _mirrored(
     names: Sequence[str], joints: Sequence[JointNumber | None], mirror: Mirror
 ) -> Iterator[_MirroredNumber]:
-    for place, (source, factor) in enumerate(zip(mirror.sources, mirror.factors, strict=True)):
+    for index, (source, factor) in enumerate(zip(mirror.sources, mirror.factors, strict=True)):
         sign = -1 if factor < 0.0 else 1
-        yield _MirroredNumber(names[place], names[source], sign, joints[place], joints[source])
+        yield _MirroredNumber(names[index], names[source], sign, joints[index], joints[source])
 
 
 @rule("DB618")
@@ -186,41 +187,41 @@ def _unmatched_words(context: RuleContext, mirrors: _Mirrors) -> Iterator[Findin
     """Report numbers that are their own mirror image, although their name has a word of `swap` in another
     spelling, and the name with the other word exists."""
     spec = context.checked.spec
-    written = spec.train.symmetry.swap if spec and spec.train and spec.train.symmetry else {}
-    pairs = {**written, **{other: word for word, other in written.items()}}
+    swap = spec.train.symmetry.swap if spec and spec.train and spec.train.symmetry else {}
+    pairs = {**swap, **{image: word for word, image in swap.items()}}
     images: dict[str, str] = {}
     for numbers in (mirrors.of_observation, mirrors.of_action):
         names = {number.name for number in numbers}
         images |= {
-            number.name: other
+            number.name: image
             for number in numbers
-            if number.image == number.name and (other := _respelled(number.name, pairs, names))
+            if number.image == number.name and (image := _respelled(number.name, pairs, names))
         }
     if images:
-        name, other = next(iter(images.items()))
+        name, image = next(iter(images.items()))
         yield Finding(
             "DB618",
             context.values.key_span(("train", "symmetry", "swap")),
-            f"`{name}` is its own mirror image, but there is also `{other}`{_more(images)}",
+            f"`{name}` is its own mirror image, but there is also `{image}`{_more(images)}",
             "a word ends at `_`, at `.` and at the ends of a name: write the whole part of the name under"
-            f" `swap`, with its mirror image: `{_part(name, other)}: ...`",
+            f" `swap`, with its mirror image: `{_part(name, image)}: ...`",
         )
 
 
 def _respelled(name: str, pairs: Mapping[str, str], names: Iterable[str]) -> str | None:
     """Return the name with a word in place of its partner, where neither begins and ends at `_` or `.`, or
     both are in another case."""
-    for word, other in pairs.items():
+    for word, image in pairs.items():
         for spell in (str, str.lower, str.upper, str.capitalize):
-            changed = re.sub(re.escape(spell(word)), spell(other), name)
+            changed = re.sub(re.escape(spell(word)), spell(image), name)
             if word.isalpha() and changed != name and changed in names:
                 return changed
     return None
 
 
-def _part(name: str, other: str) -> str:
+def _part(name: str, image: str) -> str:
     """Return the first part of a name, between `.` and `_`, that differs from that of another name."""
-    pairs = zip(re.split("[._]", name), re.split("[._]", other), strict=False)
+    pairs = zip(re.split("[._]", name), re.split("[._]", image), strict=False)
     return next((part for part, different in pairs if part != different), name)
 
 
@@ -238,7 +239,7 @@ def _wrong_joints(
 ) -> Iterator[Finding]:
     """Report numbers of joints of a robot whose mirror image is another joint, or has the other sign."""
     turned = link_frames(model)
-    places = {
+    joint_places = {
         joint.name: JointPlace(
             joint, turned[joint.child][0], frames.rotate(turned[joint.child][1], joint.axis)
         )
@@ -248,31 +249,36 @@ def _wrong_joints(
         _PlacedNumber(
             number.name,
             number.sign * number.joint.sign * number.image_joint.sign,
-            places[number.joint.joint],
-            places[number.image_joint.joint],
+            joint_places[number.joint.joint],
+            joint_places[number.image_joint.joint],
         )
         for number in numbers
         if number.joint and number.image_joint and number.joint.robot == number.image_joint.robot
     ]
     plane = _mirror_plane([(entry.place, entry.image) for entry in placed if entry.place is not entry.image])
     if plane is not None:
-        yield from _lone_joints(context, placed, plane, places.values())
+        yield from _lone_joints(context, placed, plane, joint_places.values())
         yield from _wrong_signs(context, placed, plane)
 
 
 def _lone_joints(
-    context: RuleContext, numbers: Iterable[_PlacedNumber], plane: MirrorPlane, places: Iterable[JointPlace]
+    context: RuleContext,
+    numbers: Iterable[_PlacedNumber],
+    plane: MirrorPlane,
+    joint_places: Iterable[JointPlace],
 ) -> Iterator[Finding]:
     """Report numbers that are their own mirror image, although another joint is opposite of theirs."""
     notes: dict[str, str] = {}
-    for name, _, place, image in numbers:
-        if place is not image or abs(plane.distance(place)) < _TOLERANCE_M:
+    for name, _, joint_place, image in numbers:
+        if joint_place is not image or abs(plane.distance(joint_place)) < _TOLERANCE_M:
             continue
-        partner = next((other for other in places if plane.are_opposite(place, other)), None)
+        partner = next(
+            (candidate for candidate in joint_places if plane.are_opposite(joint_place, candidate)), None
+        )
         if partner is not None:
             notes[name] = (
-                f"`{place.joint.name}` is {abs(plane.distance(place)):.3g} m from the mirror plane {plane};"
-                f" `{partner.joint.name}` is opposite"
+                f"`{joint_place.joint.name}` is {abs(plane.distance(joint_place)):.3g} m from the mirror"
+                f" plane {plane}; `{partner.joint.name}` is opposite"
             )
     if notes:
         name, note = next(iter(notes.items()))
@@ -317,24 +323,24 @@ def _mirror_plane(pairs: Sequence[tuple[JointPlace, JointPlace]]) -> MirrorPlane
     """Return the plane that mirrors the places of all pairs of joints; None if there is none, or several."""
     planes = []
     for k in range(3):
-        middles = [(place.position[k] + other.position[k]) / 2.0 for place, other in pairs]
+        middles = [(first.position[k] + second.position[k]) / 2.0 for first, second in pairs]
         plane = MirrorPlane(k, sum(middles) / len(middles)) if middles else None
         if plane and all(plane.are_opposite(*pair) for pair in pairs):
             planes.append(plane)
     return planes[0] if len(planes) == 1 else None
 
 
-def _axis(place: JointPlace) -> str:
-    x, y, z = (round(part, 3) + 0.0 for part in place.axis)
-    return f"`{place.joint.name}` has the axis {x:g} {y:g} {z:g}"
+def _axis(joint_place: JointPlace) -> str:
+    x, y, z = (round(part, 3) + 0.0 for part in joint_place.axis)
+    return f"`{joint_place.joint.name}` has the axis {x:g} {y:g} {z:g}"
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"`{name}`" for name in names[:_MAX_LISTED]) + _more(names, _MAX_LISTED)
 
 
-def _more(names: Sized, shown: int = 1) -> str:
-    return f", and {len(names) - shown} more" if len(names) > shown else ""
+def _more(names: Sized, listed: int = 1) -> str:
+    return f", and {len(names) - listed} more" if len(names) > listed else ""
 
 
 STATIC_RULES = (wrong_mirror_image,)

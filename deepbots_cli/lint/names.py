@@ -38,10 +38,10 @@ _PLACE = re.compile(rf"^[ \t]*({FILL_IN}\b[^\n]*)", re.MULTILINE)
 def place_left(context: RuleContext) -> Iterator[Finding]:
     """Report the places that a command left to the author of the scenario."""
     for source in context.checked.document.sources:
-        for place in _PLACE.finditer(source.text):
+        for match in _PLACE.finditer(source.text):
             yield Finding(
                 "DB109",
-                Span(source, place.start(1), place.end(1)),
+                Span(source, match.start(1), match.end(1)),
                 "this place is left to you",
                 "write this part of the scenario, or leave it as it is, and remove the comment",
             )
@@ -80,7 +80,7 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Report unused sensors, actuators and received values of a robot."""
-    read = {
+    subjects = {
         subject.name
         for value in context.program.computed_expressions
         for node in walk(value.typed)
@@ -98,7 +98,7 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
         unused = [
             (("sensors", sensor.name), "a sensor that nothing uses", "use it, or remove it")
             for sensor in robot.sensors
-            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in read
+            if sensor.name not in used and f"{robot.name}.{sensor.name}" not in subjects
         ]
         unused += [
             (
@@ -118,8 +118,8 @@ def _unused_parts(context: RuleContext) -> Iterator[Finding]:
             for actuator in robot.actuators
             if actuator.name not in driven
         ]
-        for place, problem, help in unused:
-            path = ("robots", robot.name, *place)
+        for key_path, problem, help in unused:
+            path = ("robots", robot.name, *key_path)
             span = context.values.key_span(path)
             # An included robot file may offer more than the task needs.
             if span.source is context.checked.document.source:
@@ -187,7 +187,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
             )
             if pair is not None:
                 text = context.text(value.owner)
-                measure, constant, written = (text.text[part.start : part.end] for part in (*pair, node))
+                measure, constant, comparison = (text.text[part.start : part.end] for part in (*pair, node))
                 outcome, sign = (
                     ("is almost never true", "<")
                     if node.operator == "equal"
@@ -196,7 +196,7 @@ def equality_of_measures(context: RuleContext) -> Iterator[Finding]:
                 is_zero = isinstance(pair[1], Constant) and not any(pair[1].values)
                 difference = measure if is_zero else f"{measure} - {constant}"
                 help = f"compare with a tolerance, as in `abs({difference}) {sign} ...`"
-                yield Finding("DB411", text.part(node.start, node.end), f"`{written}` {outcome}", help)
+                yield Finding("DB411", text.part(node.start, node.end), f"`{comparison}` {outcome}", help)
 
 
 def _written(program: Program) -> Iterator[Expression]:
@@ -205,8 +205,8 @@ def _written(program: Program) -> Iterator[Expression]:
     return (value for value in values if value.foreign is None)
 
 
-def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, other: Typed) -> bool:
-    is_settled = other.type.known is not Known.STEP
+def _equal_by_chance(analysis: Analysis, value: Expression, measure: Typed, constant: Typed) -> bool:
+    is_settled = constant.type.known is not Known.STEP
     return is_settled and all(
         _is_measurement(analysis, part, {}) for part in analysis.lowered(measure, value.owner)
     )
@@ -219,7 +219,7 @@ def _is_measurement(analysis: Analysis, node: Scalar, results: dict[int, bool]) 
     if number not in results:
         match analysis.resolve_aliases(node):
             case EngineRead(function, subjects):
-                fixed = {thing.name for thing in analysis.program.world.objects if thing.fixed}
+                fixed = {body.name for body in analysis.program.world.objects if body.fixed}
                 results[number] = function in _MEASUREMENT_FUNCTIONS and fixed.isdisjoint(
                     subject.partition("#")[0] for subject in subjects
                 )
@@ -251,12 +251,12 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
     for value, on in values:
         for node in _AngleWrapping(context.analysis, on, jumping).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
-            written, place = text.text[node.start : node.end], text.part(node.start, node.end)
+            angle_text, span = text.text[node.start : node.end], text.part(node.start, node.end)
             yield Finding(
                 "DB506",
-                place,
-                f"`{written}` jumps by a full turn at 180 deg",
-                f"take the shorter way round: `wrap({written})`",
+                span,
+                f"`{angle_text}` jumps by a full turn at 180 deg",
+                f"take the shorter way round: `wrap({angle_text})`",
             )
 
 
@@ -267,10 +267,10 @@ class _AngleWrapping:
     `known` has the results for names of the supervisor.
     """
 
-    def __init__(self, analysis: Analysis, robot: Robot | None, known: dict[str, bool]) -> None:
+    def __init__(self, analysis: Analysis, robot: Robot | None, wraps_by_name: dict[str, bool]) -> None:
         self._analysis = analysis
         self._robot = robot
-        self._known = known
+        self._known = wraps_by_name
 
     def jumps(self, node: Typed) -> Iterator[Typed]:
         """Yield the parts of an expression that jump."""
@@ -286,11 +286,11 @@ class _AngleWrapping:
         for part in children(node):
             yield from self.jumps(part)
 
-    def _differ(self, heading: Typed, other: Typed) -> bool:
+    def _differ(self, heading: Typed, second: Typed) -> bool:
         """Return whether two angles can lie on both sides of 180 deg; a constant near 0 cannot."""
-        interval = other.type.interval
+        interval = second.type.interval
         return self._wraps(heading) and (
-            self._wraps(other) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)
+            self._wraps(second) or (interval.is_finite and max(-interval.low, interval.high) > pi / 2 + 1e-9)
         )
 
     def _wraps(self, node: Typed) -> bool:

@@ -59,11 +59,11 @@ class RangedNumber(NamedTuple):
     def slack(self) -> float:
         return _RELATIVE_ROUNDING * (self.high - self.low)
 
-    def is_outside(self, known: Interval) -> bool:
+    def is_outside(self, interval: Interval) -> bool:
         """Return whether values of this range never lie in the range of the observation (DB602), except at an
         end that they touch."""
-        above = known.low >= self.high and known.high > self.high
-        below = known.high <= self.low and known.low < self.low
+        above = interval.low >= self.high and interval.high > self.high
+        below = interval.high <= self.low and interval.low < self.low
         return above or below
 
 
@@ -74,10 +74,15 @@ def ranged_numbers(analysis: Analysis, *extra_entries: Observation) -> Iterator[
         for entry in (*analysis.program.agent.observation, *extra_entries)
         for index, number in enumerate(entry.numbers)
     ]
-    for place, (entry, index, number) in enumerate(parts):
+    for position, (entry, index, number) in enumerate(parts):
         if not number.is_truth:
             yield RangedNumber(
-                entry, analysis.scalars(entry.value)[index], number.low, number.high, place, number.full_name
+                entry,
+                analysis.scalars(entry.value)[index],
+                number.low,
+                number.high,
+                position,
+                number.full_name,
             )
 
 
@@ -114,7 +119,7 @@ def goal_in_observation(context: RuleContext) -> Iterator[Finding]:
     def sources(value: Expression) -> set[str]:
         return {name for node in analysis.scalars(value) for name in analysis.drawn_dependencies(node)}
 
-    bodies = {thing.name for thing in program.world.objects} | {robot.name for robot in program.world.robots}
+    bodies = {body.name for body in program.world.objects} | {robot.name for robot in program.world.robots}
     goal_sources = sources(program.agent.goal.desired) - sources(program.agent.goal.achieved)
     goal_sources &= bodies | {value.name for value in program.parameters}
     for entry in program.agent.observation:
@@ -155,10 +160,15 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
     reported: set[int] = set()
     for number, noises in entries:
         hidden = linear(analysis, number.node, linear_by_node)
-        shown = next((other for other, form in exact if noises and _shows(other, form, number, hidden)), None)
-        if shown is not None and id(noises[0]) not in reported:
+        exact_number = next(
+            (candidate for candidate, form in exact if noises and _shows(candidate, form, number, hidden)),
+            None,
+        )
+        if exact_number is not None and id(noises[0]) not in reported:
             reported.add(id(noises[0]))
-            headline = f"`{number.name}` has noise, and the policy sees its exact value in `{shown.name}`"
+            headline = (
+                f"`{number.name}` has noise, and the policy sees its exact value in `{exact_number.name}`"
+            )
             help = (
                 "declare the noise once, under `augment`, as `{value: ..., noise: ...}`, and use this"
                 " name in both places"
@@ -168,7 +178,7 @@ def noise_without_effect(context: RuleContext) -> Iterator[Finding]:
                 noises[0].std.span,
                 headline,
                 help,
-                labels=(Label(shown.entry.value.span, "exact value"),),
+                labels=(Label(exact_number.entry.value.span, "exact value"),),
             )
 
 
@@ -265,16 +275,16 @@ def _sum(first: Linear, second: Linear) -> Linear:
     )
 
 
-def _shows(shown: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Linear) -> bool:
-    """Return whether `shown` is an affine function of the value under the noise in `noisy`, over a good part
-    of its range."""
+def _shows(exact_number: RangedNumber, exact: Linear, noisy: RangedNumber, hidden: Linear) -> bool:
+    """Return whether `exact_number` is an affine function of the value under the noise in `noisy`, over a
+    good part of its range."""
     if not hidden.terms or exact.terms.keys() != hidden.terms.keys():
         return False
     factors = [exact.terms[term] / coefficient for term, coefficient in hidden.terms.items()]
     if any(abs(factor - factors[0]) > _RELATIVE_ROUNDING * abs(factors[0]) for factor in factors):
         return False
     offset = exact.offset - factors[0] * hidden.offset
-    ends = sorted((end - offset) / factors[0] for end in (shown.low, shown.high))
+    ends = sorted((end - offset) / factors[0] for end in (exact_number.low, exact_number.high))
     common = min(ends[1], noisy.high) - max(ends[0], noisy.low)
     return common >= _MIN_COVERED_SHARE * (noisy.high - noisy.low)
 
@@ -374,8 +384,8 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         ) + ", or add a script under `scripts` that changes it"
         yield Finding("DB608", entry.value.span, headline, help, notes=(simulation.summary,))
     pictures = [entry for entry in simulation.program.agent.observation if entry.value.typed.type.picture]
-    for place, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
-        if place in simulation.report.summary.constant_numbers:
+    for position, entry in enumerate(pictures, start=len(simulation.program.agent.numbers)):
+        if position in simulation.report.summary.constant_numbers:
             help = (
                 "check the place and the view of its camera, or add a script under `scripts` that changes it"
             )
@@ -444,11 +454,12 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
         limits = _limits_of_parts(context.program, entry) if span.text == "auto" else []
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in limits]
         if shares and min(shares) < _MIN_RANGE_SHARE:
-            place = shares.index(min(shares))
-            joint, own_range = entry.value.components[place], range_text(limits[place], dimension)
-            whole = range_text(Interval(entry.low[0], entry.high[0]), dimension)
+            narrowest = shares.index(min(shares))
+            joint, own_range = entry.value.components[narrowest], range_text(limits[narrowest], dimension)
+            whole_range = range_text(Interval(entry.low[0], entry.high[0]), dimension)
             headline = (
-                f"`auto` uses one range for all joints, {whole}, but `{joint}` moves only within {own_range}"
+                f"`auto` uses one range for all joints, {whole_range},"
+                f" but `{joint}` moves only within {own_range}"
             )
             yield Finding(
                 "DB318",
@@ -496,15 +507,15 @@ def reading_not_supplied(context: RuleContext) -> Iterator[Finding]:
     readings = [*deployment.unmeasured, *deployment.goals]
     for name, key in supplied.items():
         if name not in readings:
-            near = nearest_word(name, readings)
-            if near:
-                help = f"did you mean `{near}`?"
+            suggestion = nearest_word(name, readings)
+            if suggestion:
+                help = f"did you mean `{suggestion}`?"
             elif not readings:
                 help = "remove it"
             else:
                 help = f"the policy needs {', '.join(readings)}"
             span = context.values.key_span(("deploy", "supplied_by", key))
-            replacement = None if near in supplied else near
+            replacement = None if suggestion in supplied else suggestion
             fix = Fix.replacing(span, key, replacement, safe=False) if replacement else None
             yield Finding("DB617", span, f"the policy does not need `{name}`", help, fix=fix)
 

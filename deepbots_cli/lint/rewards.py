@@ -57,7 +57,7 @@ def reward_unbounded(context: RuleContext) -> Iterator[Finding]:
 
 def _unbounded(context: RuleContext, term: Expression, singularity: Singularity) -> Finding:
     text = context.text(singularity.value.owner)
-    place = text.part(singularity.node.start, singularity.node.end)
+    span = text.part(singularity.node.start, singularity.node.end)
     part = text.text[singularity.node.start : singularity.node.end]
     also = () if singularity.value is term else (Label(term.span, f"`{term.name}` depends on it"),)
     if singularity.is_divisor:
@@ -70,9 +70,9 @@ def _unbounded(context: RuleContext, term: Expression, singularity: Singularity)
             f"keep the divisor away from zero, as in {lowest}, or use an exponential, as in `exp(-d / 10"
             " cm)` for a length `d`"
         )
-        return Finding("DB701", place, headline, help, labels=also)
+        return Finding("DB701", span, headline, help, labels=also)
     headline = f"`{term.name}` grows with the exponential of `{part}`, which has no upper bound"
-    return Finding("DB701", place, headline, "bound the argument, as in `min(x, 3)`", labels=also)
+    return Finding("DB701", span, headline, "bound the argument, as in `min(x, 3)`", labels=also)
 
 
 class _PoleSearch:
@@ -207,7 +207,11 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
         for by, row in rows.items():
             episodes = max(1, sum(episode.policy == by for episode in simulation.report.episodes))
             other_sum = (
-                sum(other[by].absolute_total for name, other in simulation.terms() if name is not term)
+                sum(
+                    statistics[by].absolute_total
+                    for name, statistics in simulation.terms()
+                    if name is not term
+                )
                 / episodes
             )
             size, rival = row.absolute_total / episodes, max(other_sum, prize)
@@ -308,9 +312,9 @@ def silent_term(simulation: Simulation) -> Iterator[Finding]:
         return
     analysis = simulation.analysis
     final = {term.name for term, _ in analysis.reward.split_by_end()[1]}
-    for place, term in enumerate(simulation.program.agent.reward):
+    for index, term in enumerate(simulation.program.agent.reward):
         if (
-            place not in simulation.report.summary.zero_terms
+            index not in simulation.report.summary.zero_terms
             or term.name in final
             or term.foreign is not None
         ):
@@ -409,9 +413,9 @@ def _wanted_returns(context: RuleContext) -> Iterator[tuple[Analysis, float, Nod
     if program.agent.solved is not None and program.agent.solved.mean_return is not None:
         yield context.analysis, program.agent.solved.mean_return, ("solved",)
     stages = context.versions[1 + len(program.cases) :]
-    for place, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
+    for index, (stage, analysis) in enumerate(zip(program.curriculum, stages, strict=True)):
         if stage.until is not None and stage.until.metric == "mean_return":
-            yield analysis, stage.until.threshold, ("curriculum", place, "until")
+            yield analysis, stage.until.threshold, ("curriculum", index, "until")
 
 
 STATIC_RULES = (

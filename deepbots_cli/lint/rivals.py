@@ -71,31 +71,31 @@ def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
                 yield multiple, term
 
 
-def multiple_of(tree: Scalar, own: Mapping[tuple[str, str | None], Scalar]) -> Multiple:
-    """Return a value as a multiple. `own` has the expressions of signals."""
+def multiple_of(tree: Scalar, signals: Mapping[tuple[str, str | None], Scalar]) -> Multiple:
+    """Return a value as a multiple. `signals` has the expression of each signal."""
     match tree:
         case Const(value=value):
             return Multiple(float(value), None)
-        case Name(name, component) if (name, component) in own:
-            return multiple_of(own[name, component], own)
+        case Name(name, component) if (name, component) in signals:
+            return multiple_of(signals[name, component], signals)
         case Op("neg", (value,)):
-            inner = multiple_of(value, own)
+            inner = multiple_of(value, signals)
             return inner._replace(factor=-inner.factor)
         case Op("mul", args):
-            parts = [multiple_of(part, own) for part in args]
+            parts = [multiple_of(part, signals) for part in args]
             quantities = tuple(part.of for part in parts if part.of is not None)
             quantity = quantities[0] if len(quantities) == 1 else ("mul", quantities)
             return Multiple(prod(part.factor for part in parts), quantity if quantities else None)
         case Op("div", (value, Const(value=divisor))) if divisor:
-            inner = multiple_of(value, own)
+            inner = multiple_of(value, signals)
             return inner._replace(factor=inner.factor / float(divisor))
         case Op("where", (condition, value, Const(value=0.0))):
-            inner = multiple_of(value, own)
-            return Multiple(inner.factor, ("where", multiple_of(condition, own), inner.of))
+            inner = multiple_of(value, signals)
+            return Multiple(inner.factor, ("where", multiple_of(condition, signals), inner.of))
         case Op(op, args):
-            return Multiple(1.0, (op, tuple(multiple_of(part, own) for part in args)))
+            return Multiple(1.0, (op, tuple(multiple_of(part, signals) for part in args)))
         case State(function, args):  # each call has a memory of its own, at a place of its own
-            return Multiple(1.0, (function, tuple(multiple_of(part, own) for part in args)))
+            return Multiple(1.0, (function, tuple(multiple_of(part, signals) for part in args)))
         case Name() | EngineRead() | Draw():
             return Multiple(1.0, tree)
 

@@ -86,11 +86,11 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
             if limits is None or not all(_follows_action(analysis, tree, robot) for tree in trees):
                 continue
             command_range = hull([analysis.ranges.of(tree) for tree in trees])
-            done = min(command_range.high, limits.high) - max(command_range.low, limits.low)
+            used_width = min(command_range.high, limits.high) - max(command_range.low, limits.low)
             if (
                 command_range.is_finite
                 and not command_range.is_single
-                and done < _MIN_SHARE * (command_range.high - command_range.low)
+                and used_width < _MIN_SHARE * (command_range.high - command_range.low)
             ):
                 dimension = command.target.typed.type.dimension
                 able = (
@@ -563,11 +563,12 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
             if not free:
                 continue
             quantity, unit = ("force", "N") if free[0].type == "prismatic" else ("torque", "N*m")
-            shown = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (
+            joint_names = ", ".join(f"`{joint.name}`" for joint in free[:_MAX_NAMES]) + (
                 ", ..." if len(free) > _MAX_NAMES else ""
             )
             headline = (
-                f"`{actuator.name}` has no limit of {quantity}: the robot file states no effort for {shown}"
+                f"`{actuator.name}` has no limit of {quantity}:"
+                f" the robot file states no effort for {joint_names}"
             )
             help = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
@@ -582,7 +583,7 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
     """Report limits of a joint in a robot file that were probably meant in degrees."""
     program = context.program
     trees = [tree for value in program.computed_expressions for tree in value.scalars]
-    read = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
+    subjects = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
     for robot in program.robots:
         resolved = context.namespace.robots[robot.name]
         if resolved is None:
@@ -590,13 +591,13 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
         used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
         for joint in context.analysis.body(robot.name).model.moving_joints:
-            is_used = joint.name in used or f"{robot.name}.{joint.name}" in read
-            written = (
+            is_used = joint.name in used or f"{robot.name}.{joint.name}" in subjects
+            is_from_file = (
                 joint.limit == resolved.file.model.joint(joint.name).limit
                 and joint.name in resolved.file.limit_spans
             )
             low, high = joint.limit.lower, joint.limit.upper
-            if not (is_used and written and joint.type == "revolute") or low is None or high is None:
+            if not (is_used and is_from_file and joint.type == "revolute") or low is None or high is None:
                 continue
             if low.is_integer() and high.is_integer() and _DEGREES.low <= max(-low, high) <= _DEGREES.high:
                 headline = (
@@ -617,15 +618,15 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 @rule("DB615")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
-    here, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
+    heights, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
-            clearance = here.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
+            clearance = heights.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
             if clearance is not None and all(
                 variant.clearance(robot.name, sensor.name) for variant in variants
             ):
                 yield _passing_over(context.values, robot.name, sensor.name, clearance)
-            depth = here.depth(robot.name, sensor.name) if casts_rays(sensor) else None
+            depth = heights.depth(robot.name, sensor.name) if casts_rays(sensor) else None
             if depth is not None and all(variant.depth(robot.name, sensor.name) for variant in variants):
                 yield _buried(context.values, robot.name, sensor.name, depth)
 
@@ -688,9 +689,9 @@ class Heights:
         """Return whether the height of the rays does not follow from the text, and no robot flies or may lift
         an object above them later."""
         loose = any(
-            thing.solid and not kind.fixed
-            for thing in self._world.objects
-            for kind in (thing.variants or (thing,))
+            body.solid and not kind.fixed
+            for body in self._world.objects
+            for kind in (body.variants or (body,))
         )
         return not (self._flies or (loose and _can_lift(self._world))) and self._lowest(robot, sensor) is None
 
@@ -735,7 +736,9 @@ class Heights:
         for positions in _attitudes(body.model):
             link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
             ray_frames = [frames.compose(link, ray) for ray in rays]
-            tried.append([(place[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for place, turn in ray_frames])
+            tried.append(
+                [(position[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for position, turn in ray_frames]
+            )
         return sensor.beams.reach, tried
 
     def _root(self, body: RobotBody) -> Frame | None:
@@ -767,29 +770,29 @@ class Heights:
         if self._world.arena is not None:
             yield ARENA, self._world.arena.wall_height
         may_be_lifted = _can_lift(self._world)
-        for thing in self._world.objects:
-            if thing.solid:
-                yield thing.name, self._top(thing, may_be_lifted=may_be_lifted)
+        for object_body in self._world.objects:
+            if object_body.solid:
+                yield object_body.name, self._top(object_body, may_be_lifted=may_be_lifted)
         for body in self._world.robots:
             if body.name != robot or self._program.agent.copies is not None:
                 yield body.name, self._top_of_robot(body)
 
-    def _top(self, thing: ObjectBody, *, may_be_lifted: bool) -> float:
+    def _top(self, body: ObjectBody, *, may_be_lifted: bool) -> float:
         """Return the top of an object; of a movable one with its longest side upright."""
-        kinds = [(kind.shape, kind.fixed) for kind in thing.variants] or [(thing.shape, thing.fixed)]
+        kinds = [(kind.shape, kind.fixed) for kind in body.variants] or [(body.shape, body.fixed)]
         if any(
             (isinstance(shape, Mesh) and mesh_bounds(shape) is None) or (may_be_lifted and not fixed)
             for shape, fixed in kinds
         ):
             return inf
-        poses = list(self._analysis.start.poses(thing.name))
+        poses = list(self._analysis.start.poses(body.name))
         top = -inf
         for shape, fixed in kinds:
             box = footprint.bounds_of_shape(shape)
             size, high = footprint.box_sides(box), box[1][2]
             top = max(top, -inf if fixed else max(size))
             if not poses:  # a wall
-                top = max(top, size[2], thing.pose.xyz[2] + high)
+                top = max(top, size[2], body.pose.xyz[2] + high)
             for place, pose in poses:
                 if (
                     place.velocity is not None
@@ -797,8 +800,8 @@ class Heights:
                     or (fixed and not is_level(pose))
                 ):
                     return inf  # it may fly, or robots may drive up on it
-                half, whole = (high, size[2]) if is_level(pose) else (hypot(*size), hypot(*size))
-                top = max(top, whole if place.rests else pose["z"].high + half)
+                half, height = (high, size[2]) if is_level(pose) else (hypot(*size), hypot(*size))
+                top = max(top, height if place.rests else pose["z"].high + half)
         return top
 
     def _top_of_robot(self, body: RobotBody) -> float:
@@ -836,8 +839,10 @@ def _end_is_motionless(model: RobotModel, end: int) -> bool:
     Meshes do not count.
     """
     plain = footprint.without_meshes(model)
-    height, *others = [footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)]
-    return all(abs(other - height) <= _SAME_HEIGHT_M for other in others)
+    height, *other_heights = [
+        footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)
+    ]
+    return all(abs(other_height - height) <= _SAME_HEIGHT_M for other_height in other_heights)
 
 
 def _can_lift(world: WorldModel) -> bool:
@@ -888,9 +893,9 @@ def _passing_over(
         )
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
-        places = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
+        paths = ("objects", base), ("robots", base), ("world", "walls", wall), ("reset", "layouts", wall)
         subject = f"`{wall or base}`"
-        span = values.key_span(next((place for place in places if values.is_present(place)), ("world",)))
+        span = values.key_span(next((path for path in paths if values.is_present(path)), ("world",)))
     also = (Label(span, f"{top} high"),)
     headline = (
         f"the rays of `{sensor}` meet nothing: they are at least {height} above the ground, "

@@ -187,7 +187,7 @@ class Simulator:
         counted_as: str | None = None,
     ) -> None:
         for rollout in rollouts:
-            done = sum(
+            random_steps = sum(
                 statistics.steps
                 for policy, statistics in self._statistics.items()
                 if policy in (RANDOM, HELD_RANDOM)
@@ -195,7 +195,7 @@ class Simulator:
             if (
                 counted_as is None
                 and rollout.policy in (RANDOM, HELD_RANDOM)
-                and done >= self._plan.min_random_steps
+                and random_steps >= self._plan.min_random_steps
             ):
                 continue
             statistics = self._statistics.setdefault(
@@ -266,22 +266,22 @@ class Simulator:
     def _constant_numbers(self) -> list[int]:
         """Return the places of the numbers of the observation that were the same in every step of every
         episode; pictures after them."""
-        whole = functools.reduce(
+        total = functools.reduce(
             StepStatistics.joined, self._statistics.values(), StepStatistics(self._program)
         )
         return [
-            place
-            for place in range(len(self._program.agent.numbers) + len(self._program.agent.images))
-            if not whole.varies(place)
+            index
+            for index in range(len(self._program.agent.numbers) + len(self._program.agent.images))
+            if not total.varies(index)
         ]
 
     def _silent(self) -> list[int]:
         """Return the places of the terms of the reward that were always 0."""
-        places = range(len(self._program.agent.reward))
+        indices = range(len(self._program.agent.reward))
         return [
-            place
-            for place in places
-            if not any(statistics.fired[place] for statistics in self._statistics.values())
+            index
+            for index in indices
+            if not any(statistics.fired[index] for statistics in self._statistics.values())
         ]
 
     def _run_variants(self) -> None:
@@ -366,13 +366,13 @@ class StepStatistics:
         joined._changed = self._changed | other._changed
         return joined
 
-    def varies(self, place: int) -> bool:
+    def varies(self, index: int) -> bool:
         """Return whether an entry was not the same throughout."""
         numbers = len(self._columns)
         return (
-            bool(self.high[place] - self.low[place] > SAME_OBSERVATION)
-            if place < numbers
-            else self._pictures[place - numbers] in self._changed
+            bool(self.high[index] - self.low[index] > SAME_OBSERVATION)
+            if index < numbers
+            else self._pictures[index - numbers] in self._changed
         )
 
     def summary(self) -> PolicyStatistics:

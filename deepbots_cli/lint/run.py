@@ -165,9 +165,9 @@ def _limited(findings: list[Finding]) -> list[Finding]:
             findings,
             key=lambda finding: (finding.severity != "error", finding.code != "DB005", finding.sort_key),
         )
-        *shown, last = by_weight[:limit]
+        *kept_findings, last = by_weight[:limit]
         findings = [
-            *shown,
+            *kept_findings,
             replace(last, notes=(*last.notes, f"{len(by_weight) - limit:,} more findings are not shown")),
         ]
     return sorted(findings, key=lambda finding: finding.sort_key)

@@ -35,7 +35,7 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
     """Report a value that leaves its range in the observation before it ends the episode."""
     analysis = context.analysis.ideal
     ranges = analysis.ranges
-    shown = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
+    parts_by_number = [(number, _parts(analysis, number.node)) for number in ranged_numbers(analysis)]
     met = set()
     for ending in context.program.endings:
         if ending.name in context.program.agent.success or ending in context.analysis.shadowed:
@@ -44,7 +44,7 @@ def saturates_before_termination(context: RuleContext) -> Iterator[Finding]:
             reachable = [
                 threshold for threshold in thresholds(comparison, ranges) if _can_be_met(threshold, ranges)
             ]
-            for view in _blind(shown, reachable, ranges):
+            for view in _blind(parts_by_number, reachable, ranges):
                 if (id(view.number.entry), ending.name) not in met:
                     met.add((id(view.number.entry), ending.name))
                     yield _unseen(context, analysis, view, ending, comparison)
@@ -70,7 +70,7 @@ def _can_be_met(threshold: Threshold, ranges: Ranges) -> bool:
 
 
 def _blind(
-    shown: list[tuple[RangedNumber, set[int]]], reachable: list[Threshold], ranges: Ranges
+    parts_by_number: list[tuple[RangedNumber, set[int]]], reachable: list[Threshold], ranges: Ranges
 ) -> Iterator[BlindNumber]:
     """Yield for each threshold of a comparison that no number shows the first number that should."""
     views = []
@@ -78,14 +78,19 @@ def _blind(
         quantity = ranges.analysis.identity(threshold.quantity)
         numbers = [
             BlindNumber(number, threshold, _edge(number, threshold, ranges))
-            for number, parts in shown
+            for number, parts in parts_by_number
             if quantity in parts
         ]
         views.append((quantity, numbers))
     for quantity, blind in views:
         # `abs(x) > 1 m` has thresholds of both `abs(x)` and `x`; the policy needs to see only one of them.
-        others = [view for other, there in views if other != quantity for view in there]
-        if blind and not any(isnan(view.edge) for view in (*blind, *others)):
+        other_views = [
+            view
+            for other_quantity, views_there in views
+            if other_quantity != quantity
+            for view in views_there
+        ]
+        if blind and not any(isnan(view.edge) for view in (*blind, *other_views)):
             yield blind[0]
 
 
@@ -104,19 +109,21 @@ def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
 
     def is_constant(start: float) -> bool:
         """Return whether the number is constant from `start` to the limit."""
-        shown = ranges.where(quantity, Interval(min(start, limit), max(start, limit))).of(number.node)
-        return min(max(shown.low, number.low), number.high) == min(max(shown.high, number.low), number.high)
+        visible = ranges.where(quantity, Interval(min(start, limit), max(start, limit))).of(number.node)
+        return min(max(visible.low, number.low), number.high) == min(
+            max(visible.high, number.low), number.high
+        )
 
     safe = -1.0 if threshold.above else 1.0
     far = 0.0 if safe * limit < 0.0 else limit + safe * (abs(limit) or 1.0)
     far = min(max(far, interval.low), interval.high)
-    near = limit + _MIN_VISIBLE_SHARE * (far - limit)
-    if not is_constant(near) or is_constant(far):
+    visible = limit + _MIN_VISIBLE_SHARE * (far - limit)
+    if not is_constant(visible) or is_constant(far):
         return nan
     for _ in range(_MAX_BISECTIONS):
-        half = (near + far) / 2.0
-        near, far = (half, far) if is_constant(half) else (near, half)
-    return near
+        half = (visible + far) / 2.0
+        visible, far = (half, far) if is_constant(half) else (visible, half)
+    return visible
 
 
 def _unseen(
@@ -143,23 +150,23 @@ def _unseen(
         fix = replace_range(context, number, wide, number.dimension)
     elif (dimension := view.threshold.dimension) is not None:
         part = _part_of(comparison, analysis, view.threshold.quantity)
-        shown = (
+        quantity_text = (
             f"`{comparison.value.text[part.start : part.end]}`"
             if part
             else f"the value that `{ending.name}` compares"
         )
         headline = (
-            f"`{name}` does not change while {shown} goes from {with_unit(view.edge, dimension)} to"
+            f"`{name}` does not change while {quantity_text} goes from {with_unit(view.edge, dimension)} to"
             f" {with_unit(limit, dimension)}"
         )
         headline += f", the limit of `{ending.name}`"
     else:
         headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
-    place, label = ending.span, f"`{ending.name}` ends the episode here"
+    limit_span, label = ending.span, f"`{ending.name}` ends the episode here"
     if comparison.value.owner:
-        place = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
+        limit_span = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
         label = label if comparison.value.name == ending.name else f"the limit of `{ending.name}`"
-    also = (Label(place, label),)
+    also = (Label(limit_span, label),)
     return Finding("DB603", context.range_span(number.entry), headline, help, labels=also, fix=fix)
 
 
@@ -189,9 +196,13 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
             continue  # DB602
         first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
-        drawn = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
-        if drawn is not None and drawn.is_finite:  # exactly what is drawn, not a wider range around it
-            is_beyond = drawn.high > number.high + number.slack or drawn.low < number.low - number.slack
+        start_range = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
+        if (
+            start_range is not None and start_range.is_finite
+        ):  # exactly what is drawn, not a wider range around it
+            is_beyond = (
+                start_range.high > number.high + number.slack or start_range.low < number.low - number.slack
+            )
         if is_beyond:
             verb = "starts" if first.is_single else "can start"
             headline = (
@@ -214,13 +225,17 @@ def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
         quantity = analysis.resolve_aliases(node)
-        drawn = analysis.start.of(quantity) if isinstance(quantity, Draw) else None
-        drawn = analysis.start.initial(quantity) if isinstance(quantity, EngineRead) else drawn
+        start_range = analysis.start.of(quantity) if isinstance(quantity, Draw) else None
+        start_range = analysis.start.initial(quantity) if isinstance(quantity, EngineRead) else start_range
         slack = _RELATIVE_ROUNDING * (high - low)
-        if drawn is not None and drawn.is_finite and (drawn.low < low - slack or drawn.high > high + slack):
+        if (
+            start_range is not None
+            and start_range.is_finite
+            and (start_range.low < low - slack or start_range.high > high + slack)
+        ):
             headline = (
                 "`desired` can be outside its range: it is drawn"
-                f" {bounds_text(drawn, goal.desired.typed.type.dimension)}"
+                f" {bounds_text(start_range, goal.desired.typed.type.dimension)}"
             )
             yield Finding(
                 "DB611",

@@ -236,17 +236,19 @@ class ExploitSearch:
         self, number: int, family: Family, budget: float, seed: int, *, with_success: bool
     ) -> None:
         end, rng = self._left - budget, np.random.default_rng([number, seed, with_success])
-        drawn = Distribution(family.slots)
+        distribution = Distribution(family.slots)
         for _ in range(_GENERATIONS):
             scored: list[tuple[float, NDArray[np.float64]]] = []
             for _ in range(_POPULATION):
-                numbers = drawn.draw(rng)
+                numbers = distribution.draw(rng)
                 episode = self._play(family.driver(numbers.tolist()), family.kind, number)
                 if self._left <= end:
                     return
                 if episode is not None and (with_success or episode.end != "success"):
                     scored.append((episode.total_return, numbers))
-            drawn.move_to([numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]])
+            distribution.move_to(
+                [numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]]
+            )
 
 
 _MAX_SHOWN = 80
@@ -431,15 +433,15 @@ class MotionWatch:
             (float(joint.limit.lower or 0.0), float(joint.limit.upper or 0.0)) for joint in limited
         ]
         self._period = environment.scenario.period
-        self._start = self._place = self._motion()[0][0]
+        self._start = self._position = self._motion()[0][0]
         self._path = self._turned = 0.0
         self._steps = self._stopped = 0
 
     def add(self) -> None:
         """Count one step."""
-        (place, _), (_, spin) = self._motion()
-        self._path += dist(place, self._place)
-        self._place = place
+        (position, _), (_, spin) = self._motion()
+        self._path += dist(position, self._position)
+        self._position = position
         self._turned += spin[2] * self._period
         self._steps += 1
         if self._joints is not None:
@@ -454,7 +456,7 @@ class MotionWatch:
         turns, stopped = abs(self._turned) / (2 * pi), self._stopped / max(1, self._steps)
         return {
             "path": self._path,
-            "distance": dist(self._place, self._start),
+            "distance": dist(self._position, self._start),
             "turns": turns,
             "stopped": stopped,
         }

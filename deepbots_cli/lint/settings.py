@@ -125,17 +125,17 @@ def _settings(root: Path, table: dict[str, object], source: Source) -> Settings:
 def _check_keys(table: dict[str, object], keys: Sequence[str], name: str) -> None:
     for key in table:
         if key not in keys:
-            near = nearest_word(key, keys)
-            there = f"did you mean '{near}'?" if near else f"the keys are {', '.join(keys)}"
-            raise UsageError(f"{name}: unknown key '{key}'; {there}")
+            suggestion = nearest_word(key, keys)
+            hint = f"did you mean '{suggestion}'?" if suggestion else f"the keys are {', '.join(keys)}"
+            raise UsageError(f"{name}: unknown key '{key}'; {hint}")
 
 
 def _word(value: object, key: str, name: str) -> str:
     if isinstance(value, str) and value in _WORDS[key]:
         return value
-    near = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
-    there = f"did you mean '{near}'?" if near else f"use one of {', '.join(_WORDS[key])}"
-    raise UsageError(f"{name}: '{key}' cannot be {value!r}; {there}")
+    suggestion = nearest_word(value, _WORDS[key]) if isinstance(value, str) else None
+    hint = f"did you mean '{suggestion}'?" if suggestion else f"use one of {', '.join(_WORDS[key])}"
+    raise UsageError(f"{name}: '{key}' cannot be {value!r}; {hint}")
 
 
 def _list(value: object, key: str, name: str) -> tuple[str, ...]:
@@ -191,17 +191,19 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
 
 def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
     root, deepest = files.project_root(folder), str(folder).count(os.sep) + _MAX_LEVELS
-    for place, folders, names in os.walk(folder):
-        here = Path(place)
-        if here != folder and not _NOT_SEARCHED.isdisjoint(names):
+    for folder_name, folders, names in os.walk(folder):
+        parent = Path(folder_name)
+        if parent != folder and not _NOT_SEARCHED.isdisjoint(names):
             folders.clear()
             continue
-        inside = [here / name for name in folders if not name.startswith(".") and name != "node_modules"]
+        inside = [parent / name for name in folders if not name.startswith(".") and name != "node_modules"]
         candidates = [
-            here / name for name in names if name.endswith(_SUFFIXES) and _is_within(here / name, root)
+            parent / name for name in names if name.endswith(_SUFFIXES) and _is_within(parent / name, root)
         ]
         excluded.update(path for path in (*inside, *candidates) if project.excludes(path))
-        folders[:] = [path.name for path in inside if path not in excluded and place.count(os.sep) < deepest]
+        folders[:] = [
+            path.name for path in inside if path not in excluded and folder_name.count(os.sep) < deepest
+        ]
         yield from (path for path in candidates if path not in excluded)
 
 

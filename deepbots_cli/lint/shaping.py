@@ -45,12 +45,12 @@ def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
     for term, node in final:
         for ending in program.endings:
             paid, failed = reward.ranges_at(ending).of(node), ending.name in program.failures
-            others = (
-                other
-                for other in reward.endings_and_truncation
-                if other is None or (other.name in program.failures) != failed
+            other_ends = (
+                end
+                for end in reward.endings_and_truncation
+                if end is None or (end.name in program.failures) != failed
             )
-            if any(reward.ranges_at(other).of(node) != NEVER for other in others):
+            if any(reward.ranges_at(end).of(node) != NEVER for end in other_ends):
                 continue  # paid at ends of another kind as well, so its sign has no meaning for this one
             if paid.low > 0.0 if failed else paid.high < 0.0:
                 verb = f"pays {paid.low:.3g}" if paid.low > 0.0 else f"costs {-paid.high:.3g}"
@@ -188,26 +188,26 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     """Report a reward that depends on a value that differs between episodes and that the policy does not
     observe."""
     analysis, program = context.analysis.ideal, context.program
-    shown = [entry.value for entry in program.agent.observation]
-    shown += (
+    observed = [entry.value for entry in program.agent.observation]
+    observed += (
         [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
     )
     observed_names = {
         dependency
-        for value in shown
+        for value in observed
         for node in analysis.scalars(value)
         for dependency in analysis.drawn_dependencies(node)
     }
     perceives = any(SENSORS[sensor.kind].perceives for robot in program.robots for sensor in robot.sensors)
     perceives = perceives or any(entry.value.typed.type.picture for entry in program.agent.observation)
-    drawn = {value.name for value in program.parameters}
+    drawn_names = {value.name for value in program.parameters}
     walls = set(context.namespace.walls)  # their pieces, such as `bay 1`, never move
-    things = {thing.name for thing in program.world.objects if thing.name.partition(" ")[0] not in walls}
-    bodies = set() if perceives else things | {robot.name for robot in program.world.robots}
+    objects = {body.name for body in program.world.objects if body.name.partition(" ")[0] not in walls}
+    bodies = set() if perceives else objects | {robot.name for robot in program.world.robots}
     for term, node in analysis.reward.terms:
-        hidden = sorted((analysis.drawn_dependencies(node) - observed_names) & (drawn | bodies))
+        hidden = sorted((analysis.drawn_dependencies(node) - observed_names) & (drawn_names | bodies))
         if hidden:
-            subject = f"the {'drawn parameter' if hidden[0] in drawn else 'body'} `{hidden[0]}`"
+            subject = f"the {'drawn parameter' if hidden[0] in drawn_names else 'body'} `{hidden[0]}`"
             help = (
                 f"add an entry that uses `{hidden[0]}` under `augment`, and list this entry under"
                 " `observation`"
@@ -268,10 +268,10 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     ]
     if any(ending.foreign for ending in reward.program.endings):
         return []
-    others = [node for term, node in terms if term not in wrong]
-    others += [analysis.scalars(ending)[0] for ending in reward.program.successes]
+    right_nodes = [node for term, node in terms if term not in wrong]
+    right_nodes += [analysis.scalars(ending)[0] for ending in reward.program.successes]
     concerned = _concerns(analysis, threshold.quantity)
-    return [] if any(concerned & _concerns(analysis, node) for node in others) else wrong
+    return [] if any(concerned & _concerns(analysis, node) for node in right_nodes) else wrong
 
 
 def _concerns(analysis: Analysis, node: Scalar) -> set[str]:

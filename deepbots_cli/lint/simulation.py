@@ -86,21 +86,23 @@ class Plan:
 def simulation_plan(program: Program) -> Plan:
     """The plan for the scenario itself."""
     last = program.truncation.max_episode_steps(program.period)
-    drawn = [
+    random_rollouts = [
         Rollout(HELD_RANDOM if seed % 2 else RANDOM, seed, min(last, _RANDOM_STEPS))
         for seed in range(_RANDOM_EPISODES)
     ]
-    others = [
+    other_rollouts = [
         Rollout(by, seed, min(last, _OTHER_STEPS), script)
         for by, script in _others(program)
         for seed in range(_OTHER_EPISODES)
     ]
     share = min(
-        1.0, _MAX_WORK / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in others)))
+        1.0,
+        _MAX_WORK
+        / (work_per_step(program) * (_ENOUGH_STEPS + sum(rollout.steps for rollout in other_rollouts))),
     )
     rollouts = tuple(
         Rollout(rollout.policy, rollout.seed, max(_MIN_STEPS, int(rollout.steps * share)), rollout.script)
-        for rollout in (*drawn, *others)
+        for rollout in (*random_rollouts, *other_rollouts)
     )
     settling = program.reset.settle / program.world.timestep * program.world.substeps
     resets = max(2, min(_RESETS, int(_MAX_SETTLING_STEPS / max(settling, 1.0))))

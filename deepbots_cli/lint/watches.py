@@ -66,9 +66,9 @@ class SpeedWatch:
             turns = tuple(joint.type != "prismatic" for joint in moving)
             self._watched.append(_WatchedBody(robot.name, engine.motion(robot.name), names, turns, reader))
         self._watched += [
-            _WatchedBody(thing.name, engine.motion(thing.name), (), (), None)
-            for thing in world.objects
-            if not thing.fixed
+            _WatchedBody(body.name, engine.motion(body.name), (), (), None)
+            for body in world.objects
+            if not body.fixed
         ]
         self._fastest = 1.0
         self.new_maximum: FastestBody | None = None
@@ -146,12 +146,12 @@ class WheelWatch:
         heading, positions = frames.roll_pitch_yaw(attitude)[2], [state[0] for state in states()]
 
         def check() -> None:
-            place, attitude = pose()
+            position, attitude = pose()
             turn = abs(remainder(frames.roll_pitch_yaw(attitude)[2] - heading, tau))
             wheel = max(abs(state[0] - before) for state, before in zip(states(), positions, strict=True))
             rolling = self.robots[robot]
             self.robots[robot] = Rolling(
-                max(rolling.distance, hypot(place[0] - x, place[1] - y)),
+                max(rolling.distance, hypot(position[0] - x, position[1] - y)),
                 max(rolling.turn, turn),
                 max(rolling.wheel, wheel),
             )
@@ -265,7 +265,7 @@ class ArmWatch:
         key = (robot, actuator.name)
         self.commands[key] = self.commands.get(key, 0) + 1
         positions = dict(zip(actuator.joints, solution, strict=True))
-        others = [
+        undriven = [
             joint.name
             for joint in model.moving_joints
             if joint.name not in positions and joint.name not in model.followers
@@ -273,15 +273,15 @@ class ArmWatch:
         now = (
             {
                 name: state[0]
-                for name, state in zip(others, world.engine.joint_states(robot, others)(), strict=True)
+                for name, state in zip(undriven, world.engine.joint_states(robot, undriven)(), strict=True)
             }
-            if others
+            if undriven
             else {}
         )
-        place, rotation = frames.compose(
+        position, rotation = frames.compose(
             world.engine.pose(robot)(), footprint.link_frames(model, now | positions)[actuator.link]
         )
-        distance = dist(place, target)
+        distance = dist(position, target)
         angle = (
             0.0
             if drive.attitude is None
@@ -320,9 +320,9 @@ class ArmWatch:
         """Check whether the first command of an episode turns a link in place."""
         if drive.attitude is None or self.commands[key] > 1 or key in self._misses:
             return
-        place, attitude = world.engine.pose(key[0], actuator.link)()
+        position, attitude = world.engine.pose(key[0], actuator.link)()
         turn = _angle(frames.multiply(drive.attitude, frames.inverse(attitude)))
-        if turn > _LARGE_TURN and dist(place, target) < _MAX_TURNING_DISTANCE_M:
+        if turn > _LARGE_TURN and dist(position, target) < _MAX_TURNING_DISTANCE_M:
             start = frames.roll_pitch_yaw(attitude)
             self._misses[key] = UnreachedPose(
                 *key, 0.0, 0.0, {}, turn=turn, start=start, step=world.step_count
@@ -366,7 +366,7 @@ class RayWatch:
         """Return a function that checks the world of an engine, to be called in each step."""
         if not self.clearances and not self.depths:
             return lambda: None
-        tops = {thing.name: _top_of(engine, thing) for thing in self._world.objects if thing.solid}
+        tops = {body.name: _top_of(engine, body) for body in self._world.objects if body.solid}
         tops |= {
             body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model))
             for body in self._world.robots
@@ -399,9 +399,9 @@ class RayWatch:
         return check
 
 
-def _top_of(engine: Engine, thing: ObjectBody) -> Callable[[], float]:
-    shapes = [variant.shape for variant in thing.variants] or [thing.shape]
-    pose = engine.pose(thing.name)
+def _top_of(engine: Engine, body: ObjectBody) -> Callable[[], float]:
+    shapes = [variant.shape for variant in body.variants] or [body.shape]
+    pose = engine.pose(body.name)
     return lambda: max(footprint.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
 
 

@@ -89,7 +89,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     terrain = world.terrain
     if kind is None:
         return
-    if not kind.is_installed and any(other.is_installed for other in ENGINES.own.values()):
+    if not kind.is_installed and any(engine.is_installed for engine in ENGINES.own.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
         yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):
@@ -130,8 +130,8 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
     for robot in context.program.robots:
         for actuator in robot.actuators:
             if isinstance(actuator, Motor) and actuator.no_load_speed is not None:
-                place = ("robots", robot.name, "actuators", actuator.name, "no_load_speed")
-                yield "torque_curve", context.values.span(place)
+                path = ("robots", robot.name, "actuators", actuator.name, "no_load_speed")
+                yield "torque_curve", context.values.span(path)
         for sensor in robot.sensors:
             if sensor.kind in ("reaction_force", "reaction_torque"):
                 yield (
@@ -173,36 +173,36 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
             )
             yield Finding("DB507", values.span_of_first(("robots", robot.name), "urdf"), headline, help)
     met: set[NodePath] = set()
-    for thing in world.objects:
-        for path, kind in _forms(thing):
+    for body in world.objects:
+        for path, kind in _forms(body):
             if path in met or not values.is_present(path):
                 continue  # another copy of a group, or a wall
             met.add(path)
             finding = _object_around_robot(
-                context.analysis.start, thing, kind, robots, path, values
-            ) or _odd_mass(thing, kind, robots, path, values)
+                context.analysis.start, body, kind, robots, path, values
+            ) or _odd_mass(body, kind, robots, path, values)
             if finding is not None:
                 yield finding
 
 
-def _forms(thing: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
+def _forms(body: ObjectBody) -> Iterator[tuple[NodePath, Variant]]:
     """Yield each variant of a body, and its place in the scenario."""
-    path: NodePath = ("objects", thing.name.partition("#")[0])
-    if thing.variants:
-        yield from (((*path, "one_of", kind.name), kind) for kind in thing.variants)
+    path: NodePath = ("objects", body.name.partition("#")[0])
+    if body.variants:
+        yield from (((*path, "one_of", kind.name), kind) for kind in body.variants)
     else:
-        yield path, Variant(thing.name, thing.shape, thing.mass, fixed=thing.fixed)
+        yield path, Variant(body.name, body.shape, body.mass, fixed=body.fixed)
 
 
 def _object_around_robot(
-    start: StartRanges, thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
+    start: StartRanges, body: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
 ) -> Finding | None:
     """Return a finding about an object with a small robot inside, wherever both are placed."""
-    if not thing.solid or isinstance(kind.shape, Mesh):
+    if not body.solid or isinstance(kind.shape, Mesh):
         return None
     width = 2.0 * footprint.shape_footprint(kind.shape).inradius
     for robot, size in robots:
-        if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, thing, kind.shape):
+        if width >= _MAX_SIZE_RATIO * size and _is_within(start, robot, body, kind.shape):
             headline = (
                 f"`{path[-1]}` is {with_unit(width, LENGTH)} across, and `{robot.name}`"
                 f" ({with_unit(size, LENGTH)}) begins inside it"
@@ -213,7 +213,7 @@ def _object_around_robot(
     return None
 
 
-def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: Shape) -> bool:
+def _is_within(start: StartRanges, robot: RobotBody, body: ObjectBody, shape: Shape) -> bool:
     """Return whether the origin of a robot lies within the outline of an object, seen from above, and part of
     the robot at the same height."""
     radius, half = _inner_cylinder(shape)
@@ -221,15 +221,18 @@ def _is_within(start: StartRanges, robot: RobotBody, thing: ObjectBody, shape: S
     standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
     pairs = [
         (thing_pose, robot_pose)
-        for thing_pose in start.poses(thing.name)
+        for thing_pose in start.poses(body.name)
         for robot_pose in start.poses(robot.name)
     ]
-    for (place, here), (stand, there) in pairs:
-        if not (is_level(here) and is_level(there)):
+    for (object_placement, object_pose), (robot_placement, robot_pose) in pairs:
+        if not (is_level(object_pose) and is_level(robot_pose)):
             return False
-        middle = single(lying) if place.rests else here["z"]
-        root = single(standing) if stand.rests else there["z"]
-        apart = [max(here[axis].high - there[axis].low, there[axis].high - here[axis].low) for axis in "xy"]
+        middle = single(lying) if object_placement.rests else object_pose["z"]
+        root = single(standing) if robot_placement.rests else robot_pose["z"]
+        apart = [
+            max(object_pose[axis].high - robot_pose[axis].low, robot_pose[axis].high - object_pose[axis].low)
+            for axis in "xy"
+        ]
         shared = min(root.low + high, middle.low + half) - max(root.high - standing, middle.high - half)
         if hypot(*apart) >= radius or shared < _MIN_OVERLAP_M:
             return False
@@ -248,19 +251,21 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
 
 
 def _odd_mass(
-    thing: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
+    body: ObjectBody, kind: Variant, robots: _Robots, path: NodePath, values: ValueReader
 ) -> Finding | None:
     """Return a finding about a movable object with the density of no material, or one that outweighs all
     robots by far."""
     size = volume(kind.shape)
-    if not thing.solid or kind.fixed or not size or kind.mass <= 0.0:
+    if not body.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
     weight, density = with_unit(kind.mass, MASS), kind.mass / size
     water = f"the same volume of water weighs {with_unit(_WATER_DENSITY * size, MASS)}"
     if not _MIN_DENSITY <= density <= _MAX_DENSITY:
         beyond = "more than any metal" if density > _MAX_DENSITY else "less than a tenth of air"
-        shown = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
-        headline = f"`{path[-1]}` has a density of {shown} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
+        density_text = f"{density:.0f}" if density > 1000.0 else f"{density:.2g}"
+        headline = (
+            f"`{path[-1]}` has a density of {density_text} kg/m^3, {beyond}: {weight} in {size:.3g} m^3"
+        )
         help = f"check the units of its mass and size ({water})" + (
             ", or write `fixed: true`" if density > _MAX_DENSITY else ""
         )
@@ -276,8 +281,8 @@ def _odd_mass(
 
 def _in_centimeters(path: NodePath, values: ValueReader) -> str:
     """Return a help with the same size in centimeters, where it is written in meters."""
-    written = values.span_of_first(path, "radius", "size").text
-    match = _LENGTHS_IN_METERS.fullmatch(written)
+    size_text = values.span_of_first(path, "radius", "size").text
+    match = _LENGTHS_IN_METERS.fullmatch(size_text)
     if match is None:
         return "check the unit of its size"
     return f"write `{match[1]} cm` if you mean centimeters"
@@ -359,7 +364,7 @@ def _implausible_motion(stop: Stop) -> str:
 def _body_in(simulation: Simulation, text: str) -> str:
     """Return the first body that a message of the engine names; empty if it names none."""
     world = simulation.program.world
-    bodies = {robot.name for robot in world.robots} | {thing.name for thing in world.objects}
+    bodies = {robot.name for robot in world.robots} | {body.name for body in world.objects}
     return next((word for word in re.findall(r"'([^']+)'", text) if word in bodies), "")
 
 
@@ -410,7 +415,7 @@ def _varies(analysis: Analysis) -> bool:
     return bool(
         program.reset.variations
         or program.disturbances
-        or any(thing.variants for thing in program.world.objects)
+        or any(body.variants for body in program.world.objects)
         or len(program.reset.layouts) > 1
         or any(place.spot is not None or _draws_coordinates(place) for place in analysis.placements)
         or any(
@@ -443,7 +448,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     if require is None:
         return
     (node,) = analysis.scalars(require)
-    drawn = {value.name for value in program.parameters if value.typed.type.known is not Known.FIXED}
+    drawn_names = {value.name for value in program.parameters if value.typed.type.known is not Known.FIXED}
     facts = [fact for fact in analysis.walk_definitions(node) if isinstance(fact, EngineRead)]
     bodies = {subject.partition(".")[0].partition("#")[0] for fact in facts for subject in fact.subjects}
     places = [place for place in analysis.placements if place.body in bodies]
@@ -453,7 +458,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
         for coordinate in place.coordinates.values()
         for name in referenced_names(coordinate.typed)
     }
-    sources = sorted((analysis.drawn_dependencies(node) | names) & drawn)
+    sources = sorted((analysis.drawn_dependencies(node) | names) & drawn_names)
     bent = {
         subject.partition(".")[0]
         for fact in facts
@@ -480,7 +485,7 @@ def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
 def _is_of_root(program: Program, fact: EngineRead) -> bool:
     """Return whether a fact concerns the pose of an object or of a root link, which no joint moves."""
     roots = {f"{robot.name}.{robot.model.root}" for robot in program.world.robots} | {
-        thing.name for thing in program.world.objects
+        body.name for body in program.world.objects
     }
     return fact.function in ("position", "orientation") and roots.issuperset(fact.subjects)
 
@@ -533,8 +538,8 @@ def _overlapping(simulation: Simulation, overlap: MeasuredOverlap) -> Finding:
     else:
         headline = f"`{first}` and `{second}` overlap by {depth} at the start"
         help = "place them farther apart, or use a `region`, where deepbots finds free positions"
-        there = simulation.placement(other_part[0]) or simulation.body_span(other_part[0])
-        also = (Label(there, f"`{second}` begins here"),)
+        second_span = simulation.placement(other_part[0]) or simulation.body_span(other_part[0])
+        also = (Label(second_span, f"`{second}` begins here"),)
     return Finding("DB310", span, headline, help, notes=notes, labels=also)
 
 

@@ -98,17 +98,17 @@ def completion(view: CursorView) -> CompletionList:
     The list is marked as incomplete until the current text is analyzed, so that the client repeats the
     request at the next letter.
     """
-    place = view.place
+    cursor = view.place
     if view.document.is_blank:
         items = (
             []
-            if place.role == "aside"
-            else [_item(view, _VERSION_LINE, place.start, f"{_VERSION_LINE.text}\n")]
+            if cursor.role == "aside"
+            else [_item(view, _VERSION_LINE, cursor.start, f"{_VERSION_LINE.text}\n")]
         )
-    elif place.role == "aside":
+    elif cursor.role == "aside":
         items = _codes(view)
-    elif place.role == "key":
-        items = [*_keys(view), *(_values(view) if place.path else ())]
+    elif cursor.role == "key":
+        items = [*_keys(view), *(_values(view) if cursor.path else ())]
     else:
         items = list(_values(view))
     for index, item in enumerate(items):  # otherwise clients sort alphabetically
@@ -120,12 +120,12 @@ def completion(view: CursorView) -> CompletionList:
 
 
 def _keys(view: CursorView) -> Iterator[CompletionItem]:
-    place, data = view.place, view.data
+    cursor, data = view.place, view.data
     present = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
     for choice in _unique(_key_choices(view, data)):
         if choice.text not in present:
-            yield _item(view, choice, place.start, choice.text + colon)
+            yield _item(view, choice, cursor.start, choice.text + colon)
 
 
 def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
@@ -163,12 +163,12 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
 
 
 def _values(view: CursorView) -> Iterator[CompletionItem]:
-    place, data = view.place, view.data
+    cursor, data = view.place, view.data
     words = list(_word_choices(view, data)) or [*_example(view, data)]
-    yield from (_item(view, choice, place.start) for choice in _unique(words))
-    for shape in shapes_at(place.path, data):
+    yield from (_item(view, choice, cursor.start) for choice in _unique(words))
+    for shape in shapes_at(cursor.path, data):
         if isinstance(shape, FieldType) and _is_expression(shape):
-            start = view.offset - len(_word_before(place.text))
+            start = view.offset - len(_word_before(cursor.text))
             is_called = view.document.plain.startswith("(", view.offset)
             for choice in _unique(_expression_items(view, shape, data)):
                 yield _item(view, choice, start, choice.text.removesuffix("(") if is_called else None)
@@ -352,8 +352,8 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
     if checked is None or checked.namespace is None:
         return None
     if not isinstance(field, Expression):
-        drawn = isinstance(field, Quantity) and field.known != "fixed"
-        return ParameterScope(checked.namespace, Context.FIELD if drawn else Context.FIXED)
+        may_vary = isinstance(field, Quantity) and field.known != "fixed"
+        return ParameterScope(checked.namespace, Context.FIELD if may_vary else Context.FIXED)
     if field.context in _CONTEXTS:
         return ParameterScope(checked.namespace, _CONTEXTS[field.context])
     context = Context[field.context.upper()]

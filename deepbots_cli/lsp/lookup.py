@@ -82,21 +82,21 @@ def _shapes(shape: Shape, data: Any, path: NodePath) -> Iterator[Shape]:
     if not path:
         yield shape
         return
-    step, rest = path[0], path[1:]
+    step, remaining_path = path[0], path[1:]
     below = value_at(data, (step,))
     match shape:
         case ListOf() if isinstance(step, int):
-            yield from _shapes(shape.item, below, rest)
+            yield from _shapes(shape.item, below, remaining_path)
         case MappingOf() if isinstance(step, str):
-            yield from _shapes(shape.value, below, rest)
-        case FieldType() if isinstance(step, int) and not rest:
+            yield from _shapes(shape.value, below, remaining_path)
+        case FieldType() if isinstance(step, int) and not remaining_path:
             yield shape  # a list of names is one value
         case FieldType() | ListOf() | MappingOf():
             return
         case _:
             for section in _sections(shape, data):
                 if step in section_fields(section):
-                    yield from _shapes(section_fields(section)[str(step)], below, rest)
+                    yield from _shapes(section_fields(section)[str(step)], below, remaining_path)
 
 
 def _forms(shape: Forms, data: Any, goes_on: bool) -> tuple[Shape, ...]:
@@ -203,17 +203,17 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
 
 def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """Return the key or the single value under the cursor."""
-    place, text = view.place, view.document.plain
-    if place.role == "aside":
+    cursor, text = view.place, view.document.plain
+    if cursor.role == "aside":
         return None
-    if place.role == "key":
+    if cursor.role == "key":
         end = _end(_KEY, text, view.offset)
         again = view.place_at(end)
         word = text[again.start : end]
         is_key = _COLON.match(text, end) is not None  # otherwise it may be a value on its own line
         return KeyOrValue((*again.path, word) if is_key else again.path, word, again.start, end, is_key)
     end = _end(_VALUE, text, view.offset)
-    return KeyOrValue(place.path, text[place.start : end].strip("\"'"), place.start, end, is_key=False)
+    return KeyOrValue(cursor.path, text[cursor.start : end].strip("\"'"), cursor.start, end, is_key=False)
 
 
 def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
@@ -358,8 +358,8 @@ def _by_reference(view: CursorView, target: KeyOrValue) -> list[Span]:
 
 def _setting(root: MappingNode, text: str) -> list[Span]:
     """Return the key at the dotted path of a setting."""
-    steps, _, rest = follow_dotted(root, text)
-    key = descend(root, steps)[1] if steps and not rest else None
+    steps, _, unresolved = follow_dotted(root, text)
+    key = descend(root, steps)[1] if steps and not unresolved else None
     return [key.span] if key else []
 
 
@@ -409,9 +409,9 @@ def _document_symbol(
 ) -> types.DocumentSymbol:
     key = entry.key.span
     end = max(key.end, entry.value.span.end if entry.value.span.start >= key.start else key.end)
-    whole = document.lines.range(key.start, end)
+    full_range = document.lines.range(key.start, end)
     return types.DocumentSymbol(
-        entry.key.text, kind, whole, document.lines.range(key.start, key.end), children=below or None
+        entry.key.text, kind, full_range, document.lines.range(key.start, key.end), children=below or None
     )
 
 
@@ -568,10 +568,10 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
     if steps < len(target.path) or not isinstance(node, ScalarNode):
         return None
     span = node.part(0, len(node.text))
-    read = next(
+    own_reading = next(
         (reading for reading in view.analysis.readings if reading.trees and reading.text.span == span), None
     )
-    return f"`{target.text}`: {describe_type(read.trees[0].type)}" if read is not None else None
+    return f"`{target.text}`: {describe_type(own_reading.trees[0].type)}" if own_reading is not None else None
 
 
 def _value_text(view: CursorView, target: KeyOrValue) -> str | None:
@@ -624,18 +624,18 @@ def describe_function(function: Function) -> str:
     return "\n".join(lines + (["", f"For example `{function.example}`."] if function.example else []))
 
 
-def describe_type(known: Type) -> str:
+def describe_type(value_type: Type) -> str:
     """Return the dimension, components and interval of a type, and when it is known: `a length (m), from 0 to
     2.7 m, fixed`."""
-    if known.picture is not None:
-        rows, columns, channels = known.picture
+    if value_type.picture is not None:
+        rows, columns, channels = value_type.picture
         return f"a picture of {columns} x {rows} pixels with {counted(channels, 'channel')}"
-    words = [known.description]
-    if known.components is not None:
-        words.append(f"with the components {shortened_list(known.components)}")
-    if not known.boolean and known.interval != EVERYTHING:
-        words.append(_interval(known.interval, str(known.dimension)))
-    return ", ".join([*words, known.known.description])
+    words = [value_type.description]
+    if value_type.components is not None:
+        words.append(f"with the components {shortened_list(value_type.components)}")
+    if not value_type.boolean and value_type.interval != EVERYTHING:
+        words.append(_interval(value_type.interval, str(value_type.dimension)))
+    return ", ".join([*words, value_type.known.description])
 
 
 def _interval(interval: Interval, dimension: str) -> str:

@@ -79,8 +79,8 @@ def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
 def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[str, list[types.Diagnostic]]:
     """Return all diagnostics by URI. The document and all open files that it reads always have an entry."""
     locator = Locator(analysis, open_uris)
-    read = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
-    by_uri: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read)}
+    read_uris = (open_uris[path] for path in analysis.paths.values() if path in open_uris)
+    by_uri: dict[str, list[types.Diagnostic]] = {uri: [] for uri in (analysis.document.uri, *read_uris)}
     for finding in analysis.findings:
         by_uri.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
     return by_uri
@@ -179,7 +179,9 @@ class Checker:
         now = self._published[uri] = _Published(analysis, diagnostics(analysis, self._workspace.open_uris))
         # A file that has changed meanwhile is published by the next analysis of the documents that read it.
         self._publish_all(
-            other for other in {*before, *now.found} if now.is_about(self._workspace.documents.get(other))
+            affected_uri
+            for affected_uri in {*before, *now.found}
+            if now.is_about(self._workspace.documents.get(affected_uri))
         )
 
     def _publish_all(self, uris: Iterable[str]) -> None:
@@ -191,14 +193,14 @@ class Checker:
         for uri in sorted(uris):
             document = self._workspace.documents.get(uri)
             order = sorted(self._published, key=lambda reader: (reader == uri, reader))
-            shown = [
+            groups = [
                 self._published[reader].found.get(uri, ())
                 for reader in order
                 if self._published[reader].is_about(document)
             ]
             unique = {
                 (str(diagnostic.range), diagnostic.code, diagnostic.message): diagnostic
-                for diagnostic in chain.from_iterable(shown)
+                for diagnostic in chain.from_iterable(groups)
             }
             self._publish(uri, document.version if document else None, list(unique.values()))
 
@@ -246,7 +248,7 @@ class CodeActions:
             rewrites = Fixer(
                 [str(self._document.path)],
                 load,
-                wanted=analysis.selection.selects,
+                selects=analysis.selection.selects,
                 drafts=self._workspace.drafts,
             ).fix()
         except UsageError:  # a file does not exist yet or has changed
@@ -571,8 +573,8 @@ class Server(LanguageServer):
         if isinstance(self.protocol.writer, asyncio.StreamWriter):
             self.protocol.writer.close()
 
-    def _publish(self, uri: str, version: int | None, shown: list[types.Diagnostic]) -> None:
-        self.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, shown, version))
+    def _publish(self, uri: str, version: int | None, entries: list[types.Diagnostic]) -> None:
+        self.text_document_publish_diagnostics(types.PublishDiagnosticsParams(uri, entries, version))
 
     def _warn(self, sentence: str) -> None:
         """Show the user a message once."""

@@ -186,7 +186,7 @@ class DocumentAnalysis:
 
     def source(self, path: Path) -> Source | None:
         """Return the text that the analysis read from a file."""
-        return next((source for source, read in self.paths.items() if read == path), None)
+        return next((source for source, read_path in self.paths.items() if read_path == path), None)
 
     @cached_property
     def readings(self) -> tuple[ScopedExpression, ...]:
@@ -220,7 +220,7 @@ def analyze(
     except UsageError as error:
         selection, settings_error = Selection(preview=preview), str(error)
     try:
-        read = load(
+        loaded = load(
             document.path,
             display=str(document.path),
             permissions=permissions,
@@ -228,7 +228,7 @@ def analyze(
         )
     except UsageError:  # it is a folder, or the name is not possible for a file
         return DocumentAnalysis(document, drafts)
-    checked = check(read)
+    checked = check(loaded)
     findings = all_findings(checked, preview=preview)
     selected_findings = (*selection.inactive_rules(), *filter(selection.selects, findings))
     return DocumentAnalysis(document, drafts, selected_findings, checked, settings_error, selection)
@@ -286,8 +286,8 @@ class CursorView:
         return self.place_at(self.offset)
 
     def place_at(self, offset: int) -> Place:
-        place = place_at(self.document.plain, offset)
-        return place._replace(path=(*self._prefix, *place.path), data=_nested(place.data, self._prefix))
+        cursor = place_at(self.document.plain, offset)
+        return cursor._replace(path=(*self._prefix, *cursor.path), data=_nested(cursor.data, self._prefix))
 
     @property
     def data(self) -> Any:
@@ -440,11 +440,11 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
     )
 
 
-def common_prefix(one: str, other: str) -> int:
+def common_prefix(first: str, second: str) -> int:
     """Return the length of the common prefix; bisection compares slices, which is faster than single
     characters."""
     return bisect_left(
-        range(min(len(one), len(other))), True, key=lambda index: one[: index + 1] != other[: index + 1]
+        range(min(len(first), len(second))), True, key=lambda index: first[: index + 1] != second[: index + 1]
     )
 
 

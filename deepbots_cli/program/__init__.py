@@ -226,12 +226,12 @@ class Program:
     @property
     def settable_draws(self) -> tuple[NamedScalars, ...]:
         """Draws with a name, which `options` of `reset` may set: parameters, places and joints."""
-        drawn = (
+        parameter_draws = (
             NamedScalars(value.name, value.components, value.scalars)
             for value in self.parameters
             if any(map(is_drawn, value.scalars))
         )
-        return (*drawn, *self.reset.drawn)
+        return (*parameter_draws, *self.reset.drawn)
 
     @cached_property
     def draws(self) -> EpisodeDraws:

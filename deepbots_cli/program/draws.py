@@ -186,10 +186,13 @@ class EpisodeDraws:
             names = tuple(layout.name for layout in reset.layouts)
             yield None, EpisodeDraw("reset.layout", "reset.layout", words=names)
         yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
-        for thing in self.program.world.objects:
-            if len(thing.variants) > 1:
-                name, names = kind_key(thing.name), tuple(variant.name for variant in thing.variants)
-                yield thing.name, EpisodeDraw(name, name, words=names)
+        for object_body in self.program.world.objects:
+            if len(object_body.variants) > 1:
+                name, names = (
+                    kind_key(object_body.name),
+                    tuple(variant.name for variant in object_body.variants),
+                )
+                yield object_body.name, EpisodeDraw(name, name, words=names)
         yield from self._of_placements()
 
     def _of_reset(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
@@ -269,22 +272,22 @@ def _places(
     coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
-        member, here = body if group else "", f"{path}.{body}"
+        member, body_path = body if group else "", f"{path}.{body}"
         if group:
             trees = [
-                (f"{here}.{axis}", value)
+                (f"{body_path}.{axis}", value)
                 for axis, value in place.pose.items()
                 if place.spot is None or axis not in _PLANE
             ]
             trees += [
                 pair
                 for key, values in place.velocities
-                for pair in numbers(f"{here}.{key}", ("x", "y", "z"), values)
+                for pair in numbers(f"{body_path}.{key}", ("x", "y", "z"), values)
             ]
             if not bounds and not any(is_drawn(tree) for _, tree in trees):
                 return
             for entry in _named(iter(trees), member):
-                of_group = f"{path}.{place.body}{entry.name.removeprefix(here).partition('#')[0]}"
+                of_group = f"{path}.{place.body}{entry.name.removeprefix(body_path).partition('#')[0]}"
                 si = "m" if of_group.endswith((".x", ".y", ".z")) else "rad"
                 yield entry._replace(
                     **units.get(of_group, units.get(of_group.rpartition(".")[0], _Units(si=si, unit=None)))
@@ -292,7 +295,7 @@ def _places(
         for axis, (low, high) in zip(_PLANE, bounds, strict=False):
             stream = f"{place.stream}.{axis}"
             key = key_of_member(member, stream) if member else stream
-            yield EpisodeDraw(f"{here}.{axis}", key, low=low, high=high, si="m")
+            yield EpisodeDraw(f"{body_path}.{axis}", key, low=low, high=high, si="m")
 
 
 def _bounds(place: Placement, group: ObjectGroup | None) -> Sequence[tuple[float, float]]:

@@ -109,10 +109,12 @@ def _agreed(agent: Agent, program: Program) -> dict[str, str]:
     return items
 
 
-def differences(one: Program, other: Program, *, words: tuple[str, str] = ("run", "scenario")) -> list[str]:
+def differences(
+    first: Program, second: Program, *, words: tuple[str, str] = ("run", "scenario")
+) -> list[str]:
     """Return one line for each item that the two, called by `words`, do not share; empty if the policies of
     one fit the other."""
-    return compare_interfaces(interface(one), interface(other), words=words)
+    return compare_interfaces(interface(first), interface(second), words=words)
 
 
 def compare_interfaces(
@@ -130,14 +132,14 @@ def compare_interfaces(
 
 
 def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, str]) -> list[str]:
-    here, there = words
+    first_word, second_word = words
     lines = [
-        f"{name}: {here} {old.get(name, 'has none')}, {there} {new.get(name, 'has none')}"
+        f"{name}: {first_word} {old.get(name, 'has none')}, {second_word} {new.get(name, 'has none')}"
         for name in dict.fromkeys((*old, *new))
         if old.get(name) != new.get(name)
     ]
     if not lines and list(old) != list(new):
-        lines.append(f"order: {here} {', '.join(old)}; {there} {', '.join(new)}")
+        lines.append(f"order: {first_word} {', '.join(old)}; {second_word} {', '.join(new)}")
     return lines
 
 

@@ -91,8 +91,8 @@ class JointNames:
         return f"{self._owner(owner)}{mark}{number}"
 
     def _owner(self, owner: str) -> str:
-        section, _, rest = owner.partition(".")
-        is_own = section in _OWN_SECTIONS or (section == _SIGNALS and rest.partition(".")[0] in self.signals)
+        section, _, name = owner.partition(".")
+        is_own = section in _OWN_SECTIONS or (section == _SIGNALS and name.partition(".")[0] in self.signals)
         return f"agents.{self.agent}.{owner}" if is_own else owner
 
 
@@ -218,9 +218,9 @@ def members_of(
     programs: Mapping[str, Program], names: Mapping[str, JointNames], joint: Agent
 ) -> dict[str, Member]:
     """Return the agents with these programs and names, given the agent of the program of all."""
-    places = {
-        (number.name, number.component, age): place
-        for place, (index, age) in enumerate(joint.seen)
+    positions = {
+        (number.name, number.component, age): position
+        for position, (index, age) in enumerate(joint.seen)
         for number in (joint.numbers[index],)
     }
     members: dict[str, Member] = {}
@@ -233,7 +233,7 @@ def members_of(
             name,
             names[name],
             program,
-            tuple(places[joint_name(name, number.name), number.component, age] for number, age in entries),
+            tuple(positions[joint_name(name, number.name), number.component, age] for number, age in entries),
             (choices, last_choice),
             (ranges, last_range),
             {term.name: joint_name(name, term.name) for term in agent.reward},

@@ -313,17 +313,17 @@ class Reset:
         rad/s).
         """
         groups = {group.name for group in self.groups}
-        drawn = [
+        entries = [
             entry for path, place in self._arranged if place.body not in groups for entry in place.drawn(path)
         ]
         for start in self.joint_starts:
             for joint, position, velocity in start.states:
                 path = f"reset.joints.{start.robot}.{joint}"
-                drawn += [
+                entries += [
                     NamedScalars(path, (), (position,)),
                     NamedScalars(f"{path}.velocity", (), (velocity,)),
                 ]
-        yield from (entry for entry in drawn if any(map(is_drawn, entry.scalars)))
+        yield from (entry for entry in entries if any(map(is_drawn, entry.scalars)))
 
     @property
     def expressions(self) -> Iterator[tuple[str, Expression]]:

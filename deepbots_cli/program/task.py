@@ -671,7 +671,7 @@ class Agent:
         if not any(entry.name in hidden for entry in self.observation):
             return None
         return tuple(
-            place for place, (index, _) in enumerate(self.seen) if self.numbers[index].name not in hidden
+            column for column, (index, _) in enumerate(self.seen) if self.numbers[index].name not in hidden
         )
 
     @cached_property
@@ -702,7 +702,7 @@ class Agent:
     @property
     def newest(self) -> list[int]:
         """The index of the newest value of each number among those that the policy sees."""
-        return [place for place, (_, age) in enumerate(self.seen) if age == 0]
+        return [column for column, (_, age) in enumerate(self.seen) if age == 0]
 
     @cached_property
     def inputs(self) -> tuple[ObservedValue, ...]:

@@ -446,7 +446,7 @@ class ShardListener(Protocol):
     def on_row(self) -> None:
         """Called for each row of each step."""
 
-    def on_episode(self, world: int, episode: Episode, stage: int, drawn: Mapping[str, Any]) -> None:
+    def on_episode(self, world: int, episode: Episode, stage: int, draws: Mapping[str, Any]) -> None:
         """Called for each episode with the number of its world, in the order of steps and rows."""
 
     def on_answer(self, answer: Answer) -> None:
@@ -640,20 +640,20 @@ class ShardedCollector(FetchingCollector):
         upcoming = next(endings, None)
         for number in range(len(fragment.rewards)):
             is_last = number + 1 == len(fragment.rewards)
-            here: list[Ending] = []
+            step_endings: list[Ending] = []
             for row in range(self.rows):
                 self._listener.on_row()
                 if upcoming is not None and (upcoming[0][0], upcoming[0][1].row) == (number, row):
-                    (_, ending), (stage, drawn) = upcoming
-                    self._listener.on_episode(row // self._width, ending.episode, stage, drawn)
-                    here.append(ending)
+                    (_, ending), (stage, draws) = upcoming
+                    self._listener.on_episode(row // self._width, ending.episode, stage, draws)
+                    step_endings.append(ending)
                     upcoming = next(endings, None)
             self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
             self._observations = (
                 fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
             )
             yield WorldsStep(
-                self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, here
+                self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, step_endings
             )
 
     def state(self) -> ShardState:

@@ -82,14 +82,14 @@ def in_order(
 ) -> list[Episode]:
     """Return the episodes in the order of `numbers`; the last one is the first for which `until` returns
     True."""
-    done: dict[int, Episode] = {}
+    episodes_by_number: dict[int, Episode] = {}
     episodes: list[Episode] = []
     for number, episode in finished:
-        done[number] = episode
+        episodes_by_number[number] = episode
         if on_episode is not None:
-            on_episode(len(done), len(numbers))
-        while len(episodes) < len(numbers) and numbers[len(episodes)] in done:
-            episodes.append(done[numbers[len(episodes)]])
+            on_episode(len(episodes_by_number), len(numbers))
+        while len(episodes) < len(numbers) and numbers[len(episodes)] in episodes_by_number:
+            episodes.append(episodes_by_number[numbers[len(episodes)]])
             if until is not None and until(episodes):
                 return episodes
     return episodes
@@ -115,21 +115,21 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
     answers: list[Any] = [None] * len(passes)
     lost = len(worlds.losses)
     observations = worlds.reset(seeds[:count])
-    drawn = [single.drawn() for single in worlds.singles]
+    draws = [single.drawn() for single in worlds.singles]
     while not running.resting.all():
         masks = None if choices is None else worlds.action_masks()
-        for place, forward in enumerate(passes):
-            part = slice(place * size, min(count, (place + 1) * size))
-            if answers[place] is None or not running.resting[part].all():
+        for index, forward in enumerate(passes):
+            part = slice(index * size, min(count, (index + 1) * size))
+            if answers[index] is None or not running.resting[part].all():
                 forward.put_all(observations, slice(part.start * width, part.stop * width), masks)
-                answers[place] = forward.predict(policy, deterministic=True)
+                answers[index] = forward.predict(policy, deterministic=True)
         outcome = running.step_all(np.concatenate(answers)[: worlds.count])
         if len(worlds.losses) > lost:
             raise EngineError(worlds.losses[-1].error)
         begun = []
-        for place, world in enumerate(outcome.done.tolist()):
+        for index, world in enumerate(outcome.done.tolist()):
             number, row = numbers[world], world % size
-            yield number, running.close(world, outcome.infos[place], seeds[number], drawn[world])
+            yield number, running.close(world, outcome.infos[index], seeds[number], draws[world])
             if waiting[row]:
                 numbers[world] = waiting[row].popleft()
                 passes[world // size].starts[row * width : (row + 1) * width] = True
@@ -139,7 +139,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
         if begun:
             worlds.begin(begun, [seeds[numbers[world]] for world in begun])
             for world in begun:
-                drawn[world] = worlds.singles[world].drawn()
+                draws[world] = worlds.singles[world].drawn()
         observations = worlds.observations() if begun else worlds.rows.by_row(outcome.observations)
 
 

@@ -204,7 +204,7 @@ def safe_name(name: str) -> str:
 
 
 def _episodes(path: Path, steps: Sequence[Payloads]) -> Iterator[RecordedEpisode]:
-    begun = [place for place, step in enumerate(steps) if "/episode" in step]
+    begun = [index for index, step in enumerate(steps) if "/episode" in step]
     if begun[:1] != [0]:
         raise RecordingError(f"{path} is damaged: it does not begin with an episode")
     for first, end in zip(begun, [*begun[1:], len(steps)], strict=True):

@@ -164,8 +164,8 @@ def _episodes(
             events = []
     numbers = Counter(number for number, steps in episodes if steps)
     twice = any(times > 1 for times in numbers.values())
-    for place, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
-        yield LoggedEpisode(place if twice else number, steps)
+    for index, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
+        yield LoggedEpisode(index if twice else number, steps)
 
 
 EVENT_PREFIXES = {

@@ -102,12 +102,12 @@ class OfferedCollector(FetchingCollector):
             yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
 
 
-def own_ending(place: Place, ending: Ending) -> Ending:
+def own_ending(seat: Place, ending: Ending) -> Ending:
     """Return the last step of an episode as it was for an agent."""
-    has_ended = place.member.name in ending.episode.agent_endings
+    has_ended = seat.member.name in ending.episode.agent_endings
     return ending._replace(
-        episode=own_episode(place.member, ending.episode),
-        observation=place.observation(ending.observation),
+        episode=own_episode(seat.member, ending.episode),
+        observation=seat.observation(ending.observation),
         timed_out=ending.timed_out and not has_ended,
     )
 
@@ -120,9 +120,9 @@ class SeatCollector(OfferedCollector):
         of_all: The collector of the worlds.
     """
 
-    def __init__(self, place: Place, of_all: Any) -> None:
-        super().__init__(of_all, place)
-        self._place, self.rows = place, of_all.rows
+    def __init__(self, seat: Place, of_all: Any) -> None:
+        super().__init__(of_all, seat)
+        self._seat, self.rows = seat, of_all.rows
 
     @property
     def starts(self) -> Array:
@@ -130,18 +130,18 @@ class SeatCollector(OfferedCollector):
         return starts
 
     def begin(self) -> Any:
-        return self._place.observation(self._of_all.begin())
+        return self._seat.observation(self._of_all.begin())
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        place, name = self._place, self._place.member.name
+        seat, name = self._seat, self._seat.member.name
         return replace(
             _own_course(of_all, of_all.agent_phases.get(name)),
-            observations=place.observation(of_all.observations),
-            actions=place.actions(of_all.actions),
+            observations=seat.observation(of_all.observations),
+            actions=seat.actions(of_all.actions),
             rewards=of_all.agent_rewards[name],
             columns=own_entries(of_all.columns, name),
-            following=place.observation(of_all.following),
-            endings=[(number, own_ending(place, ending)) for number, ending in of_all.endings],
+            following=seat.observation(of_all.following),
+            endings=[(number, own_ending(seat, ending)) for number, ending in of_all.endings],
             agent_rewards={},
             agent_phases={},
         )
@@ -156,10 +156,10 @@ class SharedCollector(OfferedCollector):
         of_all: The collector of the worlds.
     """
 
-    def __init__(self, places: Sequence[Place], of_all: Any) -> None:
-        super().__init__(of_all, places[0])
-        self._seats = [SeatCollector(place, of_all) for place in places]
-        self.rows = len(places) * of_all.rows
+    def __init__(self, seats: Sequence[Place], of_all: Any) -> None:
+        super().__init__(of_all, seats[0])
+        self._seats = [SeatCollector(seat, of_all) for seat in seats]
+        self.rows = len(seats) * of_all.rows
 
     @property
     def starts(self) -> Array:
@@ -201,9 +201,9 @@ class JointActor:
     """
 
     def __init__(
-        self, places: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
+        self, seats: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
     ) -> None:
-        self._places, self._actors, self._masked = places, actors, masked
+        self._seats, self._actors, self._masked = seats, actors, masked
 
     def begin(self) -> None:
         for actor in self._actors.values():
@@ -212,9 +212,9 @@ class JointActor:
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
         decisions = {
             name: actor(
-                self._places[name].observation(observations),
+                self._seats[name].observation(observations),
                 starts,
-                masks[:, self._places[name].masks] if masks is not None and name in self._masked else None,
+                masks[:, self._seats[name].masks] if masks is not None and name in self._masked else None,
             )
             for name, actor in self._actors.items()
         }

@@ -98,8 +98,8 @@ class Source:
             else cls._named(Path(source), str(source), permissions, error)
         )
         if kinds and opened.kind not in kinds:
-            *others, final = (kind.value for kind in kinds)
-            expected = f"{', '.join(others)} or {final}" if others else final
+            *first_kinds, final = (kind.value for kind in kinds)
+            expected = f"{', '.join(first_kinds)} or {final}" if first_kinds else final
             description = (
                 "a file"
                 if opened.kind is SourceKind.SCENARIO and opened.path.suffix not in (".yaml", ".yml")
@@ -230,12 +230,12 @@ def _name_for(path: Path) -> str:
 def _hint(path: Path) -> str:
     inside = Path("runs") / path
     beside = [path.with_name(path.name + ending) for ending in (".yaml", ".yml")]
-    near = next((str(file) for file in (*beside, inside) if file.exists()), None)
-    if near is not None:
-        return f"did you mean {near}?"
-    here = Path.cwd()
-    if elsewhere := _elsewhere(path, here):
-        return f"did you mean {elsewhere}? The current folder is {here}"
+    candidate = next((str(file) for file in (*beside, inside) if file.exists()), None)
+    if candidate is not None:
+        return f"did you mean {candidate}?"
+    folder = Path.cwd()
+    if elsewhere := _elsewhere(path, folder):
+        return f"did you mean {elsewhere}? The current folder is {folder}"
     names = shipped.scenario_names()
     if path.stem in names and len(path.parts) == 1:  # for example, `cartpole.yaml`
         return (
@@ -243,23 +243,23 @@ def _hint(path: Path) -> str:
             f" copies it to {path.stem}.yaml"
         )
     if _is_path_of_run(path):
-        return f"the current folder is {here}; {_runs_there(here)}"
-    near = nearest_word(path.stem, names)
-    is_shipped = near is not None and is_typo(path.stem, near) and len(path.parts) == 1
+        return f"the current folder is {folder}; {_runs_there(folder)}"
+    candidate = nearest_word(path.stem, names)
+    is_shipped = candidate is not None and is_typo(path.stem, candidate) and len(path.parts) == 1
     if path.suffix in (".yaml", ".yml") and not is_shipped:
-        return f"the current folder is {here}{_scenario_files(here, path)}"
+        return f"the current folder is {folder}{_scenario_files(folder, path)}"
     return (
-        f"did you mean {near}? (`deepbots scenarios` shows all)"
-        if near
+        f"did you mean {candidate}? (`deepbots scenarios` shows all)"
+        if candidate
         else f"the shipped scenarios are: {', '.join(names)}"
     )
 
 
-def _runs_there(here: Path) -> str:
+def _runs_there(parent: Path) -> str:
     """Return the runs in the folder `runs` of a folder, the newest first."""
     try:
         folders = [
-            Path(entry.path) for entry in islice(os.scandir(here / "runs"), _MAX_RUNS) if entry.is_dir()
+            Path(entry.path) for entry in islice(os.scandir(parent / "runs"), _MAX_RUNS) if entry.is_dir()
         ]
         newest = sorted(
             (folder for folder in folders if folder_kind(folder)), key=os.path.getmtime, reverse=True
@@ -271,7 +271,7 @@ def _runs_there(here: Path) -> str:
     more = ", and `deepbots runs` lists all" if len(newest) > _MAX_LISTED else ""
     return (
         "its runs, the newest first, are"
-        f" {', '.join(str(run.relative_to(here)) for run in newest[:_MAX_LISTED])}{more}"
+        f" {', '.join(str(run.relative_to(parent)) for run in newest[:_MAX_LISTED])}{more}"
     )
 
 
@@ -283,30 +283,30 @@ def _is_path_of_run(path: Path) -> bool:
     )
 
 
-def _elsewhere(path: Path, here: Path) -> str | None:
+def _elsewhere(path: Path, folder: Path) -> str | None:
     """Return the path of the named file in a folder above, or below this one."""
     if path.is_absolute() or not (path.suffix or _is_path_of_run(path)):
         return None
     with_runs = Path("runs") / path
-    for above in (*here.parents,)[:_MAX_ABOVE]:
+    for above in (*folder.parents,)[:_MAX_ABOVE]:
         for name in (path, with_runs):
             if (above / name).exists():
-                return os.path.relpath(above / name, here)
+                return os.path.relpath(above / name, folder)
     # A path such as `hw/mine.yaml` in the folder hw.
-    inside = path.relative_to(here.name) if path.parts[0] == here.name and len(path.parts) > 1 else None
+    inside = path.relative_to(folder.name) if path.parts[0] == folder.name and len(path.parts) > 1 else None
     if inside is not None and inside.exists():
         return str(inside)
-    near = None if _is_path_of_run(path) else files.find_in(here, path.name, depth=1)
-    return os.path.relpath(near, here) if near else None
+    match = None if _is_path_of_run(path) else files.find_in(folder, path.name, depth=1)
+    return os.path.relpath(match, folder) if match else None
 
 
-def _scenario_files(here: Path, path: Path) -> str:
+def _scenario_files(folder: Path, path: Path) -> str:
     """Return the scenario files of a folder, the nearest in name first."""
-    names = sorted(file.name for file in here.glob("*.y*ml"))
+    names = sorted(file.name for file in folder.glob("*.y*ml"))
     by_stem = {Path(name).stem: name for name in names}
-    near = nearest_word(path.stem, by_stem)
-    if near:
-        return f"; did you mean {by_stem[near]}?"
+    suggestion = nearest_word(path.stem, by_stem)
+    if suggestion:
+        return f"; did you mean {by_stem[suggestion]}?"
     return (
         f", whose .yaml files are {', '.join(names[:_MAX_LISTED])}" if names else ", which has no .yaml file"
     )

@@ -191,7 +191,7 @@ class Worlds:
             action = (
                 actions[index * self._width : (index + 1) * self._width] if self._is_team else actions[index]
             )
-            outcomes, done = self._act(index, action)
+            outcomes, has_ended = self._act(index, action)
             world_observations = []
             for row, (observation, reward, terminated, truncated, info) in enumerate(
                 outcomes, index * self._width
@@ -201,15 +201,15 @@ class Worlds:
                 accumulator.add(reward, info)
                 lengths.append(accumulator.length)
                 self._on_step()
-                if done:
+                if has_ended:
                     episode = accumulator.close(_own(info, terminated or truncated))
                     self._on_episode(index, episode)
                     endings.append(Ending(row, episode, observation, not terminated))
                 world_observations.append(observation)
                 rewards.append(reward)
-                dones.append(done)
+                dones.append(has_ended)
                 infos.append(info)
-            observations += self._go_on(index) if done else world_observations
+            observations += self._go_on(index) if has_ended else world_observations
         self.observations = self._stack(observations)
         return WorldsStep(
             self.observations,
@@ -236,12 +236,12 @@ class Worlds:
         """Make a step of a world. Returns the outcome of each row, and whether the episode is over."""
         world = self.worlds[index]
         observation, reward, terminated, truncated, info = world.step(action)
-        done = terminated or truncated
+        has_ended = terminated or truncated
         if not self._is_team:
-            return [(observation, float(reward), terminated, truncated, info)], done
+            return [(observation, float(reward), terminated, truncated, info)], has_ended
         return [
             (a.get_observations(), a.get_reward(), *a.is_done(), a.get_info()) for a in self._agents_of(world)
-        ], done
+        ], has_ended
 
     def _go_on(self, index: int) -> list[Any]:
         """Begin the next episode of a world, or the first of the one that follows it."""
@@ -375,14 +375,14 @@ class BatchEpisodes:
         row: int,
         info: Mapping[str, Any],
         seed: int | None = None,
-        drawn: Mapping[str, Any] | None = None,
+        draws: Mapping[str, Any] | None = None,
     ) -> Episode:
         """Return the finished episode of a row, given the info of its last step. The next one begins."""
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
         total, length = float(self.returns[row]), int(self._lengths[row])
         self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
         success, ended_by, ends = info["is_success"], info["ended_by"], info.get("agent_endings", {})
-        return Episode(total, length, success, ended_by, terms, seed, drawn or {}, ends)
+        return Episode(total, length, success, ended_by, terms, seed, draws or {}, ends)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""
@@ -489,9 +489,9 @@ class BatchWorlds(Worlds):
 
     def _observe(self) -> Any:
         """Return the observations of each world in its stage."""
-        (_, first), *others = self._batches.items()
+        (_, first), *other_batches = self._batches.items()
         observations = first.batch.observations()
-        for stage, episodes in others:
+        for stage, episodes in other_batches:
             rows, more = self._rows_in(stage), episodes.batch.observations()
             for target, source in (
                 zip(observations.values(), more.values(), strict=True)
@@ -502,17 +502,17 @@ class BatchWorlds(Worlds):
         return observations
 
     def action_masks(self) -> Array:
-        (_, first), *others = self._batches.items()
+        (_, first), *other_batches = self._batches.items()
         masks = first.batch.action_masks()
-        for stage, episodes in others:
+        for stage, episodes in other_batches:
             rows = self._rows_in(stage)
             masks[rows] = episodes.batch.action_masks()[rows]
         return masks
 
     def scripted(self, name: str) -> Array:
-        (_, first), *others = self._batches.items()
+        (_, first), *other_batches = self._batches.items()
         actions = np.asarray(first.batch.script(name))
-        for stage, episodes in others:
+        for stage, episodes in other_batches:
             rows = self._rows_in(stage)
             actions[rows] = np.asarray(episodes.batch.script(name))[rows]
         return actions
@@ -532,24 +532,24 @@ class BatchWorlds(Worlds):
                 for loss in episodes.batch.losses[losses_before:]:
                     self._recorder.record_lost(stage, loss, episodes.batch.histories.snapshot()[loss.world])
             rewards[acting] = outcome.rewards[acting]
-            for agent, places in self._term_places.items():
-                agent_rewards[agent][acting] = outcome.terms[places].sum(axis=0)[acting]
+            for agent, term_rows in self._term_places.items():
+                agent_rewards[agent][acting] = outcome.terms[term_rows].sum(axis=0)[acting]
             for agent in self._agents_alone:
                 phases[agent][acting] = _phases_of(episodes.batch, agent)[acting]
             dones[outcome.done] = True
-            ended |= {row: (place, outcome, episodes) for place, row in enumerate(outcome.done.tolist())}
+            ended |= {row: (index, outcome, episodes) for index, row in enumerate(outcome.done.tolist())}
         begun: dict[int, list[tuple[int, int | None]]] = {}
         endings = []
         for row in range(self.rows):
             self._on_step()
             if row in ended:
-                place, outcome, episodes = ended[row]
-                infos[row], world = outcome.infos[place], row // self._width
+                index, outcome, episodes = ended[row]
+                infos[row], world = outcome.infos[index], row // self._width
                 episode = episodes.close(
                     row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )
                 self._on_episode(world, episode)
-                final_observation = by_part(itemgetter(place), outcome.final_observations)
+                final_observation = by_part(itemgetter(index), outcome.final_observations)
                 endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)

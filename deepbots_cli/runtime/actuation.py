@@ -164,10 +164,10 @@ class Motor:
     def hold(self) -> None:
         """Keep the joints where they are, as far as a motor of this kind can."""
         if self._kind != "torque_motor":
-            rest = self._rest()
-            self._exert(rest)
+            targets = self._rest()
+            self._exert(targets)
             if self.response is not None:
-                self.response.start(rest)
+                self.response.start(targets)
 
     def _rest(self) -> Sequence[float]:
         """Return the targets at which the joints stay where they are."""
@@ -390,7 +390,7 @@ class Thrust:
         strengths = [strength] * len(self._rotors) if isinstance(strength, (int, float)) else strength
         self._effects: list[tuple[str, Triple, Triple]] = []
         """The link of each rotor, and force and torque on it per thrust that is commanded."""
-        for (carrier, place, axis, moment_constant), rotor_strength in zip(
+        for (carrier, position, axis, moment_constant), rotor_strength in zip(
             self._rotors, strengths, strict=True
         ):
             force = frames.scaled(axis, max(0.0, rotor_strength))
@@ -398,7 +398,7 @@ class Thrust:
                 (
                     carrier,
                     force,
-                    frames.add(frames.cross(place, force), frames.scaled(force, moment_constant)),
+                    frames.add(frames.cross(position, force), frames.scaled(force, moment_constant)),
                 )
             )
         self._loads: list[tuple[Pusher, Triple, Triple]] = []

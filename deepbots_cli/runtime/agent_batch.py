@@ -55,8 +55,8 @@ class AgentBatch:
         self.singles = [AgentEnvironment(single, scenario, policies=policies) for single in world.singles]
         self.count, self.rows = len(self.singles), WorldRows(1, has_copies=False)
         members = world.scenario.members
-        self._places = {name: Place(member, world.agent) for name, member in members.items()}
-        self._own = self._places[others.agent]
+        self._seats = {name: Place(member, world.agent) for name, member in members.items()}
+        self._own = self._seats[others.agent]
         self.observation_space, self.action_space = self._own.observation_space, self._own.action_space
         self.TERMS = tuple(self._own.member.terms)
         self._terms = [world.TERMS.index(name) for name in self._own.member.terms.values()]
@@ -66,10 +66,10 @@ class AgentBatch:
         names = {part.name: joint_name(others.agent, part.name) for part in choices}
         self.options = world.options.of_agent(self.agent, names)
         self._policies = {
-            name: _PolicyRows(policy, self._places[name], world) for name, policy in policies.items()
+            name: _PolicyRows(policy, self._seats[name], world) for name, policy in policies.items()
         }
         self._acts: dict[str, _Act] = {
-            name: self._policies.get(name) or _driven(world, self._places[name], driver)
+            name: self._policies.get(name) or _driven(world, self._seats[name], driver)
             for name, driver in others.drivers.items()
         }
 
@@ -144,7 +144,7 @@ class AgentBatch:
         observations = self.world.observations()
         parts = [
             self._acts[name](observations, acting) if name in self._acts else parts_of_rows(action)
-            for name in self._places
+            for name in self._seats
         ]
         choices, ranges = (np.concatenate(columns, axis=1) for columns in zip(*parts, strict=True))
         return compose_rows(self.world.action_space, choices, ranges)
@@ -195,14 +195,14 @@ class _PolicyRows:
     """Acts for an agent with a policy, which takes its most likely actions, in all worlds: world i in row i
     mod `FORWARD_BATCH_SIZE` of one of several forward passes."""
 
-    def __init__(self, policy: Predictor, place: Place, world: BatchSupervisor) -> None:
-        self._policy, self._place, self._world = policy, place, world
+    def __init__(self, policy: Predictor, seat: Place, world: BatchSupervisor) -> None:
+        self._policy, self._seat, self._world = policy, seat, world
         count = len(world.singles)
         self._slices = [
             slice(first, min(first + FORWARD_BATCH_SIZE, count))
             for first in range(0, count, FORWARD_BATCH_SIZE)
         ]
-        self._passes: list[ForwardPass] = [forward_pass(policy, place) for _ in self._slices]
+        self._passes: list[ForwardPass] = [forward_pass(policy, seat) for _ in self._slices]
 
     def begin(self, worlds: Sequence[int]) -> None:
         """Begin episodes: a recurrent policy forgets the previous ones."""
@@ -210,8 +210,8 @@ class _PolicyRows:
             self._passes[world // FORWARD_BATCH_SIZE].starts[world % FORWARD_BATCH_SIZE] = True
 
     def __call__(self, of_all: Any, acting: Column) -> _Parts:
-        observations = self._place.observation(of_all)
-        masks = self._world.action_masks()[:, self._place.masks] if self._policy.takes_masks else None
+        observations = self._seat.observation(of_all)
+        masks = self._world.action_masks()[:, self._seat.masks] if self._policy.takes_masks else None
         answers = []
         for rows, forward in zip(self._slices, self._passes, strict=True):
             forward.put_all(observations, rows, masks)
@@ -220,9 +220,9 @@ class _PolicyRows:
         return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
 
 
-def _driven(world: BatchSupervisor, place: Place, driver: str) -> _Act:
+def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:
     """Return who acts for an agent in all worlds: a script, `random` or `zero`."""
-    member, agent, count = place.member, place.member.program.agent, len(world.singles)
+    member, agent, count = seat.member, seat.member.program.agent, len(world.singles)
     options, width = [len(part.options) for part in agent.choices], len(agent.range_names)
     still = np.zeros((count, len(options)), np.int64), np.zeros((count, width), np.float32)
     if driver == ZERO:

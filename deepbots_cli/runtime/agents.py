@@ -337,10 +337,10 @@ class AgentEnvironment(gym.Env[Any, Any]):
         return self.rebuild, ()
 
 
-def forward_pass(policy: Predictor, place: Place) -> ForwardPass:
+def forward_pass(policy: Predictor, seat: Place) -> ForwardPass:
     """Return a forward pass of a policy that acts for an agent."""
-    options = sum(len(part.options) for part in place.member.program.agent.choices)
-    return ForwardPass(place.observation_space, options if policy.takes_masks else None)
+    options = sum(len(part.options) for part in seat.member.program.agent.choices)
+    return ForwardPass(seat.observation_space, options if policy.takes_masks else None)
 
 
 class PolicyAct:

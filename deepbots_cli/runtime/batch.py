@@ -238,11 +238,14 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         observations, rewards, terms = self.observations(), self.rewards(), self.terms()
         terminated, truncated = self.terminated, self.truncated
         ended = self.rows.any_in_world(terminated | truncated)
-        done = np.flatnonzero(ended if resting is None else ended & ~resting)
-        if not len(done):
-            return BatchStep(observations, rewards, terms, terminated, truncated, done, None, [])
-        last, infos = by_part(itemgetter(done), observations), [self.info(world) for world in done.tolist()]
-        return BatchStep(observations, rewards, terms, terminated, truncated, done, last, infos)
+        ended_worlds = np.flatnonzero(ended if resting is None else ended & ~resting)
+        if not len(ended_worlds):
+            return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, None, [])
+        last, infos = (
+            by_part(itemgetter(ended_worlds), observations),
+            [self.info(world) for world in ended_worlds.tolist()],
+        )
+        return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, last, infos)
 
     def begin(
         self,
@@ -300,16 +303,16 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
                 self._take_over_from(begun)
                 on_begin(begun)
             if step < last:
-                places = [step - last + len(episode.actions) for episode in episodes]
+                indices = [step - last + len(episode.actions) for episode in episodes]
                 rows = [
-                    episode.actions[place] if place >= 0 else idle
-                    for place, episode in zip(places, episodes, strict=True)
+                    episode.actions[index] if index >= 0 else idle
+                    for index, episode in zip(indices, episodes, strict=True)
                 ]
                 action = complete(self.rows.by_row(joined(rows)))
                 self.histories.actions.append(self.rows.by_world(action))
                 with np.errstate(all="ignore"):
                     self._advance(action)
-                on_step((np.array(places) >= 0).repeat(self.copies))
+                on_step((np.array(indices) >= 0).repeat(self.copies))
         self.histories.replace(episodes)
         return self.observations()
 
@@ -468,11 +471,11 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def normals(self, stream: str, count: int) -> Column:
         """Return standard normal numbers, a column each."""
         running = self.running
-        drawn = np.zeros((count, self.count))
+        numbers = np.zeros((count, self.count))
         for row, single in enumerate(self._singles):
             if running is None or running[row]:
-                drawn[:, row] = single.streams[stream].standard_normal(count)
-        return drawn
+                numbers[:, row] = single.streams[stream].standard_normal(count)
+        return numbers
 
     def allow(self, choice: str, *allowed: Any) -> None:
         """Let some options of a choice be allowed next: a column of truth values for each."""
@@ -486,7 +489,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
             terms = dict(zip(self.TERMS, self.terms()[:, world], strict=True))
             raise self.failed(world, infinite_reward(terms))
 
-    def failed(self, row: int, what: str) -> EvaluationError:
+    def failed(self, row: int, problem: str) -> EvaluationError:
         world = row // self.copies
         seed = self.singles[world].streams.root
-        return EvaluationError(f"step {int(self.step_count[row])} of world {world} (seed {seed}): {what}")
+        return EvaluationError(f"step {int(self.step_count[row])} of world {world} (seed {seed}): {problem}")

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     Column = NDArray[Any]
 
 
-def pick(table: dict[int, Any], chosen: Any) -> Any:
+def pick(table: dict[int, Any], options: Any) -> Any:
     """Return the values of each world's option: a column, or one per value of an option."""
-    return np.array(list(table.values()))[chosen].T
+    return np.array(list(table.values()))[options].T
 
 
 def clamp(x: Any, low: Any, high: Any) -> Any:
@@ -127,11 +127,13 @@ class BatchMemory:
     world."""
 
     def __init__(
-        self, singles: Sequence[formulas.Memory | formulas.Memories], chosen: Callable[[], Column | None]
+        self,
+        singles: Sequence[formulas.Memory | formulas.Memories],
+        updated_worlds: Callable[[], Column | None],
     ) -> None:
-        """Create the memory; `chosen` gives the worlds in which the memory is updated, as truth values; None
-        for all."""
-        self._singles, first, self._chosen = singles, singles[0], chosen
+        """Create the memory; `updated_worlds` gives the worlds in which the memory is updated, as truth
+        values; None for all."""
+        self._singles, first, self._chosen = singles, singles[0], updated_worlds
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
         kind, count = (
             (first.component, first.count)

@@ -184,10 +184,10 @@ class SupervisedRobots(WithMemories):
         spec = next(
             link for link in self.scenario.links if (link.sender, link.receiver) == (sender, receiver)
         )
-        here, there = self.engine.pose(sender), self.engine.pose(receiver)
+        sender_pose, receiver_pose = self.engine.pose(sender), self.engine.pose(receiver)
 
         def apart() -> tuple[tuple[float, float, float], Any]:
-            (a, _), (b, _) = here(), there()
+            (a, _), (b, _) = sender_pose(), receiver_pose()
             return (b[0] - a[0], b[1] - a[1], b[2] - a[2]), None
 
         channel = LossyChannel(

@@ -46,10 +46,13 @@ def copy_name(copies: RobotCopies, number: int) -> str:
 def world_with_copies(world: WorldModel, copies: RobotCopies) -> WorldModel:
     """Return the world with the copies in place of the robot."""
     original = next(robot for robot in world.robots if robot.name == copies.robot)
-    others = tuple(robot for robot in world.robots if robot is not original)
+    other_robots = tuple(robot for robot in world.robots if robot is not original)
     return replace(
         world,
-        robots=(*others, *(replace(original, name=copy_name(copies, k + 1)) for k in range(copies.count))),
+        robots=(
+            *other_robots,
+            *(replace(original, name=copy_name(copies, k + 1)) for k in range(copies.count)),
+        ),
     )
 
 
@@ -177,8 +180,8 @@ class BatchOfCopies:
         writers = [getattr(view, kind)(*subjects, **curve) for view in self._views]
 
         def write(targets: Sequence[Any]) -> None:
-            for place, write_copy in enumerate(writers):
-                rows = slice(place, None, self._count)
+            for index, write_copy in enumerate(writers):
+                rows = slice(index, None, self._count)
                 self._engine.write_mask = None if self.write_mask is None else self.write_mask[rows]
                 write_copy([target[rows] if isinstance(target, np.ndarray) else target for target in targets])
             self._engine.write_mask = None
@@ -339,22 +342,22 @@ class CopiesSupervisor(Supervisor):
             agent._begin()
             agent.note_draws()
             if number == 0:
-                drawn = agent.drawn()
-                shared = {entry.key: drawn[entry.name] for entry in self._shared if entry.name in drawn}
+                draws = agent.drawn()
+                shared = {entry.key: draws[entry.name] for entry in self._shared if entry.name in draws}
         if self._engines[0].settling:
             self.engine.step(self._engines[0].settling)
 
-    def choose_values(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
-        self._chosen = chosen or {}
+    def choose_values(self, values: Mapping[str, Mapping[str, Any]] | None) -> None:
+        self._chosen = values or {}
 
     def note_draws(self) -> None:
         """Keep the draws that all copies share, by name, and those of each copy after its name."""
         shared = {entry.name for entry in self._shared}
         first = next(iter(self.agents.values()))
-        self._drawn = {place: value for place, value in first.drawn().items() if place in shared}
+        self._drawn = {key: value for key, value in first.drawn().items() if key in shared}
         for name, agent in self.agents.items():
-            copy_draws = {place: value for place, value in agent.drawn().items() if place not in shared}
-            self._drawn |= {f"{name}.{place}": value for place, value in copy_draws.items()}
+            copy_draws = {key: value for key, value in agent.drawn().items() if key not in shared}
+            self._drawn |= {f"{name}.{key}": value for key, value in copy_draws.items()}
 
     def present_values(self) -> Drawn:
         first = next(iter(self.agents.values()))

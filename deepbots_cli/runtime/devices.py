@@ -50,15 +50,15 @@ class BatchNormals:
         if normals.rows_left:
             self._blocks[world] = normals.drawn
 
-    def row(self, wanted: Column | None) -> Column:
-        """Return a row per component; worlds that are not `wanted` keep theirs."""
+    def row(self, mask: Column | None) -> Column:
+        """Return a row per component; worlds outside `mask` keep theirs."""
         left = self._left
-        empty = left == 0 if wanted is None else (left == 0) & wanted
+        empty = left == 0 if mask is None else (left == 0) & mask
         for world in np.flatnonzero(empty).tolist():
             self._blocks[world] = self._singles[world].block()
             left[world] = ROWS_PER_BLOCK
         block = self._blocks[self._every, left - 1]
-        self._left = left - 1 if wanted is None else left - wanted
+        self._left = left - 1 if mask is None else left - mask
         return block.T
 
 

@@ -100,19 +100,19 @@ def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tupl
     """Return functions for distance, distance in the plane, bearing, roll, pitch, yaw and tilt, of numbers or
     of columns by the given functions."""
 
-    def distance(pose: Frame, other: Frame) -> Any:
+    def distance(pose: Frame, target: Frame) -> Any:
         """Return the distance (m) between two origins."""
-        (x, y, z), (to_x, to_y, to_z) = pose[0], other[0]
+        (x, y, z), (to_x, to_y, to_z) = pose[0], target[0]
         return hypot(to_x - x, to_y - y, to_z - z)
 
-    def ground_distance(pose: Frame, other: Frame) -> Any:
+    def ground_distance(pose: Frame, target: Frame) -> Any:
         """Return the distance (m) between two origins in the plane."""
-        (x, y, _), (to_x, to_y, _) = pose[0], other[0]
+        (x, y, _), (to_x, to_y, _) = pose[0], target[0]
         return hypot(to_x - x, to_y - y)
 
-    def bearing(pose: Frame, other: Frame) -> Any:
+    def bearing(pose: Frame, target: Frame) -> Any:
         """Return the horizontal angle (rad) from straight ahead to the other origin; left is positive."""
-        (x, y, _), (to_x, to_y, _) = pose[0], other[0]
+        (x, y, _), (to_x, to_y, _) = pose[0], target[0]
         ahead_x, ahead_y = _ahead(pose[1])
         dx, dy = to_x - x, to_y - y
         return atan2(ahead_x * dy - ahead_y * dx, ahead_x * dx + ahead_y * dy)
@@ -192,7 +192,7 @@ class Memory(ABC):
         self.begin(*arguments)
         return self.advance(*arguments)
 
-    def begin(self, x: Any, *others: Any) -> Any:
+    def begin(self, x: Any, *arguments: Any) -> Any:
         """Keep the first value; most functions give it back."""
         self.kept = x
         return x
@@ -234,11 +234,11 @@ def memory_of_vector(
 ) -> Memory | Memories:
     """Return the memory of a stateful function for a vector of `count` components; `update` takes and returns
     vectors."""
-    whole = _VECTOR_MEMORIES.get(kind)
+    vector_memory = _VECTOR_MEMORIES.get(kind)
     return (
         Memories(kind, count, timestep, on_message=on_message)
-        if whole is None
-        else whole(count, timestep, on_message=on_message)
+        if vector_memory is None
+        else vector_memory(count, timestep, on_message=on_message)
     )
 
 
@@ -415,14 +415,14 @@ _VECTOR_MEMORIES: dict[type[Memory], type[VectorMemory]] = {
 }
 
 
-def foreign(what: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
+def foreign(noun: str, name: str, module: str, function: str, truth: bool) -> Callable[[Supervisor], Any]:
     """Return the function that gives the term `name`, a truth value if `truth`, else a number, from the
     supervisor.
 
     Raises:
         UsageError: There is no such function, or its module cannot be imported.
     """
-    called = f"the {what} '{name}' in Python ({module}:{function})"
+    called = f"the {noun} '{name}' in Python ({module}:{function})"
     try:
         imported = getattr(import_module(module), function)
     except Exception as error:  # whatever the module does while it is imported

@@ -131,7 +131,7 @@ def value_slots(layout: MessageLayout, start: int = 0) -> list[int | slice]:
 
 
 def _each(slots: Sequence[int | slice], values: Sequence[Any]) -> list[Any]:
-    return [values[place] for place in slots]
+    return [values[slot] for slot in slots]
 
 
 def scalar_fields(layout: MessageLayout) -> list[tuple[str, str]]:
@@ -267,7 +267,7 @@ json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgs
 def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:
     """Return the error for a `message` that does not fit `layout`: it names robot, direction, step and
     field."""
-    place = (
+    prefix = (
         f"robot '{layout.robot}', {'to' if layout.direction == 'to_robot' else 'from'} the robot, step {step}"
     )
     expected = scalar_fields(layout)
@@ -278,11 +278,11 @@ def layout_error(layout: MessageLayout, format: str, message: object, step: int)
         values = codec(layout, format).parts(message)
     except DECODING_ERRORS:
         return MessageError(
-            f"{place}: the message cannot be read as {format}; {expectation}, got {excerpt(message)}"
+            f"{prefix}: the message cannot be read as {format}; {expectation}, got {excerpt(message)}"
         )
     if not values or values[0] != layout.layout_hash:
         return MessageError(
-            f"{place}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not"
+            f"{prefix}: the message has another layout (stamp {excerpt(values[0] if values else None)}, not"
             f" {layout.layout_hash}); {expectation}"
         )
     if len(values) - 1 != len(expected):
@@ -292,12 +292,12 @@ def layout_error(layout: MessageLayout, format: str, message: object, step: int)
             if missing
             else "the message has too many values"
         )
-        return MessageError(f"{place}: {detail}; {expectation}, got {len(values) - 1}")
+        return MessageError(f"{prefix}: {detail}; {expectation}, got {len(values) - 1}")
     for (name, dtype), value in zip(expected, values[1:], strict=True):
         if not _fits(value, dtype):
-            return MessageError(f"{place}: field '{name}' should be a {dtype}, got {excerpt(value)}")
+            return MessageError(f"{prefix}: field '{name}' should be a {dtype}, got {excerpt(value)}")
     return MessageError(
-        f"{place}: the message does not fit its layout; {expectation}, got {excerpt(message)}"
+        f"{prefix}: the message does not fit its layout; {expectation}, got {excerpt(message)}"
     )
 
 

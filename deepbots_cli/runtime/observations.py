@@ -31,13 +31,13 @@ class FrameStack:
 
     def __init__(self, shape: Sequence[int], ages: Sequence[int], depth: int) -> None:
         self.frames = np.zeros((depth, *shape), np.uint8)
-        self._places = (np.arange(depth)[:, None] - np.array(ages)) % depth
+        self._indices = (np.arange(depth)[:, None] - np.array(ages)) % depth
         self._shape = (*shape[:2], shape[2] * len(ages))
 
     def seen(self, newest: int) -> NDArray[np.uint8]:
         """Return the pictures, oldest first, with their channels side by side; a copy. `newest` is the place
         of the last one."""
-        return np.reshape(self.frames[self._places[newest]].transpose(1, 2, 0, 3), self._shape)
+        return np.reshape(self.frames[self._indices[newest]].transpose(1, 2, 0, 3), self._shape)
 
 
 class ObservedFrames:
@@ -143,7 +143,7 @@ class ObservedColumns(ABC):
         self.goal = np.zeros((2 * self._size, count), np.float32)
 
     @abstractmethod
-    def failed(self, row: int, what: str) -> EvaluationError:
+    def failed(self, row: int, problem: str) -> EvaluationError:
         """Return the error of an episode, with the place of its row."""
 
     def set_observation(self, *numbers: Any) -> None:
@@ -159,8 +159,8 @@ class ObservedColumns(ABC):
         if not np.isfinite(frame).all():
             worlds = np.flatnonzero(~np.isfinite(frame).all(axis=0) & ~self.lost)
             if len(worlds):
-                places = np.flatnonzero(~np.isfinite(frame[:, worlds]).all(axis=1))
-                names = ", ".join(dict.fromkeys(self.agent.numbers[place].name for place in places))
+                indices = np.flatnonzero(~np.isfinite(frame[:, worlds]).all(axis=1))
+                names = ", ".join(dict.fromkeys(self.agent.numbers[index].name for index in indices))
                 raise self.failed(int(worlds[0]), f"the observation {names} is not finite")
 
     def next_frame(self) -> None:

@@ -48,8 +48,8 @@ class Observer:
             )
             texts |= dict.fromkeys(names, self._goal.achieved.text)
         texts |= {full: signal.text for signal in program.signals for full, _ in signal.numbers}
-        read = (leaf.full_name for tree in self._achieved.values() for leaf in names_in(tree))
-        self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *read)))
+        leaf_names = (leaf.full_name for tree in self._achieved.values() for leaf in names_in(tree))
+        self.values = tuple(dict.fromkeys((*(value.name for value in self._inputs), *leaf_names)))
         self._computed = {
             name: texts[name]
             for name in self.values

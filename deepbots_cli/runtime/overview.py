@@ -64,7 +64,7 @@ def extent(scenario: Program) -> list[Bounds]:
     robots = list(_robot_boxes(scenario, places, parameters))
     around = [
         *_surroundings(world),
-        *(box for thing in world.objects for box in _object_boxes(thing, world, places, parameters)),
+        *(box for body in world.objects for box in _object_boxes(body, world, places, parameters)),
     ]
     if world.arena is None and robots:
         around = list(_crop_to_robots(robots, around))
@@ -92,13 +92,13 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
     return View(eye, add(eye, scaled(back, dot(middle, back) - distance)), width, height)
 
 
-def shift_beside(boxes: Sequence[Bounds], others: Sequence[Bounds]) -> Triple:
+def shift_beside(boxes: Sequence[Bounds], other_boxes: Sequence[Bounds]) -> Triple:
     """Return the shift (m) that puts other boxes to the right of boxes, as `view_around` sees these."""
     _, (right, _, _) = _axes(boxes)
     (left_start, left_end), (right_start, right_end) = (
         (min(along), max(along))
         for along in (
-            [dot(corner, right) for corner in _corners([box_around(scene)])] for scene in (boxes, others)
+            [dot(corner, right) for corner in _corners([box_around(scene)])] for scene in (boxes, other_boxes)
         )
     )
     gap = _SCENE_GAP * max(left_end - left_start, right_end - right_start)
@@ -178,15 +178,15 @@ def _robot_boxes(scenario: Program, places: dict[str, Placement], parameters: Pa
 
 
 def _object_boxes(
-    thing: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters
+    body: ObjectBody, world: WorldModel, places: dict[str, Placement], parameters: Parameters
 ) -> Iterator[Bounds]:
     """Yield an object in each of its forms, wherever it may be."""
-    place = places.get(thing.name) or places.get(thing.name.partition("#")[0])
-    for shape in (thing.shape, *(variant.shape for variant in thing.variants)):
-        low, high = _tilted(bounds_of_shape(shape), thing.pose.rpy, place, parameters)
+    place = places.get(body.name) or places.get(body.name.partition("#")[0])
+    for shape in (body.shape, *(variant.shape for variant in body.variants)):
+        low, high = _tilted(bounds_of_shape(shape), body.pose.rpy, place, parameters)
         yield _box_where_placed(
-            _all_round((low, high)) if thing.pose.rpy[2] else (low, high),
-            thing.pose.xyz,
+            _all_round((low, high)) if body.pose.rpy[2] else (low, high),
+            body.pose.xyz,
             place,
             world,
             places,
@@ -246,7 +246,7 @@ def _box_where_placed(
         return add(low, own_position), add(high, own_position)
     ends = [_value_range(scalar, parameters) for scalar in place.xyz]
     if isinstance(place.spot, Top):
-        support = next(thing for thing in world.objects if thing.name == place.spot.of)
+        support = next(body for body in world.objects if body.name == place.spot.of)
         (x, y, _), (x_end, y_end, top) = next(_object_boxes(support, world, places, parameters))
         ends = [(x, x_end), (y, y_end), (ends[2][0] + top, ends[2][1] + top)]
         low, high = (0.0, 0.0, low[2]), (0.0, 0.0, high[2])  # it stands within the top

@@ -58,7 +58,7 @@ class Ways:
         self._bodies = bodies
         self._arena = world.arena
         self.forms = bodies.forms if bodies else Forms(world)
-        self._solids = [(thing, engine.pose(thing.name)) for thing in world.objects if thing.solid]
+        self._solids = [(body, engine.pose(body.name)) for body in world.objects if body.solid]
         self._ways: dict[tuple[Part, Part], _PathQuery] = {}
 
     def reset(self) -> None:
@@ -66,18 +66,18 @@ class Ways:
         for query in self._ways.values():
             query.is_current = False
 
-    def distance(self, one: Part, other: Part) -> Callable[[], float]:
+    def distance(self, start: Part, goal: Part) -> Callable[[], float]:
         """Return a reader of the length of the shortest path, m."""
-        return self._way(one, other).length
+        return self._way(start, goal).length
 
-    def bearing(self, one: Part, other: Part) -> Callable[[], float]:
+    def bearing(self, start: Part, goal: Part) -> Callable[[], float]:
         """Return a reader of the angle from the forward axis to where the shortest path leads, rad; left is
         positive."""
-        return self._way(one, other).bearing
+        return self._way(start, goal).bearing
 
-    def reachable(self, one: Part, other: Part) -> Callable[[], bool]:
+    def reachable(self, start: Part, goal: Part) -> Callable[[], bool]:
         """Return a reader of whether there is a path."""
-        return self._way(one, other).is_open
+        return self._way(start, goal).is_open
 
     def _way(self, first: Part, second: Part) -> _PathQuery:
         if (first, second) not in self._ways:
@@ -102,20 +102,20 @@ class Ways:
 
     def solids(self, *but: str) -> Iterator[tuple[ObjectBody, PoseReader]]:
         """Return the solid objects of this episode."""
-        there = self._bodies.placed if self._bodies else ()
+        placed = self._bodies.placed if self._bodies else ()
         return (
-            (thing, pose)
-            for thing, pose in self._solids
-            if thing.name not in but and (not thing.pooled or thing.name in there)
+            (body, pose)
+            for body, pose in self._solids
+            if body.name not in but and (not body.pooled or body.name in placed)
         )
 
-    def patch(self, thing: ObjectBody, pose: tuple[Triple, Quaternion]) -> Patch | None:
+    def patch(self, body: ObjectBody, pose: tuple[Triple, Quaternion]) -> Patch | None:
         """Return the patch of an object at a pose; None if it does not rise above the ground."""
         (x, y, z), turn = pose
         rpy = roll_pitch_yaw(turn)
-        if self.forms.top(thing.name, z, rpy) <= _MIN_OBSTACLE_HEIGHT_M:
+        if self.forms.top(body.name, z, rpy) <= _MIN_OBSTACLE_HEIGHT_M:
             return None
-        return self.forms.footprint(thing.name, rpy).at(x, y, rpy[2])
+        return self.forms.footprint(body.name, rpy).at(x, y, rpy[2])
 
     def area(self, patches: list[Patch], ends: tuple[Spot, Spot], radius: float) -> Area:
         """Return the inside of the arena; without an arena, the box around everything and `_CLEARANCE`."""
@@ -135,13 +135,15 @@ class Ways:
 class _PathQuery:
     """The way from one part of the world to another."""
 
-    def __init__(self, ways: Ways, one: Part, other: Part, here: PoseReader, there: PoseReader) -> None:
+    def __init__(
+        self, ways: Ways, start: Part, goal: Part, start_pose: PoseReader, goal_pose: PoseReader
+    ) -> None:
         self.is_current = False
         self._field: DistanceField | None = None
         self._shown: _FieldInputs | None = None
         self._ways = ways
-        self._one, self._other = one, other
-        self._here, self._there = here, there
+        self._one, self._other = start, goal
+        self._here, self._there = start_pose, goal_pose
         self._watched: list[tuple[PoseReader, float, float]] = []
         """The bodies that may move, and where they were when the field was computed."""
 
@@ -179,19 +181,19 @@ class _PathQuery:
         """Return the field of the world as it is; the last one if it has the same arguments, as in a world
         whose bodies start where they did."""
         ways, goal = self._ways, self._there()[0]
-        standing = [(thing, read, read()) for thing, read in ways.solids(self._one[0], self._other[0])]
-        patches = [patch for thing, _, pose in standing if (patch := ways.patch(thing, pose)) is not None]
+        standing = [(body, read, read()) for body, read in ways.solids(self._one[0], self._other[0])]
+        patches = [patch for body, _, pose in standing if (patch := ways.patch(body, pose)) is not None]
         self._watched = [
-            (read, *pose[0][:2]) for thing, read, pose in standing if not ways.forms.is_fixed(thing.name)
+            (read, *pose[0][:2]) for body, read, pose in standing if not ways.forms.is_fixed(body.name)
         ]
         if not ways.is_fixed(self._other):
             self._watched.append((self._there, goal[0], goal[1]))
         radius = ways.forms.half_width(self._one[0])
         x, y, _ = self._here()[0]
         area = ways.area(patches, ((x, y), goal[:2]), radius)
-        shown: _FieldInputs = (area, radius, patches, goal[:2], ways.radius(self._other))
-        if self._field is None or shown != self._shown:
-            self._field, self._shown = DistanceField(*shown), shown
+        inputs: _FieldInputs = (area, radius, patches, goal[:2], ways.radius(self._other))
+        if self._field is None or inputs != self._shown:
+            self._field, self._shown = DistanceField(*inputs), inputs
         self.is_current = True
         return self._field
 
@@ -275,13 +277,17 @@ class DistanceField:
         i, j = min(int(inside_column), self._columns - 2), min(int(inside_row), self._rows - 2)
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN_CELLS, j + MARGIN_CELLS
-        here, there = self._lengths[j], self._lengths[j + 1]
+        row_lengths, next_lengths = self._lengths[j], self._lengths[j + 1]
         # One of the four nodes has no path.
-        if not self._filled and here[i] + here[i + 1] + there[i] + there[i + 1] >= UNREACHABLE_LENGTH:
+        if (
+            not self._filled
+            and row_lengths[i] + row_lengths[i + 1] + next_lengths[i] + next_lengths[i + 1]
+            >= UNREACHABLE_LENGTH
+        ):
             self._fill()
             return self.length(x, y)
-        low = here[i] + u * (here[i + 1] - here[i])
-        length = low + v * (there[i] + u * (there[i + 1] - there[i]) - low)
+        low = row_lengths[i] + u * (row_lengths[i + 1] - row_lengths[i])
+        length = low + v * (next_lengths[i] + u * (next_lengths[i + 1] - next_lengths[i]) - low)
         if column == inside_column and row == inside_row:
             return length * self._unit
         return length * self._unit + self.cell * hypot(column - inside_column, row - inside_row)
@@ -313,17 +319,17 @@ class DistanceField:
         while self._reached[row, column] and hypot(points[-1][0] - x, points[-1][1] - y) <= limit:
             points.append((float(self._x[column]), float(self._y[row])))
             # The length of a node is that of the next node and of the move there.
-            here = self._found[row, column]
+            length = self._found[row, column]
             nodes = [
                 (row + sign * up, column + sign * aside, hypot(up, aside))
                 for up, aside in _MOVES
                 for sign in (1, -1)
             ]
             misfit, row, column = min(
-                (abs(self._found[i, j] + self._step * LENGTH_SCALE * move - here), i, j)
+                (abs(self._found[i, j] + self._step * LENGTH_SCALE * move - length), i, j)
                 for i, j, move in nodes
             )
-            if misfit > 1e-6 or self._found[row, column] >= here:
+            if misfit > 1e-6 or self._found[row, column] >= length:
                 return [*points, self._goal]
         return points
 
@@ -331,8 +337,8 @@ class DistanceField:
         """Return whether there is a way from a place, or from a node beside it."""
         i = min(max(int((x - self._left) / self.cell), 0), self._columns - 2) + MARGIN_CELLS
         j = min(max(int((y - self._low) / self.cell), 0), self._rows - 2) + MARGIN_CELLS
-        here, there = self._open[j], self._open[j + 1]
-        return here[i] or here[i + 1] or there[i] or there[i + 1]
+        open_row, next_row = self._open[j], self._open[j + 1]
+        return open_row[i] or open_row[i + 1] or next_row[i] or next_row[i + 1]
 
 
 def _nodes(low: float, high: float, cell: float) -> tuple[float, int]:
@@ -468,7 +474,7 @@ class Follower:
     def reset(self) -> None:
         """Begin an episode: the next place is where the way along the line begins."""
         self._at = -1  # the piece that the body is beside; none yet
-        self._place = (0.0, 0.0)
+        self._position = (0.0, 0.0)
         self._cross_track_error = self._arc_length = self._arc = 0.0
 
     def __call__(self, position: Sequence[float]) -> tuple[float, float]:
@@ -481,10 +487,10 @@ class Follower:
         x, y = position[0], position[1]
         if self._at < 0:
             candidates: Iterable[int] = range(len(self._pieces))
-        elif (x, y) == self._place:
+        elif (x, y) == self._position:
             return self._cross_track_error, self._arc_length
         else:
-            moved = hypot(x - self._place[0], y - self._place[1])
+            moved = hypot(x - self._position[0], y - self._position[1])
             candidates = self._near(2.0 * (moved + abs(self._cross_track_error)) + self._width)
         at, arc, nearest, side = max(self._at, 0), self._arc, float("inf"), 0.0
         for index in candidates:
@@ -495,16 +501,16 @@ class Follower:
         if self._at >= 0:
             step = arc - self._arc
             self._arc_length += step - self._length * round(step / self._length) if self._closed else step
-        self._at, self._arc, self._place = at, arc, (x, y)
+        self._at, self._arc, self._position = at, arc, (x, y)
         self._cross_track_error = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
         return self._cross_track_error, self._arc_length
 
     def _near(self, reach: float) -> Iterator[int]:
         """Yield pieces that begin or end within `reach` along the line of the body's last place, that one
         first."""
-        count, here = len(self._pieces), self._pieces[self._at]
+        count, piece = len(self._pieces), self._pieces[self._at]
         yield self._at
-        for sign, distance in ((1, here.start + here.length - self._arc), (-1, self._arc - here.start)):
+        for sign, distance in ((1, piece.start + piece.length - self._arc), (-1, self._arc - piece.start)):
             index = self._at
             for _ in range(count - 1):
                 index += sign

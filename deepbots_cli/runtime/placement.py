@@ -54,9 +54,7 @@ class Arrangement:
         self._height = ground_height(world.terrain)
         self.forms = Forms(world)
         self._floor = Floor(world.arena.size if world.arena else None)
-        built_in = [
-            thing.name for thing in world.objects if not thing.pooled and thing.name not in placed_bodies
-        ]
+        built_in = [body.name for body in world.objects if not body.pooled and body.name not in placed_bodies]
         self._built_in = [self.forms.at_home(name) for name in built_in]
         self._capacity = {group.name: group.capacity for group in scenario.reset.groups}
         self._poses: dict[str, tuple[Triple, ...]] = {}
@@ -364,14 +362,17 @@ class Floor:
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
         """Return whether each body above the height `base` (m) keeps its clearance and that of the patch."""
         x, y, radius = patch.x, patch.y, patch.radius
-        for other, other_clearance, top in self._taken:
+        for obstacle, other_clearance, top in self._taken:
             if top <= base + TOUCHING_TOLERANCE_M:
                 continue
             patch_distance = (
                 clearance if clearance > other_clearance else other_clearance
             ) - TOUCHING_TOLERANCE_M
-            dx, dy, near = x - other.x, y - other.y, radius + other.radius + patch_distance
-            if dx * dx + dy * dy < near * near and footprint.patch_distance(patch, other) < patch_distance:
+            dx, dy, reach = x - obstacle.x, y - obstacle.y, radius + obstacle.radius + patch_distance
+            if (
+                dx * dx + dy * dy < reach * reach
+                and footprint.patch_distance(patch, obstacle) < patch_distance
+            ):
                 return False
         return True
 
@@ -381,18 +382,18 @@ class Floor:
         """Return the spots where a disc that fits into the body would be free: a cheap test that drops most
         spots of a crowd."""
         obstacles = [
-            (other, other_clearance)
-            for other, other_clearance, top in self._taken
+            (obstacle, other_clearance)
+            for obstacle, other_clearance, top in self._taken
             if top > base + TOUCHING_TOLERANCE_M
         ]
         if not spots or not obstacles:
             return spots
         at_origin = covered.at(0.0, 0.0, yaw)
-        others = [
+        rows = [
             (o.x, o.y, *(o.half or (0.0, 0.0)), o.cos, o.sin, 0.0 if o.half else o.radius, other_clearance)
             for o, other_clearance in obstacles
         ]
-        x, y, half_x, half_y, c, s, around, clearances = np.array(others).T
+        x, y, half_x, half_y, c, s, around, clearances = np.array(rows).T
         dx, dy = np.add(spots, (at_origin.x, at_origin.y)).T[..., None] - np.array((x, y))[:, None]
         along = np.maximum(np.abs(c * dx + s * dy) - half_x, 0.0)
         across = np.maximum(np.abs(c * dy - s * dx) - half_y, 0.0)
@@ -426,9 +427,14 @@ class Surface(NamedTuple):
         return self.patch.contains(patch, margin - TOUCHING_TOLERANCE_M)
 
 
-def intersection(one: Area, other: Area) -> Area:
+def intersection(first: Area, second: Area) -> Area:
     """Return the intersection of two areas; of an empty one, the lowest coordinate is above the highest."""
-    return max(one[0], other[0]), max(one[1], other[1]), min(one[2], other[2]), min(one[3], other[3])
+    return (
+        max(first[0], second[0]),
+        max(first[1], second[1]),
+        min(first[2], second[2]),
+        min(first[3], second[3]),
+    )
 
 
 def _fits(spot: Spot, coordinates: tuple[float | None, float | None]) -> bool:
@@ -473,8 +479,8 @@ def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.ran
         for j in range(rows)
         for i in range(columns)
     ]
-    drawn = [middles[index] for index in generator.permutation(len(middles))]
-    return [(x, y) for x, y in drawn if _contains(within, x, y)]
+    shuffled_middles = [middles[index] for index in generator.permutation(len(middles))]
+    return [(x, y) for x, y in shuffled_middles if _contains(within, x, y)]
 
 
 class Forms:
@@ -482,12 +488,12 @@ class Forms:
 
     def __init__(self, world: WorldModel) -> None:
         self.models = {robot.name: robot.model for robot in world.robots}
-        self.things: dict[str, ObjectBody] = {thing.name: thing for thing in world.objects}
+        self.things: dict[str, ObjectBody] = {body.name: body for body in world.objects}
         self.chosen: dict[str, Variant] = {}
         self._robots = {name: footprint.robot_footprint(model) for name, model in self.models.items()}
         self._widths = {name: footprint.half_width(model) for name, model in self.models.items()}
-        shapes = [thing.shape for thing in world.objects]
-        shapes += [variant.shape for thing in world.objects for variant in thing.variants]
+        shapes = [body.shape for body in world.objects]
+        shapes += [variant.shape for body in world.objects for variant in body.variants]
         self._upright = {shape: footprint.shape_footprint(shape) for shape in shapes}
 
     def draw(self, body: str, streams: Streams) -> None:

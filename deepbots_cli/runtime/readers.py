@@ -239,8 +239,8 @@ class Accelerometer:
 
 def touch(site: Site) -> Instrument:
     """Measure whether each link touched something in any engine step since the timestep before."""
-    others = None if site.sensor.against is None else [_part(name) for name in site.sensor.against]
-    readers = [site.engine.contact((site.robot, link), others) for link in site.sensor.subjects]
+    other_parts = None if site.sensor.against is None else [_part(name) for name in site.sensor.against]
+    readers = [site.engine.contact((site.robot, link), other_parts) for link in site.sensor.subjects]
     if len(readers) == 1:
         (only,) = readers
         return Instrument(lambda: (only(),))
@@ -401,16 +401,16 @@ def radar(site: Site) -> Instrument:
     if measure == "seen":
 
         def seen() -> list[bool]:
-            here = motion()
-            return [read(here) is not None for read in targets]
+            own_motion = motion()
+            return [read(own_motion) is not None for read in targets]
 
         return Instrument(seen)
-    place = Echo._fields.index(measure)
+    index = Echo._fields.index(measure)
 
     def measured() -> list[float]:
-        here = motion()
-        echoes = [read(here) for read in targets]
-        return [nan if echo is None else echo[place] for echo in echoes]
+        own_motion = motion()
+        echoes = [read(own_motion) for read in targets]
+        return [nan if echo is None else echo[index] for echo in echoes]
 
     return Instrument(measured, unseen=spec.unseen)
 
@@ -423,10 +423,10 @@ def echo_reader(site: Site, spec: RadarConfig, target: str) -> Callable[[Motion]
     if spec.occlusion:
         is_free = site.engine.line_of_sight((site.robot, site.link), (target, None), site.mount[0])
 
-    def echo(here: Motion) -> Echo | None:
-        (place, rotation), (own_velocity, _) = here
+    def echo(own_motion: Motion) -> Echo | None:
+        (own_position, rotation), (own_velocity, _) = own_motion
         (position, _), (velocity, _) = motion()
-        offset = frames.subtract(position, place)
+        offset = frames.subtract(position, own_position)
         distance = hypot(*offset)
         if distance == 0.0 or not spec.near <= distance <= spec.far:
             return None

@@ -61,9 +61,9 @@ class Streams:
         """Whether this is a later copy of a robot, for which the first copy drew and placed the other
         bodies."""
 
-    def begin(self, chosen: Mapping[str, Any]) -> None:
-        """Begin an episode, whose draws give the `chosen` values."""
-        self.drawn, self.chosen, self.member = {}, chosen, ""
+    def begin(self, values: Mapping[str, Any]) -> None:
+        """Begin an episode, whose draws give these `values`."""
+        self.drawn, self.chosen, self.member = {}, values, ""
 
     def key(self, name: str) -> str:
         """Return the key of a draw."""
@@ -143,20 +143,20 @@ class SupervisedDraws:
         self.episode_values: dict[str, float] = {}
         self._drawn: Drawn = {}
 
-    def choose_values(self, chosen: Mapping[str, Mapping[str, Any]] | None) -> None:
+    def choose_values(self, values: Mapping[str, Mapping[str, Any]] | None) -> None:
         """Begin the streams of an episode, with the values that `options` of `reset` chose."""
-        self.streams.begin(chosen[""] if chosen else NOTHING_CHOSEN)
+        self.streams.begin(values[""] if values else NOTHING_CHOSEN)
 
-    def episode_value(self, name: str, drawn: float) -> float:
+    def episode_value(self, name: str, drawn_value: float) -> float:
         """Return the value of this episode: the one that `options` of `reset` set, or else the one drawn."""
-        value = self.episode_values[name] = self.streams.take(name, drawn)
+        value = self.episode_values[name] = self.streams.take(name, drawn_value)
         return value
 
     def note_draws(self) -> None:
         """Keep the draws of the streams since the episode began, for `drawn`."""
-        drawn = self.streams.drawn
+        draws = self.streams.drawn
         self._drawn = {
-            entry.name: drawn[entry.key] for entry in self.scenario.draws.noted if entry.key in drawn
+            entry.name: draws[entry.key] for entry in self.scenario.draws.noted if entry.key in draws
         }
 
     def drawn(self) -> Drawn:
@@ -286,8 +286,8 @@ def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
             part for full in scenario.draws.by_name for part in (of_component.get(full, full), full)
         )
     ]
-    near = nearest_word(name, drawn_names)
-    hint = f"did you mean {near!r}? " if near else ""
+    suggestion = nearest_word(name, drawn_names)
+    hint = f"did you mean {suggestion!r}? " if suggestion else ""
     left = len(drawn_names) - _MAX_NAMES
     more = f" and {left} more, which `drawn` in the info of a reset lists" if left > 0 else ""
     copies = scenario.agent.copies
@@ -321,24 +321,24 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     if not math.isfinite(number):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is not finite")
     if options:
-        near = min(options, key=lambda option: abs(option - number))
-        if abs(near - number) > _FLOAT32_ROUNDING * abs(near):
+        nearest = min(options, key=lambda option: abs(option - number))
+        if abs(nearest - number) > _FLOAT32_ROUNDING * abs(nearest):
             raise UsageError(
                 f"reset cannot set {full!r} to {number:g}; use one of"
                 f" {', '.join(f'{option:g}' for option in options)}"
             )
-        return near
+        return nearest
     low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
-    near = min(max(float(number), low), high)
-    if abs(near - number) > _FLOAT32_ROUNDING * abs(near):
+    nearest = min(max(float(number), low), high)
+    if abs(nearest - number) > _FLOAT32_ROUNDING * abs(nearest):
         raise UsageError(
             f"reset cannot set {full!r} to {number:g}: it is drawn from {low:g} to {high:g} (SI units)"
         )
-    if isinstance(entry.tree, Draw) and entry.tree.distribution == "integer" and not near.is_integer():
+    if isinstance(entry.tree, Draw) and entry.tree.distribution == "integer" and not nearest.is_integer():
         raise UsageError(
             f"reset cannot set {full!r} to {number:g}: it is a whole number from {low:g} to {high:g}"
         )
-    return near
+    return nearest
 
 
 def _options(expression: Scalar | None) -> list[float]:

@@ -67,9 +67,9 @@ class Gate:
         cookie = f"deepbots-{self.port}={self.token}"
         token = urllib.parse.parse_qs(query).get("token", [""])[0]
         if secrets.compare_digest(token.encode(), self.token.encode()):
-            kept = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
-            here = "/" + urllib.parse.quote(path.lstrip("/"))  # two slashes would begin the name of a host
-            return Refusal(302, "Found", "", {"Location": here, "Set-Cookie": kept})
+            set_cookie = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
+            target = "/" + urllib.parse.quote(path.lstrip("/"))  # two slashes would begin the name of a host
+            return Refusal(302, "Found", "", {"Location": target, "Set-Cookie": set_cookie})
         sent = [part.strip() for part in headers.get("Cookie", "").split(";")]
         if not any(secrets.compare_digest(part.encode(), cookie.encode()) for part in sent):
             return Refusal(403, "Forbidden", "open the address that deepbots printed, with its token", {})
@@ -89,8 +89,8 @@ def address(host: str, port: int, token: str) -> str:
     """Return the URL of the page, for a browser of this machine or, beyond loopback, of another one."""
     if host in ("0.0.0.0", "::"):
         host = socket.gethostname()
-    shown = f"[{host}]" if ":" in host else host
-    return f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
+    url_host = f"[{host}]" if ":" in host else host
+    return f"http://{url_host}:{port}/" + (f"?token={token}" if token else "")
 
 
 def plain_address(host: str) -> str:

@@ -60,9 +60,9 @@ class BatchPlayer(Player):
         if name == POLICY and self.opened.run is not None:
             self.driver = RunDriver(self.opened.run, self.env, self.batch)
         elif name in (HAND, RANDOM, ZERO):
-            each = [self._make_driver(single, name) for single in self.batch.singles]
+            drivers = [self._make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(
-                lambda _: self.batch.rows.by_row(joined([driver.act(None) for driver in each]))
+                lambda _: self.batch.rows.by_row(joined([driver.act(None) for driver in drivers]))
             )
         else:
             raise UsageError(

@@ -63,10 +63,10 @@ class Showing:
         source = Source.open(self.reference, self.permissions, *SHOWN_KINDS)
         if source.kind is SourceKind.RECORDING:
             return self._open_recording(source.path, is_log=is_robot_log(source.path))
-        run, shown, overrides = None, self, self.overrides
+        run, showing, overrides = None, self, self.overrides
         if source.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
             ref = ModelRef.open(source, model=self.model)
-            run, shown = ref.run, replace(self, model=ref.name)
+            run, showing = ref.run, replace(self, model=ref.name)
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
@@ -76,16 +76,16 @@ class Showing:
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return ShowingState(None, error.findings, files, shown, run)
+            return ShowingState(None, error.findings, files, showing, run)
         files |= frozenset(checked.inputs.names) if run is None else files
         parameters = (
             {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         )
-        chosen = compiled.program.variant(self.case, self.stage)
-        if run is not None and run.program.members and chosen.others is not None:
-            run = run.of_agent(chosen.others.agent)
+        variant = compiled.program.variant(self.case, self.stage)
+        if run is not None and run.program.members and variant.others is not None:
+            run = run.of_agent(variant.others.agent)
         return ShowingState(
-            chosen, compiled.findings, files, shown, run, compiled=compiled, parameters=parameters
+            variant, compiled.findings, files, showing, run, compiled=compiled, parameters=parameters
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
@@ -99,17 +99,17 @@ class Showing:
         recording = RobotLog.read(path) if is_log else Recording.read(path)
         compiled = api.compile(Source.kept(recording.folder, self.permissions))
         metadata = recording.metadata
-        shown = replace(
+        showing = replace(
             self,
             engine=metadata.get("engine") or None,
             case=metadata.get("case") or None,
             stage=metadata.get("stage") or None,
         )
         return ShowingState(
-            compiled.program.variant(shown.case, shown.stage),
+            compiled.program.variant(showing.case, showing.stage),
             (),
             frozenset(),
-            shown,
+            showing,
             recording=recording,
             compiled=compiled,
         )
@@ -269,11 +269,11 @@ class Player:
             raise
 
     def _make(self, program: Program) -> Supervisor:
-        run, shown = self.opened.run, self.opened.shown
+        run, showing = self.opened.run, self.opened.shown
         return api.build(
             program,
-            engine=shown.engine or (run.engine_for(program) if run else None),
-            permissions=shown.permissions,
+            engine=showing.engine or (run.engine_for(program) if run else None),
+            permissions=showing.permissions,
         )
 
     def _reader(self) -> FrameReader:
@@ -290,9 +290,9 @@ class Player:
         elif self.opened.run is None:
             raise UsageError("only a run has a policy")
         else:
-            shown = self.opened.shown
+            showing = self.opened.shown
             self.driver = RunDriver(
-                self.opened.run, self.env, model=shown.model, deterministic=shown.deterministic
+                self.opened.run, self.env, model=showing.model, deterministic=showing.deterministic
             )
         self.driver_name = name
 

@@ -106,8 +106,8 @@ class SensorRays(NamedTuple):
         axes = np.array(
             [frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
         )
-        near = np.clip(1 - free / self.reach, 0.0, 1.0)
-        colors = np.concatenate([20 + 200 * near, 150 - 110 * near, 60 - 20 * near], axis=1)
+        closeness = np.clip(1 - free / self.reach, 0.0, 1.0)
+        colors = np.concatenate([20 + 200 * closeness, 150 - 110 * closeness, 60 - 20 * closeness], axis=1)
         ends = (self.starts, self.starts + free * self.directions)
         return np.stack(
             [np.concatenate([origin + end @ axes, colors], axis=1) for end in ends], axis=1
@@ -140,11 +140,11 @@ class FrameLayout:
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
         """Return the `achieved` or `desired` goal as a point (m, world frame), on the ground if it has no z;
         None if it is no position."""
-        places = [place for place, field in enumerate(self.observation) if field.group == word]
-        axes = [self.observation[place].name for place in places if self.observation[place].unit == "m"]
+        indices = [index for index, field in enumerate(self.observation) if field.group == word]
+        axes = [self.observation[index].name for index in indices if self.observation[index].unit == "m"]
         if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):
             return None
-        x, y, z = (*(agent.observation[place] for place in places), 0.0)[:3]
+        x, y, z = (*(agent.observation[index] for index in indices), 0.0)[:3]
         return x, y, z
 
 
@@ -316,7 +316,7 @@ class FrameReader:
             for name, model in models.items()
             for link in model.links
         }
-        self._poses |= {(thing.name, thing.name): engine.pose(thing.name) for thing in world.objects}
+        self._poses |= {(body.name, body.name): engine.pose(body.name) for body in world.objects}
         self._joints = {
             name: engine.joint_states(name, [joint.name for joint in model.moving_joints])
             for name, model in models.items()
@@ -328,19 +328,19 @@ class FrameReader:
         reported = touching if "contacts" in engine.capabilities else []
         self._forces = {part: engine.contact_force(part) for part in reported}
         controllers = {
-            self._called(name, copy): each
+            self._called(name, copy): controller
             for copy, agent in env.agents.items()
-            for name, each in agent.controllers.items()
+            for name, controller in agent.controllers.items()
         }
         devices = {
             f"{body}.{name}": device
-            for body, each in controllers.items()
-            for name, device in each.devices.items()
+            for body, controller in controllers.items()
+            for name, device in controller.devices.items()
         }
         cameras = {
             f"{body}.{sensor.name}"
-            for body, each in controllers.items()
-            for sensor in each.spec.sensors
+            for body, controller in controllers.items()
+            for sensor in controller.spec.sensors
             if sensor.optics
         }
         self._cameras = {key: device for key, device in devices.items() if key in cameras}
@@ -362,8 +362,8 @@ class FrameReader:
         )
         self._rays = {key: beam.reader(engine, rays) for key, (beam, rays) in beams.items()}
         self._pushes = list(self._pushed_links(models))
-        self._pooled = {thing.name for thing in world.objects if thing.pooled}
-        self._variants = {thing.name: thing.variants[0].name for thing in world.objects if thing.variants}
+        self._pooled = {body.name for body in world.objects if body.pooled}
+        self._variants = {body.name: body.variants[0].name for body in world.objects if body.variants}
         self._newest = np.array(program.agent.newest, np.intp)
         self._truths = [number.is_truth for number in program.agent.numbers]
         self._ranges = [(f.low, f.high) for f in self.layout.observation]
@@ -403,18 +403,18 @@ class FrameReader:
         bodies = [getattr(agent, "bodies", None) for agent in env.agents.values()]
         arrangement = next((arranged for arranged in bodies if isinstance(arranged, Arrangement)), None)
         absent = self._pooled - set(arrangement.placed) if arrangement else self._pooled
-        chosen: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
+        chosen_variants: Mapping[str, Variant] = arrangement.forms.chosen if arrangement else {}
         forces = {part: read() for part, read in self._forces.items()}
         several = len(env.agents) > 1 or next(iter(env.agents.values())) is not env
         agents = {}
         for row, (name, agent) in enumerate(env.agents.items()):
-            seen, done = (
+            own_observation, own_action = (
                 (value_of_row(observation, row), value_of_row(action, row))
                 if several
                 else (observation, action)
             )
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
-            agents[name] = self._agent(agent, seen, done, self._returns[name])
+            agents[name] = self._agent(agent, own_observation, own_action, self._returns[name])
         images = {key: camera.reading for key, camera in self._cameras.items()}
         return WorldFrame(
             step=env.step_count,
@@ -428,7 +428,7 @@ class FrameReader:
                 (part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR
             ),
             variants=self._variants
-            | {body: variant.name for body, variant in chosen.items() if body in self._variants},
+            | {body: variant.name for body, variant in chosen_variants.items() if body in self._variants},
             messages={
                 key: tap.message(channel, after_reset=not env.step_count)
                 for key, (channel, tap) in self._message_recorders.items()
@@ -453,7 +453,7 @@ class FrameReader:
         """Return the positions of the moving joints of each robot."""
         return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
-    def _agent(self, agent: Supervisor, seen: Any, done: Any, episode_return: float) -> AgentFrame:
+    def _agent(self, agent: Supervisor, seen: Any, action: Any, episode_return: float) -> AgentFrame:
         vector, goal = seen, []
         if isinstance(seen, dict):
             vector = seen.get("observation", np.zeros(0, np.float32))
@@ -468,7 +468,7 @@ class FrameReader:
         )
         return AgentFrame(
             values,
-            None if done is None else self._action(agent, done),
+            None if action is None else self._action(agent, action),
             agent.reward,
             episode_return,
             dict(agent.get_info()["reward_terms"]),
@@ -532,9 +532,9 @@ def _sector(mount: Pose, radar: RadarConfig) -> NDArray[np.float64]:
     count = 2 + int(radar.horizontal_fov / _ARC_STEP)
     angles = np.linspace(-radar.horizontal_fov / 2, radar.horizontal_fov / 2, count)
     directions = np.array([frames.rotate(turn, (np.cos(a), np.sin(a), 0.0)) for a in angles])
-    near, far = (np.array(origin) + reach * directions for reach in (max(0.0, radar.near), radar.far))
-    arcs = [np.stack([arc[:-1], arc[1:]], axis=1) for arc in (near, far)]
-    return np.concatenate([*arcs, np.stack([near, far], axis=1)[[0, -1]]])
+    inner, outer = (np.array(origin) + reach * directions for reach in (max(0.0, radar.near), radar.far))
+    arcs = [np.stack([arc[:-1], arc[1:]], axis=1) for arc in (inner, outer)]
+    return np.concatenate([*arcs, np.stack([inner, outer], axis=1)[[0, -1]]])
 
 
 _ARC_STEP = np.radians(6.0)

@@ -54,7 +54,7 @@ class LogPlayer(ReplayPlayer):
         """
         assert isinstance(opened.recording, RobotLog)
         self.log = opened.recording
-        self._numbers = [each.number for each in self.log.episodes]
+        self._numbers = [episode.number for episode in self.log.episodes]
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         Player.__init__(self, opened, ROBOT)
 
@@ -103,26 +103,27 @@ class LogPlayer(ReplayPlayer):
     @property
     def note(self) -> str:
         """The last event, the drawn values, and whether the log was read in part."""
-        last = next((event for step in self._rows[self._place :: -1] for event in step.events[::-1]), "")
-        drawn = (
+        last = next((event for step in self._rows[self._index :: -1] for event in step.events[::-1]), "")
+        drawn_text = (
             f"the log moves {', '.join(self._drawn)}"
             if self._drawn
             else "the log has no joint position and no pose"
         )
         partly = "".join(f" Note: {note}." for note in self.log.notes)
         return (
-            f"{last or 'no event so far'}. Drawn: {drawn}; all else stands as the scenario places it.{partly}"
+            f"{last or 'no event so far'}. Drawn: {drawn_text}; all else stands as the scenario places"
+            f" it.{partly}"
         )
 
-    def _frame_of(self, number: int, place: int) -> WorldFrame:
+    def _frame_of(self, number: int, index: int) -> WorldFrame:
         steps = self.log.episode(number).steps
-        step = steps[place]
-        inputs: Values = next((each.inputs for each in steps[place::-1] if each.inputs), {})
+        step = steps[index]
+        inputs: Values = next((earlier.inputs for earlier in steps[index::-1] if earlier.inputs), {})
         self._move(inputs)
-        is_last = place == len(steps) - 1
+        is_last = index == len(steps) - 1
         return replace(
             self._start,
-            step=place,
+            step=index,
             time=step.time,
             links={part: pose for part, pose in self.reader.links().items() if part in self._start.links},
             joints=self.reader.joints(),
@@ -171,7 +172,7 @@ class LogPlayer(ReplayPlayer):
                 else None
             )
         body = entry.name.partition("(")[2].removesuffix(")")
-        objects = [thing.name for thing in self.env.world.objects if not thing.fixed]
+        objects = [object_body.name for object_body in self.env.world.objects if not object_body.fixed]
         return body if body in roots or body in objects else None
 
     def _move(self, inputs: Values) -> None:
@@ -197,11 +198,11 @@ class LogPlayer(ReplayPlayer):
             elif (body := self._body(entry)) is not None and (
                 body in poses or (body, body) in self._start.links
             ):
-                place, turn = poses.get(body) or self._start.links[body, body]
+                origin, turn = poses.get(body) or self._start.links[body, body]
                 is_turn = _quantity(entry) == "orientation"
                 if is_turn and not math.isclose(math.hypot(*numbers), 1.0, rel_tol=0.01):
                     continue
-                poses[body] = (place, _four(numbers)) if is_turn else (_three(numbers), turn)
+                poses[body] = (origin, _four(numbers)) if is_turn else (_three(numbers), turn)
         for body, pose in poses.items():
             engine.place(body, *pose)
         for robot in self.env.world.robots:
@@ -218,15 +219,15 @@ def _columns(
     for entry in entries:
         if len(entry.shape) > 1 or entry.shape[0] > _MAX_NUMBERS:
             continue
-        names = entry.components or entry.joints or [str(place) for place in range(entry.shape[0])]
-        for place in range(entry.shape[0]):
-            name = f"{entry.name}.{names[place]}" if entry.shape[0] > 1 and place < len(names) else entry.name
+        names = entry.components or entry.joints or [str(index) for index in range(entry.shape[0])]
+        for index in range(entry.shape[0]):
+            name = f"{entry.name}.{names[index]}" if entry.shape[0] > 1 and index < len(names) else entry.name
             unit = units.of_entry(entry.name, entry.unit)
             column = _Column(
-                entry.name, place, PlottedField(name, entry.name, math.nan, math.nan, entry.unit, shown=unit)
+                entry.name, index, PlottedField(name, entry.name, math.nan, math.nan, entry.unit, shown=unit)
             )
             values = [value for row in rows if math.isfinite(value := column.of(row))] or [0.0]
-            low, high = (ends[place] for ends in entry.range) if entry.range is not None else (None, None)
+            low, high = (ends[index] for ends in entry.range) if entry.range is not None else (None, None)
             ends = min(values) if low is None else low, max(values) if high is None else high
             yield column._replace(field=column.field._replace(low=ends[0], high=ends[1]))
 

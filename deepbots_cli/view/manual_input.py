@@ -64,11 +64,13 @@ class ManualInput:
         """Create the input. With `turns_left`, a larger value of the range of A and D turns the robot to the
         left, so A increases it."""
         self._ranges = {field.name: field for field in fields if not field.options}
-        ahead, aside, *others = _RANGE_BINDINGS
+        ahead, aside, *other_bindings = _RANGE_BINDINGS
         if turns_left:
             aside = Binding(aside.negative_keys, aside.positive_keys, aside.axis, -aside.sign)
         pairs = (
-            [[ahead, aside]] if len(self._ranges) == 1 else [[binding] for binding in (ahead, aside, *others)]
+            [[ahead, aside]]
+            if len(self._ranges) == 1
+            else [[binding] for binding in (ahead, aside, *other_bindings)]
         )
         self.bindings = dict(zip(self._ranges, pairs, strict=False))
         self._choices = [field for field in fields if field.options]
@@ -106,12 +108,12 @@ class ManualInput:
         for name, field in self._ranges.items():
             values[name] = (2 * values[name] - field.low - field.high) / ((field.high - field.low) or 1.0)
         for field in self._choices:
-            wanted = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
-            if wanted is not None:
+            pressed = next((option for codes, option in self._keys_of(field) if keys & {*codes}), None)
+            if pressed is not None:
                 idle = _option(field, _IDLE_WORDS)  # a released key chooses the option that does nothing
                 values[field.name], self.base_values[field.name] = (
-                    float(wanted),
-                    float(wanted if idle is None else idle),
+                    float(pressed),
+                    float(pressed if idle is None else idle),
                 )
         return values
 

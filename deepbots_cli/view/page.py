@@ -151,9 +151,9 @@ class Page:
         """Pause, and make one step."""
         self.playback.step_once()
 
-    def seek(self, place: int) -> None:
+    def seek(self, index: int) -> None:
         """Pause at a frame of a recording."""
-        self.playback.seek(place)
+        self.playback.seek(index)
 
     def change_parameter(self, name: str, text: str) -> None:
         """Change a parameter of the scenario. The world begins anew once no further change arrives."""
@@ -187,10 +187,10 @@ class Page:
             return
         playback = self.playback
         # A script may go while it acts.
-        wanted = playback.driver if self.player is None or playback.driver in opened.drivers else None
-        name = wanted or (HAND if playback.by_hand else None)
+        driver = playback.driver if self.player is None or playback.driver in opened.drivers else None
+        name = driver or (HAND if playback.by_hand else None)
         rival = (
-            next((each for each in opened.drivers if each not in (RANDOM, ZERO, HAND)), None)
+            next((candidate for candidate in opened.drivers if candidate not in (RANDOM, ZERO, HAND)), None)
             if playback.by_hand
             else None
         )
@@ -224,13 +224,13 @@ class Page:
         controls = (
             [
                 (
-                    each.program.name,
-                    each.reader.layout.observation,
-                    each.reader.layout.action,
-                    each.reader.layout.terms,
-                    list(each.env.agents),
+                    shown_player.program.name,
+                    shown_player.reader.layout.observation,
+                    shown_player.reader.layout.action,
+                    shown_player.reader.layout.terms,
+                    list(shown_player.env.agents),
                 )
-                for each in players
+                for shown_player in players
             ],
             player.opened.drivers,
             self._written,
@@ -239,18 +239,23 @@ class Page:
         if controls != self._controls:
             self._clear()
         boxes, right = extent(player.program), ZERO_VECTOR
-        for other in players[1:]:
-            right = shift_beside(boxes, extent(other.program))
-            boxes += [(add(low, right), add(high, right)) for low, high in extent(other.program)]
+        for other_player in players[1:]:
+            right = shift_beside(boxes, extent(other_player.program))
+            boxes += [(add(low, right), add(high, right)) for low, high in extent(other_player.program)]
         size = self._cameras.aim(boxes)
-        for number, each in enumerate(players):
+        for number, world_player in enumerate(players):
             root = f"/world{number or ''}"
             world = WorldScene(
-                scene, each.env.world, each.reader.layout, size=size, root=root, place=scaled(right, number)
+                scene,
+                world_player.env.world,
+                world_player.reader.layout,
+                size=size,
+                root=root,
+                origin=scaled(right, number),
             )
-            reference = each.opened.shown.reference.rstrip("/")
+            reference = world_player.opened.shown.reference.rstrip("/")
             title = f"{'AB'[number]}: {reference.rpartition('/')[2]}" if len(players) > 1 else ""
-            playback.worlds.append(ShownWorld(each, world, title))
+            playback.worlds.append(ShownWorld(world_player, world, title))
             if title:
                 scene.add_label(
                     f"{root}/title", title, position=(0.0, 0.0, 0.3 * size), font_size_mode="screen"
@@ -304,7 +309,7 @@ class Page:
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
         page."""
-        drawn, due, checked = 0, time.perf_counter(), time.monotonic()
+        frame_count, due, checked = 0, time.perf_counter(), time.monotonic()
         while not until():
             period = 1 / self.frame_rate
             while not self._tasks.empty():
@@ -326,8 +331,8 @@ class Page:
                         period, continues=self.panel.show.continues.value
                     )
                 )
-                self._draw(texts=drawn % FRAMES_PER_TEXT == 0)
-            drawn, due = drawn + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
+                self._draw(texts=frame_count % FRAMES_PER_TEXT == 0)
+            frame_count, due = frame_count + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _draw(self, *, texts: bool) -> None:

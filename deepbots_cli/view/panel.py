@@ -189,10 +189,10 @@ class Panel:
         self.banner.content = panel_html.notice(*playback.stopped, "#D55E00") if playback.stopped else states
         player = playback.worlds[agent.world].player
         layout, frame = player.reader.layout, player.frame
-        others = frame.agents.keys() - {agent.name}
+        other_agents = frame.agents.keys() - {agent.name}
         rows = [
             *panel_html.agent_rows(layout, frame.agents[agent.name]),
-            *panel_html.message_rows(layout, frame, others),
+            *panel_html.message_rows(layout, frame, other_agents),
         ]
         self.values.content = panel_html.table(rows)
         if self.slider is not None:
@@ -262,11 +262,11 @@ class PlotsTab:
         self._gui = gui
         layout = worlds[agent.world].player.reader.layout
         fields: dict[str, list[tuple[PlottedField, PlottedValue]]] = {}
-        for number, each in enumerate(layout.observation):
-            fields.setdefault(each.group, []).append((each, partial(_observation_value, number, each)))
+        for number, field in enumerate(layout.observation):
+            fields.setdefault(field.group, []).append((field, partial(_observation_value, number, field)))
         fields |= {
-            f"action: {each.name}": [(each, partial(_action_value, number, each))]
-            for number, each in enumerate(layout.action)
+            f"action: {field.name}": [(field, partial(_action_value, number, field))]
+            for number, field in enumerate(layout.action)
         }
         self._plots: dict[str, Plot] = {}
         for group in layout.of_robot:
@@ -281,7 +281,7 @@ class PlotsTab:
             gui.add_html(panel_html.heading("reward terms"))
             terms = layout.terms[:_MAX_SERIES]
             self._plots["terms"] = self._add_plot(terms, 200, [partial(_term_value, term) for term in terms])
-        chosen = gui.add_dropdown("field", tuple(fields))
+        dropdown = gui.add_dropdown("field", tuple(fields))
         folder = gui.add_folder(None)
 
         def plot() -> None:
@@ -289,9 +289,9 @@ class PlotsTab:
             if "field" in self._plots:
                 self._plots["field"].handle.remove()
             with folder:
-                self._plots["field"] = self._add_fields(fields[chosen.value])
+                self._plots["field"] = self._add_fields(fields[dropdown.value])
 
-        chosen.on_update(lambda _: queue(plot))
+        dropdown.on_update(lambda _: queue(plot))
         plot()
 
     def _add_fields(self, fields: Sequence[tuple[PlottedField, PlottedValue]]) -> Plot:
@@ -393,12 +393,12 @@ class ShowTab:
             set() if any(world.player.shortest_paths() for world in playback.worlds) else {"shortest path"}
         )
         self._switches = {
-            what: gui.add_checkbox(what, on)
-            for what, on in first.scene.visible_parts.items()
-            if what not in useless
+            part: gui.add_checkbox(part, on)
+            for part, on in first.scene.visible_parts.items()
+            if part not in useless
         }
-        for what, box in self._switches.items():
-            box.on_update(lambda event, what=what: queue(lambda: self._set_visible(what, event.target.value)))
+        for part, box in self._switches.items():
+            box.on_update(lambda event, part=part: queue(lambda: self._set_visible(part, event.target.value)))
         self.follows = gui.add_checkbox("camera follows the robot", follows_robot(first.player.env.world))
         self.continues = gui.add_checkbox("next episode after the end", True)
         dark = gui.add_checkbox("dark", False)
@@ -406,12 +406,12 @@ class ShowTab:
 
     def apply(self) -> None:
         """Apply the switches to new scenes."""
-        for what, box in self._switches.items():
-            self._set_visible(what, box.value)
+        for part, box in self._switches.items():
+            self._set_visible(part, box.value)
 
-    def _set_visible(self, what: str, on: bool) -> None:
+    def _set_visible(self, part: str, on: bool) -> None:
         for world in self._playback.worlds:
-            world.scene.set_visible(what, on)
+            world.scene.set_visible(part, on)
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:

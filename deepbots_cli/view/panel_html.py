@@ -30,13 +30,13 @@ def agent_rows(layout: FrameLayout, agent: AgentFrame) -> Iterator[str]:
         )
     if agent.action is not None:
         yield _head("commands" if layout.of_robot else "action")
-        yield from _limited(_bar(*each) for each in zip(layout.action, agent.action, strict=True))
+        yield from _limited(_bar(*pair) for pair in zip(layout.action, agent.action, strict=True))
     if agent.allowed:
         options = [f"{entry.name}: {option}" for entry in layout.action for option in entry.options]
         forbidden = [option for option, may in zip(options, agent.allowed, strict=False) if not may]
         yield _row(f"forbidden in the next step: {', '.join(forbidden)}", "")
     yield _head("reported by the robot" if layout.of_robot else "observation")
-    yield from _limited(_bar(*each) for each in zip(layout.observation, agent.observation, strict=True))
+    yield from _limited(_bar(*pair) for pair in zip(layout.observation, agent.observation, strict=True))
 
 
 def training_rows(
@@ -50,18 +50,20 @@ def training_rows(
             _wide_row(f"{number}. {name}", f"{steps:,.0f}") for number, (name, steps) in enumerate(stages, 1)
         )
     yield _head("evaluations during the training" if evaluations else "no evaluation yet")
-    for each in list(reversed(evaluations))[:_MAX_ROWS]:
-        stage = f", stage {each['stage']}" if each["stage"] else ""
-        rate = f", success {fmean(each['successes']):.0%}" if success else ""
-        yield _wide_row(f"{each['steps']:,.0f} steps{stage}", f"return {fmean(each['returns']):.4g}{rate}")
+    for evaluation in list(reversed(evaluations))[:_MAX_ROWS]:
+        stage = f", stage {evaluation['stage']}" if evaluation["stage"] else ""
+        rate = f", success {fmean(evaluation['successes']):.0%}" if success else ""
+        yield _wide_row(
+            f"{evaluation['steps']:,.0f} steps{stage}", f"return {fmean(evaluation['returns']):.4g}{rate}"
+        )
 
 
-def message_rows(layout: FrameLayout, frame: WorldFrame, others: Collection[str]) -> Iterator[str]:
-    """Yield rows of the message that each receiver uses, with its age, except for those of the `others` among
-    copies of a robot."""
+def message_rows(layout: FrameLayout, frame: WorldFrame, other_agents: Collection[str]) -> Iterator[str]:
+    """Yield rows of the message that each receiver uses, with its age, except for those of the `other_agents`
+    among copies of a robot."""
     for key, message in frame.messages.items():
         robot, _, direction = key.partition("/")
-        if robot in others:
+        if robot in other_agents:
             continue
         age = f"{1000 * message.age:.0f} ms old{'' if message.received else ', no new message in this step'}"
         yield _head(f"message {'to' if direction == 'to_robot' else 'from'} {robot}: {age}")

@@ -133,10 +133,10 @@ def render_picture(
     """
     from PIL import Image, ImageDraw
 
-    shown = PaintedPath.of(player, path) if path else None
+    painted_path = PaintedPath.of(player, path) if path else None
     usual = overview(player.program, shot.width, shot.height)
-    if shown:
-        usual = shown.view(player.env.world, shot)
+    if painted_path:
+        usual = painted_path.view(player.env.world, shot)
     elif labels:
         usual = _on_robots(player, shot)
     else:
@@ -155,14 +155,14 @@ def render_picture(
                 pixels = [pixel for pixel in (project(start[:3]), project(end[:3])) if pixel is not None]
                 if len(pixels) == 2:
                     draw.line(pixels, fill=(*map(int, start[3:]), 230), width=2 * _SUPERSAMPLING)
-    if shown:
-        _paint_path(draw, project, shown)
+    if painted_path:
+        _paint_path(draw, project, painted_path)
     image = image.resize((shot.width, shot.height), Image.Resampling.LANCZOS)
     draw = ImageDraw.Draw(image, "RGBA")
     if labels:
         _paint_labels(draw, projection(replace(view, width=shot.width, height=shot.height)), player, shot)
-    if shown:
-        _write_legend(draw, shown)
+    if painted_path:
+        _write_legend(draw, painted_path)
         frame = path[-1]
         agent = next(iter(frame.agents.values()))
         caption = f"{frame.ending or 'not ended'}, {frame.time:.1f} s"
@@ -244,9 +244,9 @@ class PaintedPath:
             boxes.append(((-x, -y, 0.0), (x, y, 0.0)))
         reach = _MAX_OBJECT_SHARE * max(box_sides(box_around(boxes)))
         objects = [
-            _box_of_object(thing, self.last)
-            for thing in world.objects
-            if (thing.name, thing.name) in self.last.links
+            _box_of_object(body, self.last)
+            for body in world.objects
+            if (body.name, body.name) in self.last.links
         ]
         boxes += [box for box in objects if max(box_sides(box)) < reach]
         wide, deep, climb = np.max(
@@ -278,10 +278,10 @@ def _boxes_of_robot(robot: RobotBody, frame: WorldFrame) -> Iterator[Bounds]:
             yield bounds_of_shape(part.shape, frames.compose(pose, frames.frame(part.origin)))
 
 
-def _box_of_object(thing: ObjectBody, frame: WorldFrame) -> Bounds:
-    chosen = frame.variants.get(thing.name)
-    shape = next((variant.shape for variant in thing.variants if variant.name == chosen), thing.shape)
-    return bounds_of_shape(shape, frame.links[thing.name, thing.name])
+def _box_of_object(body: ObjectBody, frame: WorldFrame) -> Bounds:
+    variant_name = frame.variants.get(body.name)
+    shape = next((variant.shape for variant in body.variants if variant.name == variant_name), body.shape)
+    return bounds_of_shape(shape, frame.links[body.name, body.name])
 
 
 def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
@@ -289,11 +289,13 @@ def _rgba(number: int, opacity: int = 255) -> tuple[int, int, int, int]:
     return int(text[1:3], 16), int(text[3:5], 16), int(text[5:7], 16), opacity
 
 
-def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], shown: PaintedPath) -> None:
+def _paint_path(
+    draw: ImageDraw, project: Callable[[Triple], Point | None], painted_path: PaintedPath
+) -> None:
     """Paint each path, paler where it is older, with a ring at the start and a disc at the end; goals as
     crosses, with their paths in dots."""
     radius = 5 * _SUPERSAMPLING
-    for points in shown.goals.values():
+    for points in painted_path.goals.values():
         pixels = _pixels(project, points)
         if trajectories.has_moved(points):
             for x, y in _spaced(pixels, 3 * radius):
@@ -307,7 +309,7 @@ def _paint_path(draw: ImageDraw, project: Callable[[Triple], Point | None], show
                         fill=color,
                         width=width * _SUPERSAMPLING,
                     )
-    for number, points in enumerate(shown.moving.values()):
+    for number, points in enumerate(painted_path.moving.values()):
         pixels = _pixels(project, points)
         if not pixels:
             continue
@@ -343,11 +345,11 @@ def _spaced(pixels: Sequence[Point], distance: float) -> Iterator[Point]:
             yield pixel
 
 
-def _write_legend(draw: ImageDraw, shown: PaintedPath) -> None:
+def _write_legend(draw: ImageDraw, painted_path: PaintedPath) -> None:
     """Write the names of the moving parts and of the goals, each beside its color; nothing if a single part
     moves."""
-    entries = [(name, _rgba(number)) for number, name in enumerate(shown.moving)] + [
-        (name, _GOAL) for name in shown.goals
+    entries = [(name, _rgba(number)) for number, name in enumerate(painted_path.moving)] + [
+        (name, _GOAL) for name in painted_path.goals
     ]
     for row, (name, color) in enumerate(entries if len(entries) > 1 or "." in entries[0][0] else []):
         y = 8 + 18 * row
@@ -421,21 +423,21 @@ def write_clip(
         UsageError: There is no robot to follow.
     """
     steps = None if seconds is None else max(1, round(seconds / player.program.period))
-    shown = player.episode(seed, episode, steps)
+    world_frames = player.episode(seed, episode, steps)
     with atomic_write(path) as draft:
         if path.suffix.lower() == ".html":
-            _write_page(player, draft, shown, speed)
+            _write_page(player, draft, world_frames, speed)
         elif path.suffix.lower() == ".gif":
-            write_gif(draft, *_pictures(player, shot, shown, speed, _GIF_FRAME_RATE, on_frame))
+            write_gif(draft, *_pictures(player, shot, world_frames, speed, _GIF_FRAME_RATE, on_frame))
         else:
-            write_mp4(draft, *_pictures(player, shot, shown, speed, rate, on_frame))
+            write_mp4(draft, *_pictures(player, shot, world_frames, speed, rate, on_frame))
     return player.frame
 
 
 def _pictures(
     player: Player,
     shot: Viewpoint,
-    shown: Iterable[WorldFrame],
+    world_frames: Iterable[WorldFrame],
     speed: float,
     rate: float,
     on_frame: Callable[[WorldFrame], object],
@@ -445,7 +447,7 @@ def _pictures(
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
     def taken() -> Iterator[Any]:
-        for frame in shown:
+        for frame in world_frames:
             if frame.step % every == 0 or frame.ended_by is not None:
                 on_frame(frame)
                 view = shot.now(player, player.view(shot.width, shot.height))
@@ -502,14 +504,14 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     )
 
 
-def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: float) -> None:
+def _write_page(player: Player, path: Path, world_frames: Iterator[WorldFrame], speed: float) -> None:
     """Write a page that turns and scrubs without a server: viser's recording of its scene."""
     from deepbots_cli.view import access, server
     from deepbots_cli.view.scene import WorldScene, aim_camera
 
     page, _ = server.serve(access.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
     try:
-        program, first = player.program, next(shown)
+        program, first = player.program, next(world_frames)
         size = aim_camera(page, overview(program))
         world = WorldScene(page.scene, player.env.world, player.reader.layout, size=size)
         world.set_frame(first, after_reset=True)
@@ -518,7 +520,7 @@ def _write_page(player: Player, path: Path, shown: Iterator[WorldFrame], speed: 
         pause = program.period / speed
         parts = max(1, round(pause * _PAGE_FRAME_RATE))
         every = max(1, math.floor(1 / (pause * _PAGE_FRAME_RATE)))
-        for frame in shown:
+        for frame in world_frames:
             world.set_frame(frame)
             for part in range(1, parts + 1):
                 if frame.step % every == 0:

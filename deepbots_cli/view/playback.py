@@ -199,12 +199,12 @@ class Playback:
             self._step(world)
             world.elapsed_s = 0.0
 
-    def seek(self, place: int) -> None:
+    def seek(self, index: int) -> None:
         """Pause at a frame of a recording."""
         self.paused, self.ended_at = True, 0.0
         for world in self.worlds:
             if isinstance(world.player, ReplayPlayer):
-                world.player.seek(place)
+                world.player.seek(index)
                 frames = world.player.last_frames(MAX_PLOTTED_STEPS)
                 world.scene.set_frame(frames[0], after_reset=True)
                 for frame in frames[1:]:
@@ -243,7 +243,7 @@ class Playback:
         if self.rival is not None and self.rival.frame.ended_by is None:
             self.rival.step()
         world.show_newest()
-        if world.has_ended and all(each.has_ended for each in self.worlds):
+        if world.has_ended and all(shown_world.has_ended for shown_world in self.worlds):
             frame = self.worlds[0].player.frame
             self.ended_at = time.monotonic()
             self.played, self.successes = self.played + 1, self.successes + frame.is_success

@@ -28,7 +28,7 @@ def open_player(opened: ShowingState, driver: str | None = None) -> Player:
     return LogPlayer(opened) if isinstance(opened.recording, RobotLog) else ReplayPlayer(opened)
 
 
-def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
+def closing_player(showing: Showing, driver: str | None) -> closing[Player]:
     """Open a player of a shown source without a page, to be used in a `with` statement.
 
     Raises:
@@ -37,4 +37,4 @@ def closing_player(shown: Showing, driver: str | None) -> closing[Player]:
     """
     if driver == HAND:
         raise UsageError("you can drive in the browser only; use `deepbots play`")
-    return closing(open_player(shown.open(), driver))
+    return closing(open_player(showing.open(), driver))

@@ -229,15 +229,19 @@ _AGENT_RETURNS = "/rollout/ep_rew_mean"
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
     """Return when the stages of a training began: from its record, or else, while it runs, with their first
     episode in `episodes`."""
-    done = (
+    recorded_starts = (
         {stage.name: float(max(0, min(stage.steps, 2**63))) for stage in record.result.stages}
         if record.result
         else {}
     )
     starts: list[StageStart] = []
-    for name in [name for name in dict.fromkeys([*done, *episodes.stages]) if name][:_MAX_STAGES]:
-        own = episodes.steps[episodes.stages == name]
-        begun = (done.get(starts[-1].name) or (own[0] if len(own) else None)) if starts else 0.0
+    for name in [name for name in dict.fromkeys([*recorded_starts, *episodes.stages]) if name][:_MAX_STAGES]:
+        own_steps = episodes.steps[episodes.stages == name]
+        begun = (
+            (recorded_starts.get(starts[-1].name) or (own_steps[0] if len(own_steps) else None))
+            if starts
+            else 0.0
+        )
         if begun is not None and (not starts or begun >= starts[-1].steps):
             starts.append(StageStart(name, float(begun)))
     return starts
@@ -361,9 +365,9 @@ def _with_breaks(curve: Curve, stages: Sequence[StageStart]) -> Curve:
     """Return a curve with a nan where each stage but the first begins."""
     at, values = curve
     for start in stages[1:]:
-        place = int(np.searchsorted(at, start.steps, side="right"))
-        if 0 < place < len(at):
-            at, values = np.insert(at, place, start.steps), np.insert(values, place, np.nan)
+        index = int(np.searchsorted(at, start.steps, side="right"))
+        if 0 < index < len(at):
+            at, values = np.insert(at, index, start.steps), np.insert(values, index, np.nan)
     return at, values
 
 
@@ -405,18 +409,18 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
     axes = figure.subplots(below + len(detailed), 2, squeeze=False)
     returns, successes = axes[0]
     terms = [{term for log in members for term in log.terms} for members in detailed]
-    for left, own in zip(axes[below + 1 :, 0], terms[1:], strict=True):
-        if own & terms[0]:
+    for left, own_terms in zip(axes[below + 1 :, 0], terms[1:], strict=True):
+        if own_terms & terms[0]:
             left.sharey(axes[below, 0])  # the same terms of two scenarios are compared by eye
-    shown = list(groups.values())
-    for number, members in enumerate(shown):
+    member_lists = list(groups.values())
+    for number, members in enumerate(member_lists):
         _plot_group(returns, successes, members, number, is_only=len(groups) == 1)
     marks = {"dots": any(log.evaluations for log in logs), "diamond": any(log.evaluation for log in logs)}
     named = ", ".join(mark for mark, is_there in marks.items() if is_there)
     marked = f"of training episodes{f'; {named}: evaluations' if named else ''}"
-    heights = [style_panel(returns, f"return {marked}", theme, stages=shown)]
+    heights = [style_panel(returns, f"return {marked}", theme, stages=member_lists)]
     if successes.lines:
-        style_panel(successes, f"success rate {marked}", theme, legend=False, stages=shown)
+        style_panel(successes, f"success rate {marked}", theme, legend=False, stages=member_lists)
         successes.set_ylim(-0.03, 1.03)
     else:
         _remove_right(axes[0])
@@ -513,7 +517,7 @@ def ending_colors(logs: Sequence[TrainingLog]) -> dict[str, str]:
 
 
 def _paler(color: str, rounds: int) -> str:
-    parts = [int(color[place : place + 2], 16) for place in (1, 3, 5)]
+    parts = [int(color[start : start + 2], 16) for start in (1, 3, 5)]
     return "#" + "".join(f"{round(255 - (255 - part) * 0.6**rounds):02x}" for part in parts)
 
 
@@ -556,7 +560,7 @@ def plot_evaluations(
         for steps, value, name in zip(*curve, log.evaluation_stages or [""] * len(curve[0]), strict=True)
     ]
     for name in dict.fromkeys(name for _, _, name in evaluated):
-        steps, values = zip(*((at, value) for at, value, own in evaluated if own == name), strict=True)
+        steps, values = zip(*((at, value) for at, value, series in evaluated if series == name), strict=True)
         mark = _MARKS[names.index(name) % len(_MARKS)] if name else _MARKS[0]
         text = f"evaluations in stage {name}" if name else label
         panel.plot(steps, values, mark, color=color, markersize=4, alpha=0.8, linestyle="none", label=text)
@@ -675,13 +679,13 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
         for start in (start for log in members for start in log.stages):
             starts.setdefault(start.name, []).append(start.steps)
         first = sorted((min(steps), name) for name, steps in starts.items())
-        for place, (begin, name) in enumerate(first):
-            for steps in starts[name] if place else ():
+        for index, (begin, name) in enumerate(first):
+            for steps in starts[name] if index else ():
                 panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
-            end = first[place + 1][0] if place + 1 < len(first) else high
+            end = first[index + 1][0] if index + 1 < len(first) else high
             fits = (len(name) + 1) * _LETTER_WIDTH < (end - max(begin, low)) / (high - low) * width
-            text = name if fits else str(place + 1)
-            key += [] if fits else [f"{place + 1} {name}"]
+            text = name if fits else str(index + 1)
+            key += [] if fits else [f"{index + 1} {name}"]
             panel.annotate(
                 text,
                 (max(begin, low), 1.0),
@@ -753,13 +757,13 @@ def _legend_below(panel: Axes, theme: str) -> float:
     # The room in inches below the panel for the numbers and the name of the axis.
     room = 0.42 + 0.14 * panel.get_xlabel().count("\n")
     figure: Any = panel.figure
-    place = panel.transAxes + ScaledTranslation(0.0, -room, figure.dpi_scale_trans)
+    transform = panel.transAxes + ScaledTranslation(0.0, -room, figure.dpi_scale_trans)
     box = panel.legend(
         handles,
         names,
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=place,
+        bbox_transform=transform,
         borderaxespad=0.0,
         ncols=columns,
         fontsize=8,

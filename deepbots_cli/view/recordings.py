@@ -113,7 +113,7 @@ class TopicEncoder:
         moving = {
             robot.name: [joint.name for joint in robot.model.moving_joints] for robot in env.world.robots
         }
-        bodies = [*moving, *(thing.name for thing in env.world.objects)]
+        bodies = [*moving, *(body.name for body in env.world.objects)]
         self._velocities = [env.engine.velocity(body) for body in bodies]
         self._joints = [env.engine.joint_states(robot, joints) for robot, joints in moving.items() if joints]
         self._scans = {key: _fan(beams) for key, beams in player.reader.layout.sensor_rays.items()}
@@ -126,8 +126,8 @@ class TopicEncoder:
         topics["/tf"] = {
             "transforms": [
                 {"timestamp": stamp, "parent_frame_id": "world", "child_frame_id": f"{body}/{link}",
-                 "translation": _named("xyz", place), "rotation": _named("xyzw", turn)}
-                for (body, link), (place, turn) in frame.links.items()
+                 "translation": _named("xyz", position), "rotation": _named("xyzw", turn)}
+                for (body, link), (position, turn) in frame.links.items()
             ]
         }  # fmt: skip
         for key, message in frame.messages.items():
@@ -244,7 +244,7 @@ def _scan(
     level = ((0.0, 0.0, 0.0), frames.multiply(frames.inverse(turned), frames.yaw_only(turned)))
     points = (beams.starts + np.array(free)[:, None] * beams.directions).astype("<f4")
     # The type 7 is FLOAT32.
-    fields = [{"name": axis, "offset": 4 * place, "type": 7} for place, axis in enumerate("xyz")]
+    fields = [{"name": axis, "offset": 4 * index, "type": 7} for index, axis in enumerate("xyz")]
     return {
         **head,
         "pose": _pose(level if beams.upright else frames.IDENTITY_FRAME),
@@ -431,28 +431,28 @@ class DrivenEpisodes:
     @property
     def note(self) -> str:
         """A note for the person who drives, in a line."""
-        kept = f"{counted(len(self.ends), 'episode')} recorded in {self.path.name}"
+        summary = f"{counted(len(self.ends), 'episode')} recorded in {self.path.name}"
         if self.is_full:
-            return f"{kept}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
+            return f"{summary}; it takes no more, since the next one goes beyond {MAX_DRIVEN_BYTES >> 20} MiB"
         return (
-            kept
+            summary
             if self.player.driver_name == HAND
-            else f"{kept}; not this one, which {self.player.driver_name} drives"
+            else f"{summary}; not this one, which {self.player.driver_name} drives"
         )
 
 
 def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
-    shown = player.opened.shown
+    showing = player.opened.shown
     return {
         "format": str(FORMAT),
         "scenario": player.program.name,
-        "source": shown.reference,
+        "source": showing.reference,
         "digest": digest,
         "engine": player.env.engine.name,
         "seed": str(seed),
         "driver": player.driver_name,
-        "case": shown.case or "",
-        "stage": shown.stage or "",
+        "case": showing.case or "",
+        "stage": showing.stage or "",
         **versions(),
     }
 
@@ -528,15 +528,15 @@ def read_frame(topics: Payloads, layout: FrameLayout) -> WorldFrame:
 def _link_frames(topics: Payloads, layout: FrameLayout) -> dict[LinkName, Frame]:
     """Return the frames of all links, which must include those of the robots."""
     links = dict[LinkName, Frame]()
-    for each in _decode(topics["/tf"])["transforms"]:
-        links[_link(each["child_frame_id"])] = cast(
-            "Frame", (_floats(each["translation"], "xyz"), _floats(each["rotation"], "xyzw"))
+    for transform in _decode(topics["/tf"])["transforms"]:
+        links[_link(transform["child_frame_id"])] = cast(
+            "Frame", (_floats(transform["translation"], "xyz"), _floats(transform["rotation"], "xyzw"))
         )
     for name, model in layout.robots.items():
         for link in model.links:
-            place, turn = links[name, link.name]
+            position, turn = links[name, link.name]
             is_unit = math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)
-            if not is_unit or not all(abs(x) <= _MAX_NUMBER for x in place):
+            if not is_unit or not all(abs(x) <= _MAX_NUMBER for x in position):
                 raise ValueError(link.name)
     return links
 

@@ -34,7 +34,7 @@ class ReplayPlayer(Player):
         """
         assert isinstance(opened.recording, Recording)
         self.recording = opened.recording
-        self._numbers = [each.number for each in self.recording.episodes]
+        self._numbers = [episode.number for episode in self.recording.episodes]
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         super().__init__(opened, RECORDED)
 
@@ -57,20 +57,20 @@ class ReplayPlayer(Player):
         """The number of frames of the episode."""
         return len(self._recorded.steps)
 
-    def seek(self, place: int) -> WorldFrame:
+    def seek(self, index: int) -> WorldFrame:
         """Go to a frame of the episode, counted from 0."""
-        self._place = min(max(0, place), self.length - 1)
-        self.frame = self._read(self._recorded.number, self._place)
+        self._index = min(max(0, index), self.length - 1)
+        self.frame = self._read(self._recorded.number, self._index)
         return self.frame
 
     def step(self, *, by_hand: bool = False) -> WorldFrame:
-        return self.seek(self._place + 1)
+        return self.seek(self._index + 1)
 
     def last_frames(self, count: int) -> list[WorldFrame]:
         """Return at most so many frames up to the present one."""
         return [
-            self._read(self._recorded.number, place)
-            for place in range(max(0, self._place + 1 - count), self._place + 1)
+            self._read(self._recorded.number, index)
+            for index in range(max(0, self._index + 1 - count), self._index + 1)
         ]
 
     def shortest_paths(self) -> list[list[tuple[float, float]]]:
@@ -85,20 +85,20 @@ class ReplayPlayer(Player):
                 robot.model.moving_joints, self.frame.joints.get(robot.name, ()), strict=False
             ):
                 engine.set_joint(robot.name, joint.name, position, 0.0)
-        for thing in self.env.world.objects:
-            if not thing.fixed and (thing.name, thing.name) in self.frame.links:
-                engine.place(thing.name, *self.frame.links[thing.name, thing.name])
+        for body in self.env.world.objects:
+            if not body.fixed and (body.name, body.name) in self.frame.links:
+                engine.place(body.name, *self.frame.links[body.name, body.name])
         return super().view(width, height)
 
     def render(self, view: View) -> Any:
         self.view(view.width, view.height)
         return super().render(view)
 
-    def _frame_of(self, number: int, place: int) -> WorldFrame:
+    def _frame_of(self, number: int, index: int) -> WorldFrame:
         steps = self.recording.episode(number).steps
         with damaged(self.recording.path):
-            frame = read_frame(steps[place], self.reader.layout)
-        if place == len(steps) - 1 and frame.ended_by is None:
+            frame = read_frame(steps[index], self.reader.layout)
+        if index == len(steps) - 1 and frame.ended_by is None:
             frame = replace(frame, ended_by="end of the recording", truncated=True)
         return frame
 
@@ -117,16 +117,16 @@ class Divergence(NamedTuple):
     now: str
 
 
-def observation_hash_at(recording: Recording, recorded: RecordedEpisode, place: int) -> str:
+def observation_hash_at(recording: Recording, recorded: RecordedEpisode, index: int) -> str:
     """Return the hash of the observation after so many steps."""
     with damaged(recording.path):
-        return msgspec.convert(msgspec.json.decode(recorded.steps[place]["/step"])["observation"], str)
+        return msgspec.convert(msgspec.json.decode(recorded.steps[index]["/step"])["observation"], str)
 
 
 def verify(
     recording: Recording,
     player: Player,
-    on_episode: Callable[[int], object] = lambda done: None,
+    on_episode: Callable[[int], object] = lambda count: None,
     *,
     tolerance: float = 0.0,
 ) -> Divergence | None:
@@ -143,26 +143,26 @@ def verify(
         RecordingError: A step cannot be read.
     """
     describer, time = TopicEncoder(player), 0
-    for done, recorded in enumerate(recording.episodes, start=1):
+    for count, recorded in enumerate(recording.episodes, start=1):
         player.driver = sequence_driver(actions(recording, recorded, player.env.action_space))
         begun = time
-        for place, old in enumerate(recorded.steps):
-            if place and player.frame.ended_by is not None:
-                return Divergence(recorded.number, place, "ending", "none", player.frame.ending)
+        for index, old in enumerate(recorded.steps):
+            if index and player.frame.ended_by is not None:
+                return Divergence(recorded.number, index, "ending", "none", player.frame.ending)
             try:
-                frame = player.step() if place else player.start(Start(recorded.seed))
+                frame = player.step() if index else player.start(Start(recorded.seed))
             except RecordingError:
                 raise
             except DeepbotsError as error:
-                return Divergence(recorded.number, place, "error", "none", str(error))
+                return Divergence(recorded.number, index, "error", "none", str(error))
             time = begun + round(frame.time * NS_PER_S)
             new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):
                 difference = _first_difference(old, new, tolerance)
             if difference is not None:
-                return Divergence(recorded.number, place, *difference)
+                return Divergence(recorded.number, index, *difference)
         time += NS_PER_S
-        on_episode(done)
+        on_episode(count)
     return None
 
 
@@ -221,8 +221,8 @@ def _difference(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[
         ]
     elif isinstance(recorded, list) and isinstance(now, list) and len(recorded) == len(now):
         names = [
-            after.get("child_frame_id", place) if isinstance(after, dict) else place
-            for place, after in enumerate(now)
+            after.get("child_frame_id", index) if isinstance(after, dict) else index
+            for index, after in enumerate(now)
         ]
         parts = [
             (f"{where} {name}", before, after)

@@ -239,12 +239,12 @@ class WorldScene:
         *,
         size: float,
         root: str = "/world",
-        place: Triple = ZERO_VECTOR,
+        origin: Triple = ZERO_VECTOR,
     ) -> None:
         """Create the nodes of a world. `size` is the distance (m) from which the world is seen, which
-        determines the size of marks. `place` is the place of its origin."""
-        self._scene, self._layout, self._root, self._size, self._place = scene, layout, root, size, place
-        self._anchor = scene.add_frame(root, show_axes=False, position=place)
+        determines the size of marks. `origin` is the position (m) of its origin."""
+        self._scene, self._layout, self._root, self._size, self._origin = scene, layout, root, size, origin
+        self._anchor = scene.add_frame(root, show_axes=False, position=origin)
         self.follows = False
         """Whether the robot stays in view, as the world moves below it."""
         self._nodes: dict[LinkName, Any] = {}
@@ -252,15 +252,15 @@ class WorldScene:
         self._labels: list[Any] = []
         self._dots: dict[LinkName, Any] = {}
         self._goals: dict[tuple[str, str], Any] = {}
-        shown, hidden = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
-        self.visible_parts = dict.fromkeys(shown, True) | dict.fromkeys(hidden, False)
+        visible_names, hidden_names = ("rays", "contacts", "goal", "shortest path"), ("path", "names", "axes")
+        self.visible_parts = dict.fromkeys(visible_names, True) | dict.fromkeys(hidden_names, False)
         """The parts that a person can show and hide. `shortest path` is that of `path_distance`, `path` that
         of the robot or its end link."""
         self._build_surroundings(world)
         for robot in world.robots:
             self._build_robot(robot.name, robot.model)
-        for thing in world.objects:
-            self._build_object(thing.name, objects.forms_of(thing))
+        for body in world.objects:
+            self._build_object(body.name, objects.forms_of(body))
         line = np.zeros((1, 2, 3), np.float32)
         self._arrows = scene.add_arrows(
             f"{root}/pushes",
@@ -274,7 +274,7 @@ class WorldScene:
         self._path = self._add_lines(f"{root}/path", line, thickness=3.0, visible=False)
         self._ways = self._add_lines(f"{root}/ways", line, visible=False)
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
-        self._radars = [self._add_radar(*each) for each in layout.radars.items()]
+        self._radars = [self._add_radar(*item) for item in layout.radars.items()]
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
         self._followed = (first.name, first.model.root) if first else None
         self._traced = (
@@ -348,16 +348,16 @@ class WorldScene:
             head, pose = groups[link.name]
             if (name, head) not in self._nodes:
                 self._node((name, head))
-            for place, visual in enumerate(link.visuals):
-                self._add(f"{self._path_of((name, head))}/{number}_{place}", visual, pose)
+            for index, visual in enumerate(link.visuals):
+                self._add(f"{self._path_of((name, head))}/{number}_{index}", visual, pose)
         self._label((name, groups[model.root][0]), name)
 
     def _build_object(self, name: str, forms: Mapping[str, Any]) -> None:
         part = (name, name)
         node = self._node(part)
-        for form, thing in forms.items():
+        for form, body in forms.items():
             self._variants[name, form] = self._add(
-                f"{node.name}/{form}", Geometry(thing.shape, Pose(), thing.color), frames.IDENTITY_FRAME
+                f"{node.name}/{form}", Geometry(body.shape, Pose(), body.color), frames.IDENTITY_FRAME
             )
         self._label(part, name)
 
@@ -374,14 +374,14 @@ class WorldScene:
     def _add_radar(self, key: str, radar: FieldOfView) -> Any:
         """Add the field of view of a radar, which moves with its link."""
         name, link = radar.part
-        head, (place, turn) = rigid_groups(self._layout.robots[name])[link]
+        head, (position, turn) = rigid_groups(self._layout.robots[name])[link]
         path = f"{self._path_of((name, head))}/radar_{key.rpartition('.')[2]}"
         return self._add_lines(
             path,
             radar.outline.astype(np.float32),
             _RADAR_GRAY,
             thickness=1.0,
-            position=place,
+            position=position,
             wxyz=frames.wxyz(turn),
         )
 
@@ -473,13 +473,13 @@ class WorldScene:
             )
         if self._followed is not None:
             x, y, _ = rows[self._parts.index(self._followed), :3] - self._start
-            shift = frames.add(self._place, (-x, -y, 0.0)) if self.follows else self._place
+            shift = frames.add(self._origin, (-x, -y, 0.0)) if self.follows else self._origin
             self._anchor.position = shift
 
     def draw_paths(self, paths: Sequence[Sequence[tuple[float, float]]]) -> None:
         """Show shortest paths (points in m) on the ground."""
         height = 0.004 * self._size
-        pieces = [((*one, height), (*other, height)) for way in paths for one, other in pairwise(way)]
+        pieces = [((*start, height), (*end, height)) for way in paths for start, end in pairwise(way)]
         self._show_lines(self._ways, pieces if self.visible_parts["shortest path"] else [], (0, 158, 115))
 
     def _show_lines(self, lines: Any, pieces: Sequence[Any], color: tuple[int, int, int]) -> None:

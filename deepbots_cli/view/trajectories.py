@@ -68,8 +68,10 @@ def read_positions(layout: FrameLayout, frames: Iterable[WorldFrame]) -> Positio
 def find_moving(program: Program, world: WorldModel, episodes: Sequence[Positions]) -> Moving:
     """Return the parts that move in at least one of these episodes of a program. `world` is the world of the
     environment, with all copies of a robot."""
-    parts = dict.fromkeys(part for each in episodes for part in each)
-    extents = {part: max(_extent(each[part]) for each in episodes if part in each) for part in parts}
+    parts = dict.fromkeys(part for positions in episodes for part in positions)
+    extents = {
+        part: max(_extent(positions[part]) for positions in episodes if part in positions) for part in parts
+    }
     analysis = Analysis(program).ideal
     subjects = _subjects(program, analysis)
     candidates: list[LinkName] = []
@@ -82,21 +84,23 @@ def find_moving(program: Program, world: WorldModel, episodes: Sequence[Position
             if robot.name.partition("#")[0] == body:
                 candidates += _parts_of_robot(robot, mine, extents)
         candidates += [
-            (thing.name, thing.name)
-            for thing in world.objects
-            if thing.name.partition("#")[0] == body and not thing.fixed
+            (object_body.name, object_body.name)
+            for object_body in world.objects
+            if object_body.name.partition("#")[0] == body and not object_body.fixed
         ]
     candidates = [part for part in dict.fromkeys(candidates) if part in extents]
     least = max(_MIN_EXTENT_M, _MIN_SHARE * max((extents[part] for part in candidates), default=0.0))
     moving = [part for part in candidates if extents[part] >= least] or candidates[:1]
-    objects = {thing.name.partition("#")[0] for thing in world.objects}
+    objects = {object_body.name.partition("#")[0] for object_body in world.objects}
     rank = min((subject.rank for subject in subjects if subject.body in objects), default=0)
     # Failures often read walls that must not be touched.
     failures = [value for value in program.endings if value.name in program.failures]
     avoided = {body for value in failures for body, _ in _read_by(analysis, value)} if rank else set()
     reached = {subject.body for subject in subjects if subject.rank == rank < 2} - avoided
     standing = [
-        (thing.name, thing.name) for thing in world.objects if thing.name.partition("#")[0] in reached
+        (object_body.name, object_body.name)
+        for object_body in world.objects
+        if object_body.name.partition("#")[0] in reached
     ]
     targets = [part for part in extents if not part[0]] + [
         part for part in standing if part in extents and part not in moving
@@ -119,8 +123,8 @@ def has_moved(points: NDArray[np.float64]) -> bool:
 
 def _extent(points: NDArray[np.float64]) -> float:
     """Return the diagonal of the box around positions, m."""
-    drawn = points[~np.isnan(points[:, 0])]
-    return float(np.linalg.norm(np.ptp(drawn, axis=0))) if len(drawn) else 0.0
+    finite = points[~np.isnan(points[:, 0])]
+    return float(np.linalg.norm(np.ptp(finite, axis=0))) if len(finite) else 0.0
 
 
 def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:

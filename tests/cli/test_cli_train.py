@@ -167,7 +167,7 @@ def test_a_run_is_never_overwritten(deepbots, trained):
 @pytest.mark.slow
 def test_the_address_of_the_page_of_a_training_is_shown_once_it_can_be_opened(trained, tmp_path, capfd):
     pytest.importorskip("viser")
-    with training_page(wanted=True, permissions=Permissions()) as show_page:
+    with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "mine")
         match = None
         end = time.monotonic() + 120
@@ -185,7 +185,7 @@ def test_the_page_of_a_training_does_not_run_a_typer_py_of_the_working_directory
     pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "typer.py").write_text("open(__file__ + '.ran', 'w').close()\n")
-    with training_page(wanted=True, permissions=Permissions()) as show_page:
+    with training_page(enabled=True, permissions=Permissions()) as show_page:
         show_page(tmp_path / "missing")
         output = ""
         end = time.monotonic() + 60

@@ -129,7 +129,7 @@ def test_a_fix_that_is_offered_is_made_alone_and_with_the_others(offers: dict[Pa
                 api.load,
                 unsafe=True,
                 preview=True,
-                wanted=lambda finding, entry=entry: code_and_headline(finding) == entry,
+                selects=lambda finding, entry=entry: code_and_headline(finding) == entry,
             )
             alone.fix()
             assert set(map(code_and_headline, alone.fixed)) == {entry}, path.name

@@ -72,10 +72,10 @@ def compile_(
         raise UsageError(f"{output} is an input of the scenario; name another output file")
     terminal.note_warnings(compiled.findings, scenario)
     if project is not None:
-        written = write_new(project_files(compiled), project, force=force)
+        paths = write_new(project_files(compiled), project, force=force)
         further = [f"cd {quote(str(project))} && python run.py"]
         terminal.show(
-            {"project": project, "files": written}, *map(str, written), as_json=as_json, next_commands=further
+            {"project": project, "files": paths}, *map(str, paths), as_json=as_json, next_commands=further
         )
         return
     code = compiled.code if target == "scalar" else generate_module(compiled.program, target)
@@ -131,7 +131,7 @@ def _requirements() -> str:
     no package index has deepbots."""
     clone = install_source()
     is_clone = clone != "deepbots-cli"
-    here = (
+    requirement = (
         f"deepbots-cli[train] @ {Path(clone).as_uri()}"
         if is_clone
         else "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE"
@@ -139,7 +139,7 @@ def _requirements() -> str:
     moved = " if it has moved" if is_clone else ""
     return (
         f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path"
-        f" here{moved}\n{here}\n"
+        f" here{moved}\n{requirement}\n"
     )
 
 

@@ -140,7 +140,7 @@ def _explain_episode(
 
 
 def _trace(
-    shown: str,
+    reference: str,
     episode: int | str | None,
     seed: int | None,
     *,
@@ -151,11 +151,11 @@ def _trace(
     from deepbots_cli.insight import trace
     from deepbots_cli.view.episodes import Showing
 
-    is_failure = shown.endswith(".json")
+    is_failure = reference.endswith(".json")
     source = (
         None
         if is_failure
-        else Source.open(shown, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
+        else Source.open(reference, permissions, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
     )
     is_recording = source is not None and source.kind is SourceKind.RECORDING
     if (is_failure or is_recording) and (seed is not None or last or episode == FAILED_EPISODES):
@@ -166,13 +166,13 @@ def _trace(
     if agent is not None and (is_failure or is_recording):
         raise UsageError("a recording or a failure is about all of its agents; leave out --agent")
     if is_recording:
-        opened = Showing(shown, permissions=permissions).open()
+        opened = Showing(reference, permissions=permissions).open()
         recorded = opened.recording.episodes[0] if episode is None else opened.recording.episode(episode)
         return next(trace.trace_recorded(opened, [recorded]))
     if source is None:
         if episode is not None:
-            raise UsageError(f"{shown} contains a single episode; leave out --episode")
-        return trace.trace_failure(Path(shown), permissions=permissions)
+            raise UsageError(f"{reference} contains a single episode; leave out --episode")
+        return trace.trace_failure(Path(reference), permissions=permissions)
     ref = ModelRef.open(source, model="last" if last else "best")
     run = ref.run
     if agent is not None:
@@ -295,12 +295,12 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    count, shown = len(causes), f"{folder}, {training.agent}" if training.agent else f"{folder}"
+    count, subject = len(causes), f"{folder}, {training.agent}" if training.agent else f"{folder}"
     runs = "; it still runs" if training.is_running else ""
     if causes:
-        head = f"{shown}: {counted(count, 'cause')}, the most likely first{runs}"
+        head = f"{subject}: {counted(count, 'cause')}, the most likely first{runs}"
     else:
-        head = f"{shown}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
+        head = f"{subject}: no cause found after {training.steps:,} steps{runs}{_outcome(training)}"
     terminal.print_result(head)
     if stage is not None:
         terminal.print_result(stage.text)

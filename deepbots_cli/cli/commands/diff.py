@@ -66,9 +66,9 @@ def _lines(changes: Sequence[Change], first_name: str, second_name: str) -> Iter
     if not changes:
         yield f"{first_name} and {second_name} have the same meaning"
     for group, heading in _HEADINGS.items():
-        here = [change for change in changes if change.group is group]
-        if here:
+        group_changes = [change for change in changes if change.group is group]
+        if group_changes:
             yield f"{group.value}: {heading}"
-            for change in here:
+            for change in group_changes:
                 yield from (f"  {change.path}", *change.lines)
             yield ""

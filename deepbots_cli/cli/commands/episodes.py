@@ -160,10 +160,10 @@ def command(
     terminal.note_warnings(compiled.findings, scenario)
     program = compiled.program.variant(case, stage)
     driver = RANDOM if driver is None else driver
-    done, name = _simulate(program, driver, episodes or COUNT, seed, steps, options, permissions)
+    outcomes, name = _simulate(program, driver, episodes or COUNT, seed, steps, options, permissions)
     _show(
         program,
-        done,
+        outcomes,
         {"digest": compiled.digest, "engine": name, **data, "driver": driver},
         (),
         as_json=as_json,
@@ -186,13 +186,13 @@ def _simulate(
         running = run_episodes(
             environment, acting, count=count, seed=seed, max_steps=max_steps, options=options
         )
-        done: list[Episode] = []
+        outcomes: list[Episode] = []
         with terminal.progress() as show:
             for episode in running:
-                done.append(episode)
+                outcomes.append(episode)
                 if count > MAX_SHOWN:
-                    show(len(done), count)
-        return done, environment.engine.name
+                    show(len(outcomes), count)
+        return outcomes, environment.engine.name
 
 
 def _on_robot(
@@ -230,18 +230,20 @@ def _on_robot(
 
 
 def _show(
-    program: Program, done: list[Episode], data: dict[str, Any], more: Sequence[str], *, as_json: bool
+    program: Program, outcomes: list[Episode], data: dict[str, Any], more: Sequence[str], *, as_json: bool
 ) -> None:
-    summary = Summary.of_episodes(done, possible_returns(program))
-    data = {"scenario": program.name, **data, "episodes": list(map(_row, done))}
-    agents = agent_scores(program.members, done)
+    summary = Summary.of_episodes(outcomes, possible_returns(program))
+    data = {"scenario": program.name, **data, "episodes": list(map(_row, outcomes))}
+    agents = agent_scores(program.members, outcomes)
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success, agents=agents)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
     if agents:
         data["summary"]["agents"] = agents
     if program.others is not None:
         terminal.note(f"{program.others.agent} acts against {program.others.text}")
-    terminal.show(data, *_lines(program, done), *([totals] if len(done) > 1 else []), *more, as_json=as_json)
+    terminal.show(
+        data, *_lines(program, outcomes), *([totals] if len(outcomes) > 1 else []), *more, as_json=as_json
+    )
 
 
 def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
@@ -280,25 +282,25 @@ def _agent_columns(program: Program, episode: Episode) -> Row:
     }
 
 
-def _lines(program: Program, done: list[Episode]) -> Iterator[str]:
-    shown = done if len(done) <= MAX_SHOWN else done[:FIRST_EPISODES]
+def _lines(program: Program, outcomes: list[Episode]) -> Iterator[str]:
+    first_episodes = outcomes if len(outcomes) <= MAX_SHOWN else outcomes[:FIRST_EPISODES]
     rows = [
         {"episode": number, **(_agent_columns(program, episode) if program.members else _row(episode))}
-        for number, episode in enumerate(shown)
+        for number, episode in enumerate(first_episodes)
     ]
     listed = [
         {name: value for name, value in row.items() if name not in ("reward_terms", "drawn")} for row in rows
     ]
     yield "episodes\n" + table(listed)
-    if len(shown) < len(done):
-        yield f"  and {len(done) - len(shown):,} more"
-    if done[0].terms:
-        yield "\nreward terms\n" + table([_term(done, name) for name in done[0].terms])
+    if len(first_episodes) < len(outcomes):
+        yield f"  and {len(outcomes) - len(first_episodes):,} more"
+    if outcomes[0].terms:
+        yield "\nreward terms\n" + table([_term(outcomes, name) for name in outcomes[0].terms])
 
 
-def _term(done: list[Episode], name: str) -> Row:
-    sums = [episode.terms[name] for episode in done]
-    steps = sum(episode.length for episode in done)
+def _term(outcomes: list[Episode], name: str) -> Row:
+    sums = [episode.terms[name] for episode in outcomes]
+    steps = sum(episode.length for episode in outcomes)
     per_step = sum(sums) / max(1, steps)  # a robot may restart before the first step
     return {
         "term": name,

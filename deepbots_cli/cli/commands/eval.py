@@ -489,7 +489,7 @@ def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_jso
     from deepbots_cli.learning.comparison import compare_engines
 
     columns = zip(*((evaluation.result, *evaluation.cases) for evaluation in evaluations), strict=True)
-    pairs = [compare_engines(column[0], other) for column in columns for other in column[1:]]
+    pairs = [compare_engines(column[0], result) for column in columns for result in column[1:]]
     first = evaluations[0].result
     scenario = f"; scenario {evaluations[0].scenario}" if evaluations[0].scenario else ""
     results = [result for evaluation in evaluations for result in (evaluation.result, *evaluation.cases)]
@@ -574,7 +574,7 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
         records.write_csv(
             request.csv, [result for group_result in groups for result in group_result.evaluations]
         )
-    pairs = [compare_engines(groups[0], other) for other in groups[1:]]
+    pairs = [compare_engines(groups[0], group_result) for group_result in groups[1:]]
     if request.as_json:
         rows = [records.group_json(group_result) for group_result in groups]
         terminal.show_json({"groups": rows, "differences": pairs} if pairs else rows[0])

@@ -238,26 +238,30 @@ def misspelled_word(word: str) -> str | None:
 
 def _blocks(word: str) -> list[list[str]]:
     """Return the function, the unit, the kinds and the keys of this name."""
-    places: dict[Lines, dict[str, dict[str, None]]] = {}
+    sections_by_lines: dict[Lines, dict[str, dict[str, None]]] = {}
     all_kinds: dict[str, int] = {}
     for path, part, mark in walk_sections(Scenario):
-        place = f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
+        section = (
+            f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
+        )
         kind = (
             ""
             if isinstance(part, Kinds) or not mark
             else f"`{mark}: {get_args(part.model_fields[mark].annotation)[0]}`"
         )
-        all_kinds[place] = all_kinds.get(place, 0) + bool(kind)
+        all_kinds[section] = all_kinds.get(section, 0) + bool(kind)
         for lines in _explained_in(part, mark, word):
-            places.setdefault(lines, {}).setdefault(place, {}).update({kind: None} if kind else {})
+            sections_by_lines.setdefault(lines, {}).setdefault(section, {}).update(
+                {kind: None} if kind else {}
+            )
     blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
-    for (noun, *text), paths in list(places.items())[:_MAX_SHOWN]:
+    for (noun, *text), paths in list(sections_by_lines.items())[:_MAX_SHOWN]:
         more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
-        shown = [
-            f"{place} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[place] else place
-            for place, kinds in list(paths.items())[:_MAX_SHOWN]
+        listed = [
+            f"{section} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[section] else section
+            for section, kinds in list(paths.items())[:_MAX_SHOWN]
         ]
-        blocks.append([f"{word}: {with_article(noun)} of {', '.join(shown)}{more}", *text])
+        blocks.append([f"{word}: {with_article(noun)} of {', '.join(listed)}{more}", *text])
     return blocks
 
 
@@ -294,7 +298,7 @@ def _plain(text: str) -> str:
     )
 
 
-def _others(word: str, shown: Iterable[str]) -> list[str]:
+def _others(word: str, listed: Iterable[str]) -> list[str]:
     """Return concepts and words that have all words of `word` in one of their names."""
     words = set(_plain(word).split())
     concepts = [
@@ -303,7 +307,7 @@ def _others(word: str, shown: Iterable[str]) -> list[str]:
         if any(words <= set(_plain(name).split()) for name in (topic.name, *topic.names))
     ]
     names = [name for name in _words() if words <= set(_plain(name).split())]
-    return [name for name in dict.fromkeys([*concepts, *names]) if name not in shown][:_MAX_SHOWN]
+    return [name for name in dict.fromkeys([*concepts, *names]) if name not in listed][:_MAX_SHOWN]
 
 
 def _quoted(names: Iterable[str]) -> list[str]:
@@ -330,11 +334,11 @@ def unknown_word_message(word: str) -> str:
     """Return the error for a word that has no entry."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
-    near = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
-    hint = f"; did you mean {near}?" if near else "; `deepbots explain` lists all findings"
-    others = _others(word, ())
-    if others:
-        hint = f"; see {', '.join(_quoted(others))}"
+    suggestion = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
+    hint = f"; did you mean {suggestion}?" if suggestion else "; `deepbots explain` lists all findings"
+    related = _others(word, ())
+    if related:
+        hint = f"; see {', '.join(_quoted(related))}"
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
 
 

@@ -253,15 +253,15 @@ def _check(
 
     if writes:
         raise UsageError("--check writes nothing; leave out --output, --last and --to")
-    read = bundle.read_bundle(folder)
+    contents = bundle.read_bundle(folder)
     compiled = api.compile(scenario, overrides=overrides, permissions=permissions)
     words = ("bundle", "scenario")
     differ = identity.compare_interfaces(
-        read.scenario.interface, identity.interface(compiled.program), words=words
+        contents.scenario.interface, identity.interface(compiled.program), words=words
     )
     settings = "".join(f" --set {quote(text)}" for text in overrides)
     remarks = bundle.remarks(
-        read,
+        contents,
         compiled.program,
         f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{settings}",
     )

@@ -102,15 +102,16 @@ def command(
             **tables,
             **_poses(program, engine or (side.run.engine_for(program) if side.run else None), permissions),
         }
-    shown = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
+    selected_tables = {name: rows for name, rows in tables.items() if full or name in _BRIEF}
     terminal.show(
         tables,
-        *_lines(shown if as_json else inspection.in_written_units(shown, program, root)),
+        *_lines(selected_tables if as_json else inspection.in_written_units(selected_tables, program, root)),
         as_json=as_json,
     )
-    if len(shown) < len(tables) and not as_json:
+    if len(selected_tables) < len(tables) and not as_json:
         terminal.note(
-            f"--full also shows: {', '.join(name.replace('_', ' ') for name in tables if name not in shown)}"
+            "--full also shows:"
+            f" {', '.join(name.replace('_', ' ') for name in tables if name not in selected_tables)}"
         )
 
 

@@ -178,22 +178,22 @@ def lint(
         findings, changes = _fixed(names, look, selection, unsafe=unsafe_fixes, show=diff)
     else:
         findings = findings_of(names, look, jobs)
-    shown = [*selection.inactive_rules(), *filter(selection.selects, findings)]
-    if diff and shown and not changes:
-        _explain_empty_diff([] if unsafe_fixes else shown)
+    selected = [*selection.inactive_rules(), *filter(selection.selects, findings)]
+    if diff and selected and not changes:
+        _explain_empty_diff([] if unsafe_fixes else selected)
     if statistics:
-        _show_statistics(shown, as_json=format_ is Format.json)
+        _show_statistics(selected, as_json=format_ is Format.json)
     elif not diff:
-        print(report(shown, format_, [look.called(name) for name in names], failing), end="")
+        print(report(selected, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(shown, names, selection, fixable=not (fix or overrides), look=look)
+            _sum_up(selected, names, selection, fixable=not (fix or overrides), look=look)
     hidden = [
         finding for finding in findings if finding.severity == "error" and not selection.selects(finding)
     ]
     _note_hidden(hidden)
-    if any(finding.is_internal_error for finding in shown):
+    if any(finding.is_internal_error for finding in selected):
         raise typer.Exit(INTERNAL_ERROR)
-    if any(finding.severity in failing for finding in (*shown, *hidden)) or (diff and changes):
+    if any(finding.severity in failing for finding in (*selected, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
 
 
@@ -315,7 +315,7 @@ def _fixed(
     """Fix files. Returns the findings that are left, and whether a file changes; `show` prints the difference
     and writes nothing."""
     load = partial(api.load, permissions=look.permissions)
-    fixer = Fixer(names, load, unsafe=unsafe, wanted=selection.selects, preview=look.preview)
+    fixer = Fixer(names, load, unsafe=unsafe, selects=selection.selects, preview=look.preview)
     rewrites = fixer.fix()
     for rewrite in rewrites:
         if show:
@@ -376,10 +376,11 @@ def _note_hidden(hidden: list[Finding]) -> None:
     """Name the errors that the selection hides: they still prevent compilation, and so the checks after
     it."""
     if hidden:
-        places = ", ".join(dict.fromkeys(finding.span.source.name for finding in hidden))
+        file_names = ", ".join(dict.fromkeys(finding.span.source.name for finding in hidden))
         codes = ", ".join(sorted({finding.code for finding in hidden}))
         terminal.note(
-            f"{summary(hidden)} not selected ({codes}) in {places}; these scenarios were not checked further"
+            f"{summary(hidden)} not selected ({codes}) in {file_names}; these scenarios were not checked"
+            " further"
         )
 
 
@@ -405,8 +406,8 @@ class LintOptions:
     @property
     def included(self) -> str:
         """The checks besides linting, as a part of a sentence."""
-        done = ["the simulation"] * self.deep + ["the search for exploits"] * self.exploits
-        return f", including {' and '.join(done)}" if done else ""
+        checks = ["the simulation"] * self.deep + ["the search for exploits"] * self.exploits
+        return f", including {' and '.join(checks)}" if checks else ""
 
     def findings(self, name: str) -> list[Finding]:
         """Return the findings of one scenario."""

@@ -142,15 +142,15 @@ def new(
         contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
     unchanged = _unchanged(contents, folder)
     write = write_with_schema if schema else write_new
-    written = write(contents, folder, force=force)
+    paths = write(contents, folder, force=force)
     if urdf or starter is not None:
-        terminal.note_warnings(api.lint(written[0], permissions=permissions), str(written[0]))
+        terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
     if starter is not None:
         _note_places(starter)
     has_schema = bool(schema or project)
-    commands = _next_commands(written[0], starter, has_schema=has_schema, as_json=as_json)
-    places = None if starter is None else starter.todos
-    _show(written, unchanged, commands, as_json=as_json, places=places)
+    commands = _next_commands(paths[0], starter, has_schema=has_schema, as_json=as_json)
+    todos = None if starter is None else starter.todos
+    _show(paths, unchanged, commands, as_json=as_json, todos=todos)
 
 
 def _check_start(starts: Mapping[str, object], *, has_protos: bool) -> None:
@@ -214,9 +214,9 @@ def _note_places(starter: Starter) -> None:
     for warning in starter.warnings:
         terminal.note(warning)
     if starter.todos:
-        places = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
+        count_text = "1 place is" if starter.todos == 1 else f"{starter.todos} places are"
         terminal.note(
-            f"{places} left to you; each begins with `# FILL IN` and names the Python it comes from"
+            f"{count_text} left to you; each begins with `# FILL IN` and names the Python it comes from"
         )
     else:
         terminal.note("no place is left to you")
@@ -378,9 +378,9 @@ def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
     text, needed = file.read_text(encoding="utf-8"), []
     for scalar, path in reversed(list(_references(file, text))):
         needed.append(path)
-        there = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")
-        written = there if _PLAIN.fullmatch(there) else json.dumps(there)
-        text = text[: scalar.span.start] + written + text[scalar.span.end :]
+        relative = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")
+        quoted = relative if _PLAIN.fullmatch(relative) else json.dumps(relative)
+        text = text[: scalar.span.start] + quoted + text[scalar.span.end :]
     return text.encode(), needed[::-1]
 
 
@@ -414,24 +414,24 @@ def _unchanged(files: Files, folder: Path) -> set[Path]:
 
 
 def _show(
-    written: Sequence[Path],
+    paths: Sequence[Path],
     unchanged: set[Path],
     commands: Sequence[str],
     *,
     as_json: bool,
-    places: int | None = None,
+    todos: int | None = None,
 ) -> None:
     """Print the paths, with a mark at files that were there before with the same content, and the commands to
     go on with."""
-    scenario, schema = quote(str(written[0])), quote(str(written[0].with_suffix(".schema.json")))
-    lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in written]
+    scenario, schema = quote(str(paths[0])), quote(str(paths[0].with_suffix(".schema.json")))
+    lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
         f"deepbots {command} {scenario}" + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]
-    facts: dict[str, object] = {"scenario": written[0], "files": written}
-    if places is not None:
-        facts["places"] = places
+    facts: dict[str, object] = {"scenario": paths[0], "files": paths}
+    if todos is not None:
+        facts["places"] = todos
     terminal.show(facts, *lines, as_json=as_json, next_commands=further)
 
 
@@ -462,8 +462,8 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
                 begun.append(path)
                 file.write(contents[path])
         except OSError as error:
-            for other in begun:
-                other.unlink(missing_ok=True)
+            for begun_file in begun:
+                begun_file.unlink(missing_ok=True)
             raise UsageError(unwritable_message(path, error)) from error
     return list(contents)
 
@@ -481,16 +481,16 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     Raises:
         UsageError: Other files are in the way; nothing is written.
     """
-    (target, text), *others = files.items()
+    (target, text), *remaining = files.items()
     schema = target.with_suffix(".schema.json")
     if os.path.lexists(folder / schema):
         refuse_overwriting(folder / schema, force=force)
     with_modeline = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
-    written = write_new({target: with_modeline, **dict(others)}, folder, force=force)
+    paths = write_new({target: with_modeline, **dict(remaining)}, folder, force=force)
     return [
-        *written,
+        *paths,
         *write_new(
-            {PurePosixPath(schema): schema_text(scenario_names(api.load(written[0]))).encode()},
+            {PurePosixPath(schema): schema_text(scenario_names(api.load(paths[0]))).encode()},
             folder,
             force=force,
         ),

@@ -281,7 +281,7 @@ def _files(file: Path, kind: str, numbers: Sequence[int] | None, *, force: bool)
     return files
 
 
-def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
+def _check_robot_options(reference: str, kind: str, present: Sequence[str], *, has_episode: bool) -> None:
     """Check the options of a picture of a robot file.
 
     Raises:
@@ -291,11 +291,11 @@ def _check_robot_options(shown: str, kind: str, present: Sequence[str], *, has_e
     if kind != PICTURE or needing_scenario or has_episode:
         odd = f", and {needing_scenario[0]} needs a scenario" if needing_scenario else ""
         raise UsageError(
-            f"{shown} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
+            f"{reference} is a robot file{odd}: a picture (.png) of it takes --size, --from and --at"
         )
 
 
-def _model(shown: str, kind: str, permissions: Permissions, *, last: bool) -> ModelRef | None:
+def _model(reference: str, kind: str, permissions: Permissions, *, last: bool) -> ModelRef | None:
     """Return the model of a run that acts; None for other sources.
 
     Raises:
@@ -304,15 +304,16 @@ def _model(shown: str, kind: str, permissions: Permissions, *, last: bool) -> Mo
     """
     from deepbots_cli.view.episodes import SHOWN_KINDS
 
-    opened = Source.open(shown, permissions, *SHOWN_KINDS)
+    opened = Source.open(reference, permissions, *SHOWN_KINDS)
     if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
         raise UsageError(
-            f"{shown} is already a recording; `deepbots render {shown} -o video.mp4` makes a video of it"
+            f"{reference} is already a recording; `deepbots render {reference} -o video.mp4` makes a video of"
+            " it"
         )
     if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
         return ModelRef.open(opened, model="last" if last else "best")
     if last:
-        raise UsageError(f"--last chooses a model of a run, but {shown} is not a run")
+        raise UsageError(f"--last chooses a model of a run, but {reference} is not a run")
     return None
 
 
@@ -382,7 +383,7 @@ def _draw_episodes(
             on_frame=lambda frame: show(f"{frame.time:.1f} s of the episode are drawn ..."),
         )
         numbered = zip(selection.numbers, files, strict=True)
-        return [play(world, drawn, shot, episode=number) for number, drawn in numbered]
+        return [play(world, target, shot, episode=number) for number, target in numbered]
 
 
 def _record(world: Player, file: Path, selection: _Episodes, steps: int | None) -> list[WorldFrame]:
@@ -390,9 +391,9 @@ def _record(world: Player, file: Path, selection: _Episodes, steps: int | None) 
 
     count = len(selection.numbers)
     with terminal.progress(always=False) as show:
-        done = iter(range(1, count + 1))
+        counts = iter(range(1, count + 1))
         return record(
-            world, file, selection.seed, selection.numbers, lambda _: show(next(done), count), steps=steps
+            world, file, selection.seed, selection.numbers, lambda _: show(next(counts), count), steps=steps
         )
 
 
@@ -423,7 +424,7 @@ def _show_files(kind: str, files: Sequence[Path], rows: Sequence[Row], *, as_jso
     """Print the files with their episodes."""
     per_file = [rows] if len(files) == 1 else [[row] for row in rows]
     data = {
-        "files": [{**_made(drawn), "episodes": listed} for drawn, listed in zip(files, per_file, strict=True)]
+        "files": [{**_made(path), "episodes": listed} for path, listed in zip(files, per_file, strict=True)]
     }
     further: list[str] = []
     if kind == RECORDING_SUFFIX:

@@ -71,7 +71,7 @@ def command(
     opened = Showing(
         recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions
     ).open()
-    read, notes = opened.recording, version_changes(opened.recording)
+    opened_recording, notes = opened.recording, version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario need --verify")
     if overrides and not scenario:
@@ -82,37 +82,38 @@ def command(
     if not to_verify:
         _list_episodes(opened, recording, as_json=as_json)
         return
-    shown = opened
+    showing = opened
     if scenario is not None:
-        shown, changed = _elsewhere(opened, scenario, overrides or (), permissions)
+        showing, changed = _elsewhere(opened, scenario, overrides or (), permissions)
         notes += changed
-    elif opened.checked().digest != read.metadata.get("digest"):
+    elif opened.checked().digest != opened_recording.metadata.get("digest"):
         notes.append(
             "the scenario in the recording compiles to a different program than when it was recorded: the"
             " file or deepbots has changed"
         )
     for note in notes:
         terminal.note(note)
-    _verify(read, shown, tolerance, notes, as_json=as_json)
+    _verify(opened_recording, showing, tolerance, notes, as_json=as_json)
 
 
 def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> None:
     """Print the content of a recording; `recording` is its name as it was written."""
     from deepbots_cli.view.replay import ReplayPlayer
 
-    read = opened.recording
+    opened_recording = opened.recording
     with closing(ReplayPlayer(opened)) as player:
         ends = [
             (episode.number, player.begin(0, episode.number), player.seek(len(episode.steps)))
-            for episode in read.episodes
+            for episode in opened_recording.episodes
         ]
         have_rivals = player.program.has_rivals
     rows = records.recorded_rows(((number, last) for number, _, last in ends), have_rivals=have_rivals)
     origin = {
-        name: read.metadata.get(name, "?") for name in ("scenario", "source", "seed", "driver", "engine")
+        name: opened_recording.metadata.get(name, "?")
+        for name in ("scenario", "source", "seed", "driver", "engine")
     }
     about = "{scenario} ({source}), seed {seed}, driven by {driver}, engine {engine}".format(**origin)
-    data = {"recording": read.path, **read.metadata, "episodes": rows}
+    data = {"recording": opened_recording.path, **opened_recording.metadata, "episodes": rows}
     terminal.show(
         data,
         about,
@@ -123,26 +124,26 @@ def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> No
 
 
 def _verify(
-    read: Recording, shown: ShowingState, tolerance: float, notes: Sequence[str], *, as_json: bool
+    recording: Recording, showing: ShowingState, tolerance: float, notes: Sequence[str], *, as_json: bool
 ) -> None:
     """Run a recording again, and exit with 1 if it differs."""
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.replay import verify
 
-    with closing(Player(shown, "zero")) as player, terminal.progress(always=False) as show:
-        count = len(read.episodes)
-        difference = verify(read, player, lambda done: show(done, count), tolerance=tolerance)
-    steps = sum(len(episode.steps) - 1 for episode in read.episodes)
+    with closing(Player(showing, "zero")) as player, terminal.progress(always=False) as show:
+        count = len(recording.episodes)
+        difference = verify(recording, player, lambda finished: show(finished, count), tolerance=tolerance)
+    steps = sum(len(episode.steps) - 1 for episode in recording.episodes)
     how = f"within {tolerance:g}" if tolerance else "to the bit"
-    text = f"{read.path}: {counted(count, 'episode')} and {steps} steps are the same {how}"
+    text = f"{recording.path}: {counted(count, 'episode')} and {steps} steps are the same {how}"
     if difference is not None:
         text = (
-            f"{read.path}: episode {difference.episode}, step {difference.step}: {difference.quantity}"
+            f"{recording.path}: episode {difference.episode}, step {difference.step}: {difference.quantity}"
             " differs\n"
         )
         text += f"  recorded {difference.recorded or 'nothing'}\n  now      {difference.now or 'nothing'}"
     data = {
-        "recording": read.path,
+        "recording": recording.path,
         "same": difference is None,
         "first": difference and difference._asdict(),
         "notes": notes,
@@ -193,10 +194,12 @@ def _elsewhere(
     from deepbots_cli.view.episodes import Showing
 
     recorded = opened.shown
-    other = Showing(scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage).open()
-    if other.program is None or opened.program is None:
-        raise ScenarioError(other.findings)
-    differ = identity.differences(opened.program, other.program, words=("recording", "scenario"))
+    other_state = Showing(
+        scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage
+    ).open()
+    if other_state.program is None or opened.program is None:
+        raise ScenarioError(other_state.findings)
+    differ = identity.differences(opened.program, other_state.program, words=("recording", "scenario"))
     if differ:
         raise UsageError(
             f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ)
@@ -205,7 +208,7 @@ def _elsewhere(
         WrittenScenario(program, parse(Source("resolved.yaml", text), Findings()))
         for program, text in (
             (opened.program, opened.checked().resolved),
-            (other.program, other.checked().resolved),
+            (other_state.program, other_state.checked().resolved),
         )
     )
     changes = [
@@ -213,7 +216,9 @@ def _elsewhere(
         for change in scenario_changes(recorded_scenario, other_scenario)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
-    return other, [line for change in changes for line in _told(change, recorded_scenario, other_scenario)]
+    return other_state, [
+        line for change in changes for line in _told(change, recorded_scenario, other_scenario)
+    ]
 
 
 def _told(change: Change, recorded: WrittenScenario, present: WrittenScenario) -> Iterator[str]:

@@ -72,28 +72,31 @@ def command(
     if isinstance(report, of_runs.Report):
         if figures is not None and figures.is_dir():
             check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
-        shown, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
+        selection, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
-            report.repeat_episodes(shown, show, clips=clips, permissions=permissions)
+            report.repeat_episodes(selection, show, clips=clips, permissions=permissions)
         with terminal.transient_line("looking for the causes ..."):
             report.find_causes(permissions)
     with terminal.transient_line("drawing ..."):
         with atomic_write(target) as draft:
             draft.write_text(report.html(), encoding="utf-8")
-        written = report.write_figures(figures) if figures is not None else []
+        figure_paths = report.write_figures(figures) if figures is not None else []
     for note in report.notes:
         terminal.note(f"note: {note}")
-    drawn = f", {len(written)} figures in {quote(str(figures))}" if written else ""
+    figures_text = f", {len(figure_paths)} figures in {quote(str(figures))}" if figure_paths else ""
     data = {
         "report": target,
         "result": report.result,
         "causes": [],
         **(_of_run(report) if isinstance(report, of_runs.Report) else {}),
-        "figures": written,
+        "figures": figure_paths,
         "notes": report.notes,
     }
     terminal.show(
-        data, report.result, f"{target} ({target.stat().st_size / 1000:,.0f} kB){drawn}", as_json=as_json
+        data,
+        report.result,
+        f"{target} ({target.stat().st_size / 1000:,.0f} kB){figures_text}",
+        as_json=as_json,
     )
 
 

@@ -79,18 +79,18 @@ def resume(
     group = Group.open(source) if source.kind is SourceKind.GROUP else None
     changes = {"--timesteps": timesteps, "--full": full or None, "--callback": callbacks, "--logger": loggers}
     options = changes | {"--retry": retry, "--trials": trials, "--view": to_view or None}
-    shown: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
+    output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if source.kind is SourceKind.STUDY:
         _refuse_others("a study", options, "--trials")
         study = _open_study(trained, quiet=quiet)
         if trials is not None and trials != study.record.trials:
             study = study.changed(trials=trials)
-        studies.continue_study(study, workers, address, **shown)
+        studies.continue_study(study, workers, address, **output_options)
         return
     if group is not None and group.attempts:
         _refuse_others("a group of `train --retry`", options, "--retry")
         with processes.executor(workers, address, quiet=quiet) as executor:
-            retries.resume(trained, retry, executor, **shown)
+            retries.resume(trained, retry, executor, **output_options)
         return
     if callbacks or loggers:
         from deepbots_cli.learning.sb3 import plugins
@@ -109,16 +109,16 @@ def resume(
         with processes.executor(workers, address, len(group.record.seeds), quiet=quiet) as executor:
             announce = None if quiet else trainings.announce_seed
             training = learning.resume_group(trained, on_seed=announce, executor=executor, **settings)
-            trainings.finish_group(training, executor, **shown)
+            trainings.finish_group(training, executor, **output_options)
         return
     _refuse_others("a run", options, *changes, "--view")
     with (
-        training_page(wanted=to_view, permissions=permissions) as show_page,
+        training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
         show_page(trained)
         result = learning.resume(trained, executor=executor, **settings)
-    trainings.finish(result, **shown)
+    trainings.finish(result, **output_options)
 
 
 def _refuse_others(subject: str, options: dict[str, Any], *allowed: str) -> None:

@@ -80,11 +80,11 @@ def _tidied(path: Path) -> Rewrite | None:
             f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}"
         )
         return None
-    done = canonical_text(source.text)
-    if done is None:
+    new_text = canonical_text(source.text)
+    if new_text is None:
         terminal.print_error(f"{path} is not changed because a new layout would change its values")
         return None
-    return Rewrite(path.resolve(), data, (BOM_UTF8 if data.startswith(BOM_UTF8) else b"") + done.encode())
+    return Rewrite(path.resolve(), data, (BOM_UTF8 if data.startswith(BOM_UTF8) else b"") + new_text.encode())
 
 
 def _read(path: Path) -> bytes:
@@ -170,8 +170,12 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
         if changed is None:
             raise UsageError(f"{file} cannot be changed by `deepbots apply`; write {path}: {text} yourself")
         after = (BOM_UTF8 if before.startswith(BOM_UTF8) else b"") + changed.encode()
-    written = opened.document(drafts={file: after})
-    if expected.root is None or written.root is None or to_data(expected.root) != to_data(written.root):
+    new_document = opened.document(drafts={file: after})
+    if (
+        expected.root is None
+        or new_document.root is None
+        or to_data(expected.root) != to_data(new_document.root)
+    ):
         listed = ", ".join(f"{path}: {text}" for path, text in values.items())
         raise UsageError(f"{file} cannot be changed by `deepbots apply`; write the values yourself: {listed}")
     with atomic_write(file) as draft:

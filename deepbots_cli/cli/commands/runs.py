@@ -125,7 +125,7 @@ def _has_other_models(run: Path) -> bool:
     """Return whether `eval --keep` has a choice: a model that differs from the best one."""
     best = run / "models" / "agent" / "best.zip"
     return best.is_file() and any(
-        not filecmp.cmp(best, other, shallow=False) for other in best.parent.glob("*.zip")
+        not filecmp.cmp(best, model, shallow=False) for model in best.parent.glob("*.zip")
     )
 
 

@@ -199,23 +199,23 @@ def _exported(folder: Path, stack: ExitStack) -> Path:
 
 def _simulate(name: str, running: Any, *, as_json: bool, success: bool) -> None:
     """Show each episode, and at the end a summary of all of them."""
-    done: list[Episode] = []
+    episodes: list[Episode] = []
     robots: list[SimulatedRobot] = []
     terminal.note(f"{name} waits for a policy")
     try:
         for episode, robot in running:
-            done.append(episode)
+            episodes.append(episode)
             robots = [robot]
             ending = f"{'success' if episode.is_success else 'no success'}, " if success else ""
             terminal.note(
-                f"episode {len(done) - 1}: {ending}{episode.ended_by} after {episode.length} steps, return"
-                f" {episode.total_return:.6g}"
+                f"episode {len(episodes) - 1}: {ending}{episode.ended_by} after {episode.length} steps,"
+                f" return {episode.total_return:.6g}"
             )
     except KeyboardInterrupt:
         terminal.note("interrupted")
-    if not done:
+    if not episodes:
         return
     from deepbots_cli.insight.robot import report, report_lines
 
-    outcome = report(done, robots[0], success_defined=success)
+    outcome = report(episodes, robots[0], success_defined=success)
     terminal.show(outcome, *report_lines(outcome), as_json=as_json)

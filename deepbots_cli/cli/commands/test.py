@@ -80,16 +80,16 @@ def command(
     processes.check_dividable(
         workers, address, len(names), "there is one scenario; name several, or a folder"
     )
-    done = []
+    scenario_results = []
     calls = [_Scenario(name, only, engine, options) for name in names]
     files = [Path(name) for name in names if Path(name).is_file()]
     with processes.executor(workers, address, len(names)) as executor:
         for tested in results(executor.map(_tested, calls, files=files)):
-            done.append(tested)
+            scenario_results.append(tested)
             terminal.note_warnings(tested.warnings, tested.scenario)
             if not as_json:
                 _show(tested, added)
-    if not any(tested.results or tested.findings for tested in done):
+    if not any(tested.results or tested.findings for tested in scenario_results):
         missing = "under `tests`" if only is None else f"whose name contains '{only}'"
         raise UsageError(
             f"there is no test {missing} in {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
@@ -97,17 +97,21 @@ def command(
     if as_json:
         terminal.show_json(
             {
-                "passed": all(tested.passed for tested in done),
-                "scenarios": [_data(tested, added) for tested in done],
+                "passed": all(tested.passed for tested in scenario_results),
+                "scenarios": [_data(tested, added) for tested in scenario_results],
             }
         )
     else:
-        _sum_up(done, time.perf_counter() - began)
+        _sum_up(scenario_results, time.perf_counter() - began)
     if junit is not None:
-        suites = {tested.scenario: _junit(tested) for tested in done if tested.results or tested.findings}
+        suites = {
+            tested.scenario: _junit(tested)
+            for tested in scenario_results
+            if tested.results or tested.findings
+        }
         with atomic_write(junit) as draft:
             draft.write_bytes(xml_report(suites, prefix="deepbots test ").encode())
-    if not all(tested.passed for tested in done):
+    if not all(tested.passed for tested in scenario_results):
         raise typer.Exit(FAILED)
 
 
@@ -174,17 +178,17 @@ def _acting_options(test: ScenarioTest) -> list[str]:
     """Return the options that let the other agents act as in a test of several agents."""
     if not test.drivers:
         return []
-    others = [f"--against {name}={driver}" for name, driver in test.drivers.items() if name != test.agent]
-    return [f"--agent {test.agent}", *others]
+    options = [f"--against {name}={driver}" for name, driver in test.drivers.items() if name != test.agent]
+    return [f"--agent {test.agent}", *options]
 
 
-def _sum_up(done: Sequence[_ScenarioResults], seconds: float) -> None:
-    test_results = [result for tested in done for result in tested.results]
+def _sum_up(scenario_results: Sequence[_ScenarioResults], seconds: float) -> None:
+    test_results = [result for tested in scenario_results for result in tested.results]
     failed, broken = (
         sum(not result.passed for result in test_results),
-        sum(bool(tested.findings) for tested in done),
+        sum(bool(tested.findings) for tested in scenario_results),
     )
-    untested = [tested.scenario for tested in done if not tested.results and not tested.findings]
+    untested = [tested.scenario for tested in scenario_results if not tested.results and not tested.findings]
     if untested:
         terminal.note(
             f"no tests in {', '.join(untested[:5])}"

@@ -173,17 +173,17 @@ def command(
         _announce(compiled, f"seeds {seeds}" if seeds else f"seed {root}", timesteps, full=full)
         if not as_json:
             _give_tips(compiled.program, scenario, timesteps, permissions)
-    shown: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
+    output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if listed is not None:
         with processes.executor(workers, address, len(listed), quiet=quiet) as executor:
             announce = None if quiet else trainings.announce_seed
             group = learning.train_group(
                 compiled, listed, group=run, on_seed=announce, executor=executor, **settings
             )
-            trainings.finish_group(group, executor, **shown)
+            trainings.finish_group(group, executor, **output_options)
         return
     with (
-        training_page(wanted=to_view, permissions=permissions) as show_page,
+        training_page(enabled=to_view, permissions=permissions) as show_page,
         processes.executor(workers, address, quiet=quiet) as executor,
     ):
         if shards == "auto":
@@ -199,7 +199,7 @@ def command(
             show_page(path)
 
         result = learning.train(compiled, run=run, seed=root, on_start=begin, executor=executor, **settings)
-    trainings.finish(result, **shown)
+    trainings.finish(result, **output_options)
 
 
 def _check_retry(retry: int | None, seeds: str | None, *, to_view: bool) -> None:

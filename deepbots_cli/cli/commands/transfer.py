@@ -122,7 +122,7 @@ def command(
         Gates(min_success, min_return, False).check(ref.run.program)
     if log is not None:
         _compare_log(
-            opened, log, as_json=as_json, others=(engine, scenario, overrides, min_success, min_return)
+            opened, log, as_json=as_json, other_options=(engine, scenario, overrides, min_success, min_return)
         )
         return
     with terminal.transient_line("loading the policy ..."):
@@ -169,8 +169,10 @@ def command(
         raise typer.Exit(FAILED)
 
 
-def _compare_log(refs: Sequence[ModelRef], path: Path, *, as_json: bool, others: Sequence[object]) -> None:
-    if len(refs) > 1 or any(value is not None for value in others):
+def _compare_log(
+    refs: Sequence[ModelRef], path: Path, *, as_json: bool, other_options: Sequence[object]
+) -> None:
+    if len(refs) > 1 or any(value is not None for value in other_options):
         raise UsageError(
             "--log compares a log with the simulation of one run; leave out other runs, worlds and"
             " requirements"
@@ -223,13 +225,15 @@ def _other_scenario(
 
 
 def _other_engine(name: str) -> str:
-    return next((other for other, kind in ENGINES.own.items() if other != name and kind.is_installed), name)
+    return next(
+        (engine for engine, kind in ENGINES.own.items() if engine != name and kind.is_installed), name
+    )
 
 
 def _lines(transfer: Transfer) -> list[str]:
-    here, there = transfer.names
+    first_name, second_name = transfer.names
     assignments = " ".join(f"--set {quote(text)}" for text in transfer.there.set)
-    changed = f" ({there} with {assignments})" if assignments else ""
+    changed = f" ({second_name} with {assignments})" if assignments else ""
     starts = f"{transfer.here.episodes} held-out starts from evaluation seed {transfer.here.seed}"
     lines = [
         *_verdict(transfer),
@@ -237,11 +241,11 @@ def _lines(transfer: Transfer) -> list[str]:
         table(
             [
                 {"world": name, **records.scores(result)}
-                for name, result in ((here, transfer.here), (there, transfer.there))
+                for name, result in ((first_name, transfer.here), (second_name, transfer.there))
             ]
         ),
-        *_difference_lines(transfer.comparison, here, there),
-        *_cause_lines(transfer.comparison, here),
+        *_difference_lines(transfer.comparison, first_name, second_name),
+        *_cause_lines(transfer.comparison, first_name),
     ]
     if transfer.robustness is not None:
         lines += ["", records.robustness_text(transfer.robustness)]
@@ -249,7 +253,7 @@ def _lines(transfer: Transfer) -> list[str]:
     return lines
 
 
-def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[str]:
+def _difference_lines(compared: WorldComparison, first_name: str, second_name: str) -> list[str]:
     """Return lines with the differences after the same actions in both worlds."""
     size = f"{compared.episodes} episodes of up to {compared.steps} steps"
     if not compared.differences:
@@ -258,8 +262,8 @@ def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[
         {
             "value": difference.name,
             "step": difference.step,
-            here: f"{number(difference.here)} {difference.unit}".strip(),
-            there: f"{number(difference.there)} {difference.unit}".strip(),
+            first_name: f"{number(difference.here)} {difference.unit}".strip(),
+            second_name: f"{number(difference.there)} {difference.unit}".strip(),
             "difference": percent(difference.share),
         }
         for difference in compared.differences
@@ -271,15 +275,18 @@ def _difference_lines(compared: WorldComparison, here: str, there: str) -> list[
     ]
 
 
-def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
+def _cause_lines(compared: WorldComparison, first_name: str) -> list[str]:
     """Return lines with the changes of the first world that explain the difference."""
     tried = fill(f"tried, one change at a time: {'; '.join(compared.tried)}", WIDTH)
     if compared.causes:
         is_whole = compared.causes[0].explained >= EXPLAINS_WHOLE
-        partly = f"no change of {here} that was tried explains the whole difference; these explain part of it"
+        partly = (
+            f"no change of {first_name} that was tried explains the whole difference;"
+            " these explain part of it"
+        )
         rows = [{"change": cause.text, "explains": percent(cause.explained)} for cause in compared.causes[:5]]
         lines = [
-            f"\nchanges of {here} that explain the difference" if is_whole else f"\n{partly}",
+            f"\nchanges of {first_name} that explain the difference" if is_whole else f"\n{partly}",
             table(rows),
             "explains: share of the squared differences that vanishes with this change alone, the mean of"
             " two shares: of all",
@@ -290,7 +297,7 @@ def _cause_lines(compared: WorldComparison, here: str) -> list[str]:
         return []
     if not compared.observation_differs:
         return ["\nno number of the observation differs, so no cause can be found"]
-    return [f"\nno change of {here} that was tried explains it", tried]
+    return [f"\nno change of {first_name} that was tried explains it", tried]
 
 
 def _verdict(compared: Transfer) -> list[str]:
@@ -310,13 +317,13 @@ def _verdict(compared: Transfer) -> list[str]:
         for _, result in worlds
     ]
     measure = "success rate " if is_rate else "mean return "
-    shown = (
+    scores_text = (
         f"{'' if is_lower else measure}{scores[0]} and {scores[1]}, judged by {compared.here.episodes}"
         " episodes"
     )
     if works_here is None or works_there is None:
         return [
-            f"in {names[0]} and {names[1]}: {shown}",
+            f"in {names[0]} and {names[1]}: {scores_text}",
             "whether it works is not defined: add --min-success RATE, or `solved` to the scenario",
         ]
     if is_lower:
@@ -327,7 +334,7 @@ def _verdict(compared: Transfer) -> list[str]:
         verdict = f"works in {names[0]}, but not in {names[1]}"
     else:
         verdict = f"works neither in {names[0]} nor in {names[1]}"
-    return [f"{verdict}: {shown}", f"required: {compared.required}"]
+    return [f"{verdict}: {scores_text}", f"required: {compared.required}"]
 
 
 def _data(compared: Transfer) -> dict[str, Any]:

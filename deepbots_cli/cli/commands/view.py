@@ -130,7 +130,7 @@ def view(
     source = Showing(
         shown, overrides or (), permissions, engine, case, stage, worlds or 0, start_values(start)
     )
-    other = replace(source, reference=compare) if compare else None
+    compared = replace(source, reference=compare) if compare else None
     settings = {
         "driver": driver,
         "seed": seed,
@@ -139,7 +139,7 @@ def view(
         "watch": watch,
         "frame_rate": frame_rate,
     }
-    _serve(source, open_, compare=other, host=host, port=port, **settings)
+    _serve(source, open_, compare=compared, host=host, port=port, **settings)
 
 
 def play(
@@ -213,16 +213,16 @@ def _finish(driven: DrivenEpisodes) -> None:
 
 def _training_words(opened: ShowingState) -> list[str]:
     """Return the words of the command that trains the shown scenario."""
-    shown = opened.shown
+    showing = opened.shown
     if opened.run is not None:
         from deepbots_cli.insight.training import training_command
 
-        return training_command(opened.run, shown.overrides)
-    changed = [word for text in shown.overrides for word in ("--set", text)]
+        return training_command(opened.run, showing.overrides)
+    changed = [word for text in showing.overrides for word in ("--set", text)]
     return [
         "deepbots",
         "train",
-        shown.reference,
+        showing.reference,
         *changed,
-        *(["--engine", shown.engine] if shown.engine else []),
+        *(["--engine", showing.engine] if showing.engine else []),
     ]

@@ -79,14 +79,14 @@ class Limb:
 
     def frames(self, positions: Positions) -> dict[str, Frame]:
         """Return the frame of the link behind each joint."""
-        here, frames = self.base, {}
+        frame, frames = self.base, {}
         for joint in self.path:
-            frames[joint.name] = here = child_frame(joint, here, positions.get(joint.name, 0.0))
+            frames[joint.name] = frame = child_frame(joint, frame, positions.get(joint.name, 0.0))
         return frames
 
     def lowest(self, positions: Positions) -> float:
         """Return the height of the lowest of these frames."""
-        return min(place[2] for place, _ in self.frames(positions).values())
+        return min(position[2] for position, _ in self.frames(positions).values())
 
     def positions_for(
         self, target: Triple, using: Sequence[Joint] | None = None

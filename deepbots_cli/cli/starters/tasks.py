@@ -214,17 +214,17 @@ _REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind
 """The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
 
 
-def _front(build: Build, places: Sequence[float]) -> int:
-    """Return 1 if the front of the robot is at the larger `places` of its limbs, -1 if at the smaller ones; 0
-    if the names of the limbs do not say which are in front."""
+def _front(build: Build, positions: Sequence[float]) -> int:
+    """Return 1 if the front of the robot is at the larger `positions` of its limbs, -1 if at the smaller
+    ones; 0 if the names of the limbs do not say which are in front."""
     fronts: list[float] = []
     rears: list[float] = []
-    for limb, place in zip(build.limbs, places, strict=True):
+    for limb, position in zip(build.limbs, positions, strict=True):
         names = " ".join(f"{joint.name} {joint.child}" for joint in limb.joints)
         is_front, is_rear = bool(_FRONT.search(names)), bool(_REAR.search(names))
         if is_front is is_rear:
             return 0
-        (fronts if is_front else rears).append(place)
+        (fronts if is_front else rears).append(position)
     if not fronts or not rears:
         return 0
     return (min(fronts) > max(rears)) - (max(fronts) < min(rears))
@@ -291,13 +291,13 @@ def roam(draft: Draft) -> dict[str, object]:
             )
         if bending_joints := [joint for joint in joints if joint not in endless]:
             actions[f"bend_{kind}"] = group = draft.group(f"bending_{kind}", bending_joints)
-            rest, swing = _middle(draft, group, f"rest_{kind}", bending_joints)
+            rest_name, swing = _middle(draft, group, f"rest_{kind}", bending_joints)
             draft.motor(
                 f"bend_{kind}",
                 "position_motor",
                 group,
                 bending_joints,
-                f"{rest} + {short_number(swing)} {unit} * bend_{kind}",
+                f"{rest_name} + {short_number(swing)} {unit} * bend_{kind}",
             )
     return {"actions": actions, "chassis": build.chassis, "place": draft.raised | {"yaw": "any"}}
 
@@ -307,7 +307,7 @@ def posture(draft: Draft) -> dict[str, object]:
     moved = []
     for kind, unit, joints in by_unit(draft.build.driven):
         group = draft.group(f"moved_{kind}", joints)
-        rest, swing = _middle(draft, group, f"rest_{kind}", joints)
+        rest_name, swing = _middle(draft, group, f"rest_{kind}", joints)
         draft.motor(
             f"move_{kind}",
             "position_motor",
@@ -315,7 +315,7 @@ def posture(draft: Draft) -> dict[str, object]:
             joints,
             f"{kind} + {short_number(0.2 * swing)} {unit} * turn_{kind}",
         )
-        moved.append({"name": kind, "group": group, "rest": rest, "swing": swing, "unit": unit})
+        moved.append({"name": kind, "group": group, "rest": rest_name, "swing": swing, "unit": unit})
     return {"moved": moved}
 
 
@@ -430,7 +430,7 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     """
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
-    far, near = limb.reach, _TIP_TOLERANCE * limb.reach
+    far, tolerance = limb.reach, _TIP_TOLERANCE * limb.reach
     across = next(
         (axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)),
         None,
@@ -463,9 +463,9 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
         if across != 2:
             low = low[0], low[1], max(low[2], build.lowest + 0.05 * far)
         tried = [limb.positions_for(start, order) for start in starts for order in orders]
-        reached = [positions for positions, missing in tried if missing < near]
+        reached = [positions for positions, missing in tried if missing < tolerance]
         corners = product((low[0], high[0]), (low[1], high[1]), (low[2], high[2]))
-        if reached and all(limb.positions_for(place)[1] < near for place in (*corners, *inner)):
+        if reached and all(limb.positions_for(point)[1] < tolerance for point in (*corners, *inner)):
             return (
                 low,
                 high,
@@ -525,4 +525,4 @@ def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float],
 def _bending_axis(build: Build, limb: Limb) -> Triple:
     """Return the axis to which most joints of a leg are parallel: of its plane."""
     axes = [build.axis(joint) for joint in limb.joints]
-    return max(axes, key=lambda axis: sum(abs(frames.dot(axis, other)) > 0.9 for other in axes))
+    return max(axes, key=lambda axis: sum(abs(frames.dot(axis, second_axis)) > 0.9 for second_axis in axes))

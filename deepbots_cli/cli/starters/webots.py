@@ -64,8 +64,8 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
 def _todo_text(todos: int) -> str:
     if not todos:
         return "No place is left to you."
-    places = "One place is" if todos == 1 else f"{todos} places are"
-    return f"{places} left to you: search for FILL IN."
+    count_text = "One place is" if todos == 1 else f"{todos} places are"
+    return f"{count_text} left to you: search for FILL IN."
 
 
 def _robot_file(name: str, robot: DraftRobot) -> str:
@@ -129,8 +129,8 @@ def _lines(draft: Draft, name: str, title: str) -> list[str]:
     lines = ["deepbots: 1", f"name: {title}", "", "world:"]
     lines += [f"  {key}: {value}" for key, value in draft.surroundings.world]
     lines += [
-        f"  {FILL_IN} from {_one_line(place)}: {_one_line(sentence)}"
-        for place, sentence in draft.surroundings.left_out
+        f"  {FILL_IN} from {_one_line(location)}: {_one_line(sentence)}"
+        for location, sentence in draft.surroundings.left_out
     ]
     if draft.surroundings.objects:
         lines += ["", "objects:"]

@@ -98,10 +98,14 @@ class BatchMember(EngineProxy):
         """Read the pose of a free body from its row of the batch, unless the shared engine has this world: 1
         us instead of 8."""
         read_attached: PoseReader = super().pose(body, link)
-        batch, index, place = self._batch, self._index, self._batch.form_and_link(body, link)
-        if place is None or place[1] != place[0].root_id or place[0].position_index < 0:
+        batch, index, form_and_link = self._batch, self._index, self._batch.form_and_link(body, link)
+        if (
+            form_and_link is None
+            or form_and_link[1] != form_and_link[0].root_id
+            or form_and_link[0].position_index < 0
+        ):
             return read_attached
-        at = place[0].position_index
+        at = form_and_link[0].position_index
 
         def read_free() -> Frame:
             if batch.attached == index:
@@ -495,10 +499,10 @@ class MuJoCoBatch:
         return lambda: np.stack([self._reading(force, 3), self._reading(torque, 3)])
 
     def pose(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self.form_and_link(body, link)
-        if place is None:
+        form_and_link = self.form_and_link(body, link)
+        if form_and_link is None:
             return self._read_each(lambda member: member.pose(body, link))
-        form, number = place
+        form, number = form_and_link
         if number == form.root_id and form.position_index >= 0:
             at = form.position_index
 
@@ -515,10 +519,10 @@ class MuJoCoBatch:
         return read
 
     def velocity(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        place = self.form_and_link(body, link)
-        if place is None:
+        form_and_link = self.form_and_link(body, link)
+        if form_and_link is None:
             return self._read_each(lambda member: member.velocity(body, link))
-        form, number = place
+        form, number = form_and_link
         if number == form.root_id and form.position_index >= 0:
             pose, at = self.pose(body, link), form.velocity_index
 
@@ -549,9 +553,9 @@ class MuJoCoBatch:
                 for name in ("body_mass", "body_inertia")
             )
             velocities = self._observer.read("cvel")[:, links]
-            places, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
+            positions, axes = (self._observer.read(name)[:, links] for name in ("xipos", "ximat"))
             origins = self._observer.read("subtree_com")[:, body.root_id]
-            motions = LinkMotions(masses, moments, places, axes, velocities, origins)
+            motions = LinkMotions(masses, moments, positions, axes, velocities, origins)
             return motions.angular_momentum().T
 
         return read
@@ -569,8 +573,8 @@ class MuJoCoBatch:
         if others is not None or not ground:
             others = self.single.others(one[0], ground=False) if others is None else others
             met = [link for part in others for link in self._links(part)]
-        places = [self._sensor(Sensor(link, other)) for link in links for other in met]
-        return lambda: cast("Column", self.touched[:, places].any(axis=1))
+        columns = [self._sensor(Sensor(link, target)) for link in links for target in met]
+        return lambda: cast("Column", self.touched[:, columns].any(axis=1))
 
     def contact_force(self, one: Part) -> Callable[[], Column]:
         """See `Engine.contact_force`. Forces are added up in the order of contacts."""
@@ -630,20 +634,22 @@ class MuJoCoBatch:
         pools = [self.single._pool(name) for name, _ in (one, other)]
         if any(len(list(pool)) > 1 for pool in pools):
             return self._read_each(lambda member: member.clearance(one, other))
-        near, far = (pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True))
+        first_geoms, second_geoms = (
+            pool.current.geoms_of(part[1]) for pool, part in zip(pools, (one, other), strict=True)
+        )
         kinds = self.nominal.geom_type
         numbers = self._observer.distances(
-            [(a, b) for a in near for b in far if ELLIPSOID not in (kinds[a], kinds[b])]
+            [(a, b) for a in first_geoms for b in second_geoms if ELLIPSOID not in (kinds[a], kinds[b])]
         )
         absent = [
-            place for place, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools
+            index for index, pool in enumerate(self._world.pools.values()) if pool.pooled and pool in pools
         ]
 
         def read() -> Column:
             apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
             apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
-            for place in absent:
-                apart[[not memory[0][place][0] for memory in self._memories]] = inf
+            for index in absent:
+                apart[[not memory[0][index][0] for memory in self._memories]] = inf
             return apart
 
         return read
@@ -652,10 +658,10 @@ class MuJoCoBatch:
         self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False
     ) -> Callable[[], Column]:
         """See `Engine.rays`."""
-        place = self.form_and_link(*part)
-        if place is None:
+        form_and_link = self.form_and_link(*part)
+        if form_and_link is None:
             return self._read_each(lambda member: member.rays(part, rays, reach, upright=upright))
-        form, link = place
+        form, link = form_and_link
         starts = np.array([origin for origin, _ in rays])
         ways = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in rays])
         geoms = form.geoms_of(None)
@@ -776,10 +782,10 @@ class MuJoCoBatch:
                 motor = CurvedMotor(self, numbers)
             else:
                 motor = BatchMotor(self, numbers)
-            for other in self.motors.values():
-                if not set(other.joints).isdisjoint(numbers):
-                    motor.rivals.append(other)
-                    other.rivals.append(motor)
+            for rival in self.motors.values():
+                if not set(rival.joints).isdisjoint(numbers):
+                    motor.rivals.append(rival)
+                    rival.rivals.append(motor)
             self.motors[key] = motor
         bound = self.motors[key]
         bound.bind(worlds, limits, stiffness, damping)

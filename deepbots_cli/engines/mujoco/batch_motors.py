@@ -28,12 +28,12 @@ MOTOR_FIELDS = (
 """The arrays of a model that motors write."""
 
 
-def cells(worlds: Any, places: Any) -> tuple[Any, Any]:
+def cells(worlds: Any, columns: Any) -> tuple[Any, Any]:
     """Return the index of these places in the rows of these worlds, each a slice or an array."""
     return (
-        (worlds, places)
-        if isinstance(worlds, slice) or isinstance(places, slice)
-        else (worlds[:, None], places)
+        (worlds, columns)
+        if isinstance(worlds, slice) or isinstance(columns, slice)
+        else (worlds[:, None], columns)
     )
 
 
@@ -213,7 +213,7 @@ class TrackingMotor(BatchMotor):
     def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
         super().__init__(batch, joints)
         model, self._rate, self._step = self._model, rate, self._model.opt.timestep
-        self._places = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
+        self._position_columns = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
         self._moved = 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = motors.MAX_GAIN * inertias / self._step
@@ -237,14 +237,16 @@ class TrackingMotor(BatchMotor):
         """Return the gains, which are renewed."""
         batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
         target_velocities = (
-            (targets - batch.qpos[cells(worlds, self._places)]) * self._rate if self._rate else targets
+            (targets - batch.qpos[cells(worlds, self._position_columns)]) * self._rate
+            if self._rate
+            else targets
         )
         off = np.maximum(
             np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),
             motors.MIN_ERROR_SHARE * np.abs(target_velocities),
         )
-        near = limits / self._stiffest
-        gains = np.where(off > near, limits / np.maximum(off, near), self._stiffest)
+        threshold = limits / self._stiffest
+        gains = np.where(off > threshold, limits / np.maximum(off, threshold), self._stiffest)
         batch.ctrl[cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
         aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)

@@ -58,21 +58,21 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
     if not sensors:
         return copy(model)
     spec, kinds = builder._spec.copy(), mj.mjtObj
-    for place, sensor in enumerate(sensors):
+    for index, sensor in enumerate(sensors):
         subjects = {}
         for (kind, name), part_name in zip(
             (("objtype", "objname"), ("reftype", "refname")), (sensor.one, sensor.other), strict=True
         ):
             if part_name is not None:
-                number, whole = part_name
-                link = kinds.mjOBJ_XBODY if whole else kinds.mjOBJ_BODY
+                number, has_subtree = part_name
+                link = kinds.mjOBJ_XBODY if has_subtree else kinds.mjOBJ_BODY
                 is_geom = sensor.measures == "distance"
                 subjects[kind] = kinds.mjOBJ_GEOM if is_geom else link
                 subjects[name] = (model.geom if is_geom else model.body)(number).name
         if sensor.measures == "distance":
             spec.add_sensor(type=mj.mjtSensor.mjSENS_GEOMDIST, cutoff=MAX_CLEARANCE_M, **subjects)
         elif sensor.measures in _SITE_SENSORS:
-            site = spec.body(subjects["objname"]).add_site(name=f"s{place}")
+            site = spec.body(subjects["objname"]).add_site(name=f"s{index}")
             spec.add_sensor(type=_SITE_SENSORS[sensor.measures], objtype=kinds.mjOBJ_SITE, objname=site.name)
         else:
             fields, reduced, slots = _CONTACT_SENSORS[sensor.measures]
@@ -126,11 +126,11 @@ class Observer:
             self.is_current = True
         return bound
 
-    def cast(self, starts: Column, ways: Column, own: Sequence[int]) -> Column:
-        """Return the free distance of rays, -1 if they meet nothing; geoms of `own` are not seen."""
+    def cast(self, starts: Column, ways: Column, own_geoms: Sequence[int]) -> Column:
+        """Return the free distance of rays, -1 if they meet nothing; geoms of `own_geoms` are not seen."""
         groups = self._views.expand("geom_group")
-        saved_groups = groups[:, own]
-        groups[:, own] = HIDDEN_GROUP
+        saved_groups = groups[:, own_geoms]
+        groups[:, own_geoms] = HIDDEN_GROUP
         free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
-        groups[:, own] = saved_groups
+        groups[:, own_geoms] = saved_groups
         return free

@@ -196,11 +196,11 @@ class WorldRenderer:
         self._nominal = self._model.geom_rgba.copy()
         self._geoms: dict[tuple[str, str], list[int]] = {}
         self._owners = np.full(self._model.ngeom + 1, -1, np.int32)
-        for place, pool in enumerate(builder.pools):
+        for index, pool in enumerate(builder.pools):
             for body in pool:
                 for link, geoms in body.geoms.items():
                     self._geoms.setdefault((pool.name, link), []).extend(geoms)
-                    self._owners[geoms] = place
+                    self._owners[geoms] = index
         ground = self._geoms.get((GROUND, GROUND))
         if ground:  # painted lines
             lines = (self._model.geom_bodyid[: self._model.ngeom] == 0).nonzero()[0]

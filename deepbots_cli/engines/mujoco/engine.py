@@ -224,9 +224,9 @@ class MuJoCoEngine:
         if not numbers:
             return lambda: ()
         if len(numbers) == 1:  # takes half the time of two slices
-            place, dof = int(model.jnt_qposadr[numbers[0]]), int(model.jnt_dofadr[numbers[0]])
+            address, dof = int(model.jnt_qposadr[numbers[0]]), int(model.jnt_dofadr[numbers[0]])
             position, velocity = data.qpos.item, data.qvel.item
-            return lambda: ((position(place), velocity(dof)),)
+            return lambda: ((position(address), velocity(dof)),)
         positions, velocities = (
             motors.array_reader(*pair)
             for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
@@ -287,7 +287,7 @@ class MuJoCoEngine:
 
             return read_free
         at_rest = link == body.root_id and body.mocap_index >= 0
-        place, rotation = (
+        position, rotation = (
             (data.mocap_pos[body.mocap_index], data.mocap_quat[body.mocap_index])
             if at_rest
             else (data.xpos[link], data.xquat[link])
@@ -297,7 +297,7 @@ class MuJoCoEngine:
             if not (at_rest or world.has_positions):
                 world.update_positions()
             w, x, y, z = rotation.tolist()
-            return tuple(place.tolist()), (x, y, z, w)
+            return tuple(position.tolist()), (x, y, z, w)
 
         return read
 
@@ -315,13 +315,17 @@ class MuJoCoEngine:
             return read_free
         # `cvel` is the velocity of the link at the center of mass of its tree; `mj_objectVelocity` begins
         # with it too, at three times the cost.
-        of_center, center, place = data.cvel[link], data.subtree_com[model.body_rootid[link]], data.xpos[link]
+        of_center, center, origin = (
+            data.cvel[link],
+            data.subtree_com[model.body_rootid[link]],
+            data.xpos[link],
+        )
 
         def read() -> tuple[Triple, Triple]:
             if not world.has_velocities:
                 world.update_velocities()
             wx, wy, wz, vx, vy, vz = of_center.tolist()
-            (px, py, pz), (cx, cy, cz) = place.tolist(), center.tolist()
+            (px, py, pz), (cx, cy, cz) = origin.tolist(), center.tolist()
             px, py, pz = px - cx, py - cy, pz - cz
             return (vx + wy * pz - wz * py, vy + wz * px - wx * pz, vz + wx * py - wy * px), (wx, wy, wz)
 
@@ -356,21 +360,21 @@ class MuJoCoEngine:
         return surfaces.force_vector(self._world, self._geoms(one))
 
     def clearance(self, one: Part, other: Part) -> ClearanceReader:
-        near, far = self._pool(one[0]), self._pool(other[0])
+        pool, other_pool = self._pool(one[0]), self._pool(other[0])
         for geom in (*self._geoms(one), *self._geoms(other)):
             if self._world.model.geom_type[geom] == mj.mjtGeom.mjGEOM_HFIELD:
                 raise EngineError(
                     "MuJoCo cannot compute distances to terrain; measure them with a ray sensor, or use the"
                     " engine 'pybullet'"
                 )
-        read = near.bind_current(
-            lambda body: far.bind_current(
+        read = pool.bind_current(
+            lambda body: other_pool.bind_current(
                 lambda far_body: surfaces.clearance(
                     self._world, body.geoms_of(one[1]), far_body.geoms_of(other[1])
                 )
             )
         )
-        return lambda: read() if near.present and far.present else inf
+        return lambda: read() if pool.present and other_pool.present else inf
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         return self._pool(part[0]).bind_current(

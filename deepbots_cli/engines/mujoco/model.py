@@ -162,9 +162,11 @@ class ModelBuilder:
         if for_rendering:
             self._add_light()
         self._add_ground()
-        for thing in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
-            variants = [(name, self._object(form, thing.pooled)) for name, form in forms_of(thing).items()]
-            self.pools.append(Pool(thing.name, variants, thing.pooled))
+        for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [
+                (name, self._object(form, object_body.pooled)) for name, form in forms_of(object_body).items()
+            ]
+            self.pools.append(Pool(object_body.name, variants, object_body.pooled))
         for robot in world.robots:
             model = with_explicit_masses(robot.name, robot.model, robot.fixed_base)
             body = self._add(
@@ -213,9 +215,9 @@ class ModelBuilder:
     def _refusal(self, text: str) -> EngineError:
         """Return the error for a world that MuJoCo refuses. Its text is `Error: REASON`, and in the next line
         `Element name 'NAME', id ID`."""
-        first, _, rest = text.partition("\n")
+        first, _, second_line = text.partition("\n")
         reason = re.split(r"[.;]\s", re.sub(r":? '?m\d+'?", "", first.removeprefix("Error: ")))[0]
-        element = re.search(r"'[bgjm](\d+)'", rest)
+        element = re.search(r"'[bgjm](\d+)'", second_line)
         number = int(element[1]) if element else 0
         owner = next(((body, link) for start, body, link in reversed(self._links) if start <= number), None)
         if owner is None:
@@ -342,15 +344,15 @@ class ModelBuilder:
 
     # Bodies
 
-    def _object(self, thing: ObjectBody, pooled: bool) -> Body:
-        home = frames.frame(thing.pose)
+    def _object(self, body: ObjectBody, pooled: bool) -> Body:
+        home = frames.frame(body.pose)
         if pooled:
             self._absent += 1
             home = (
                 (-self._absent * PARKING_SPACING_M, 0.0, self._absent * PARKING_SPACING_M),
                 frames.IDENTITY_ROTATION,
             )
-        return self._add(Body(thing.name, as_robot(thing), not is_movable(thing), home), pooled)
+        return self._add(Body(body.name, as_robot(body), not is_movable(body), home), pooled)
 
     def _add(self, body: Body, pooled: bool = False) -> Body:
         """Add the links and joints of a body to the specification."""
@@ -365,7 +367,7 @@ class ModelBuilder:
         joints: dict[str, MjObject] = {}
         geoms: dict[str, list[MjObject]] = {}
         order = [model.root]
-        for place, name in enumerate(order):
+        for index, name in enumerate(order):
             link, above = model.link(name), joint_of.get(name)
             position, rotation = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
@@ -388,7 +390,7 @@ class ModelBuilder:
                 ROOT_MASS_FRACTION * subtree_mass[name] if above is None or above.moves else 0.0,
             )
             pieces = (link.visuals or link.collisions) if self._for_rendering else link.collisions
-            geoms[name] = [self._surface(body_element, piece, place, pooled) for piece in pieces]
+            geoms[name] = [self._surface(body_element, piece, index, pooled) for piece in pieces]
             if self._flat and above is not None:
                 geoms[name] += self._add_tires(body_element, link, above, geoms[name])
             order += children.get(name, ())
@@ -485,9 +487,9 @@ class ModelBuilder:
             solimp=GEAR_IMPEDANCE,
         )
 
-    def _surface(self, element: MjObject, piece: Geometry, place: int, pooled: bool) -> MjObject:
+    def _surface(self, element: MjObject, piece: Geometry, index: int, pooled: bool) -> MjObject:
         position, rotation = frames.frame(piece.origin)
-        color = piece.color or LINK_COLORS[place % len(LINK_COLORS)]
+        color = piece.color or LINK_COLORS[index % len(LINK_COLORS)]
         about: dict[str, Any] = {
             "pos": position,
             "quat": frames.wxyz(rotation),
@@ -612,10 +614,10 @@ class ModelBuilder:
                 solimp=TIRE_IMPEDANCE if self._tires & {first.name, second.name} else CONTACT_IMPEDANCE,
             )
 
-    def _meet(self, surface: MjObject, other: MjObject) -> bool:
+    def _meet(self, surface: MjObject, other_surface: MjObject) -> bool:
         """Return whether a surface may touch another: a wheel touches flat ground with its tire, and anything
         else with its cylinder."""
-        ground = self._flat and other.type == mj.mjtGeom.mjGEOM_PLANE
+        ground = self._flat and other_surface.type == mj.mjtGeom.mjGEOM_PLANE
         return surface.name not in (self._wheels if ground else self._tires)
 
     def _surfaces(self, pool: Pool[Body]) -> Iterator[tuple[MjObject, bool]]:
@@ -635,8 +637,8 @@ def _part(surfaces: Sequence[tuple[MjObject, Frame]]) -> None:
         levels = [
             level + 1
             for plane, middle, reach in faces
-            for other, far, level in planes.get(plane, ())
-            if dist(middle, other) < reach + far
+            for other_middle, far, level in planes.get(plane, ())
+            if dist(middle, other_middle) < reach + far
         ]
         level = min(max(levels, default=0), _MAX_LEVEL)
         for plane, middle, reach in faces:
@@ -657,7 +659,7 @@ def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Trip
     for along, sign in product(normals, (1.0, -1.0)):
         axis, normal = along.index(1.0), frames.scaled(frames.rotate(frame[1], along), sign)
         middle = frames.add(frame[0], frames.scaled(normal, half[axis]))
-        across = [half[place] for place in range(3) if place != axis]
+        across = [half[index] for index in range(3) if index != axis]
         rounded = (
             *(round(part * 1e4) for part in normal),
             round(sum(map(mul, normal, middle)) / _SAME_PLANE_M),

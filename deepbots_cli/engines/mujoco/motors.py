@@ -105,19 +105,19 @@ class WrenchMonitor:
         data.qvel[:] = before
         mj.mj_rnePostConstraint(model, data)
         data.qvel[:] = after
-        for place, link in enumerate(self._links):
+        for index, link in enumerate(self._links):
             tx, ty, tz, fx, fy, fz = data.cfrc_int[link].tolist()  # at the center of mass of the tree
             arm = (data.subtree_com[model.body_rootid[link]] - data.xpos[link]).tolist()
             w, x, y, z = data.xquat[link].tolist()
             force, rotation = (fx, fy, fz), (x, y, z, w)
             torque = frames.add((tx, ty, tz), frames.cross(arm, force))
-            self._wrenches[place] = frames.rotate_back(rotation, force), frames.rotate_back(rotation, torque)
+            self._wrenches[index] = frames.rotate_back(rotation, force), frames.rotate_back(rotation, torque)
 
     def reader(self, link: int) -> WrenchReader:
-        place, wrenches = len(self._links), self._wrenches
+        index, wrenches = len(self._links), self._wrenches
         self._links.append(link)
         wrenches.append((ZERO_VECTOR, ZERO_VECTOR))
-        return lambda: wrenches[place]
+        return lambda: wrenches[index]
 
 
 class Motor:
@@ -248,13 +248,13 @@ class Motor:
                 if not self.gains:  # the motor begins, perhaps in an episode with another armature
                     usual[:] = self._world.armature[self._dof_index].tolist()
                 self.gains = gains
-                for gain, base, (_, place, dof, inertia) in zip(gains, usual, by_joint, strict=True):
+                for gain, base, (_, address, dof, inertia) in zip(gains, usual, by_joint, strict=True):
                     added = gain * step
-                    bias[place + 2] = -gain
+                    bias[address + 2] = -gain
                     armature[dof] = base + added
                     inverses[dof] = 1.0 / (inertia + added)
                     if rate:
-                        bias[place + 1] = -gain * rate
+                        bias[address + 1] = -gain * rate
             self.targets = targets
             for gain, target, (act, *_) in zip(gains, targets, by_joint, strict=True):
                 ctrl[act] = gain * (rate or 1.0) * target
@@ -283,11 +283,11 @@ def velocity_gains(
     """Return the gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which
     this gain exerts the limit."""
     gains = []
-    for target, now, (stiffest, limit, near) in zip(targets, velocities, bounds, strict=True):
+    for target, now, (stiffest, limit, error_at_limit) in zip(targets, velocities, bounds, strict=True):
         off, least = abs(target - now), MIN_ERROR_SHARE * abs(target)
         if least > off:
             off = least
-        gains.append(limit / off if off > near else stiffest)
+        gains.append(limit / off if off > error_at_limit else stiffest)
     return gains
 
 
@@ -316,14 +316,14 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
     world."""
     model, data = world.model, world.data
     applied, rotation = data.xfrc_applied[link], data.xquat[link]
-    varies, place = link in world.varying_centers, model.body_ipos[link]
-    center = tuple(place.tolist())
+    varies, position = link in world.varying_centers, model.body_ipos[link]
+    center = tuple(position.tolist())
     centered = center == ZERO_VECTOR and not varies
 
     def push(force: Triple, torque: Triple) -> None:
         nonlocal center
         if varies:
-            center = tuple(place.tolist())
+            center = tuple(position.tolist())
         if frame == "link" or not centered:
             world.update_positions()
             w, x, y, z = rotation.tolist()

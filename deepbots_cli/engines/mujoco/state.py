@@ -186,7 +186,8 @@ class MujocoWorld:
             contact, exerted = self.data.contact, self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
             self._forces = [
-                (first, second, exerted[place] if place >= 0 else 0.0) for (first, second), place in pairs
+                (first, second, exerted[address] if address >= 0 else 0.0)
+                for (first, second), address in pairs
             ]
         return self._forces
 
@@ -309,13 +310,13 @@ class MujocoWorld:
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
-                place = find(body.links, link, f"'{owner[0]}' has no link")
+                number = find(body.links, link, f"'{owner[0]}' has no link")
                 if parameter == "color":
                     self.colors[owner[0], link] = values
                 elif parameter == "mass":
-                    self._set_mass(body, place, values[0])
+                    self._set_mass(body, number, values[0])
                 elif parameter in ("inertia", "center_of_mass"):
-                    self._set_inertial(parameter, body, place, values)
+                    self._set_inertial(parameter, body, number, values)
                 else:
                     self.surfaces[body.geoms[link], _SURFACE[parameter]] = values[0]
                     self._friction_changed = True
@@ -412,9 +413,9 @@ class MujocoWorld:
         model.pair_solref[:] = self._nominal_values("pair_solref")
         model.pair_solimp[:] = self._nominal_values("pair_solimp")
         bounces = first[RESTITUTION] * second[RESTITUTION]
-        for place in np.flatnonzero(bounces > 0.0):
-            model.pair_solref[place] = bounce_spring(float(bounces[place]), model.opt.timestep)
-            model.pair_solimp[place] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
+        for index in np.flatnonzero(bounces > 0.0):
+            model.pair_solref[index] = bounce_spring(float(bounces[index]), model.opt.timestep)
+            model.pair_solimp[index] = (BOUNCE_IMPEDANCE, BOUNCE_IMPEDANCE, *CONTACT_IMPEDANCE[2:])
 
     def require_finite(self) -> None:
         """Check that poses and joints are finite.
@@ -429,10 +430,13 @@ class MujocoWorld:
         robots_first = reversed(self.pools.values())
         for body in (pool.current for pool in robots_first):
             joints = list(body.joints.values())
-            places, speeds = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]
+            position_addresses, velocity_addresses = (
+                self.model.jnt_qposadr[joints],
+                self.model.jnt_dofadr[joints],
+            )
             states: Iterable[tuple[str, FloatArray]] = (
-                ("joints", data.qpos[places]),
-                ("joints", data.qvel[speeds]),
+                ("joints", data.qpos[position_addresses]),
+                ("joints", data.qvel[velocity_addresses]),
             )
             if body.position_index >= 0:
                 pose = data.qpos[body.position_index : body.position_index + 7]
@@ -449,8 +453,8 @@ def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
         contact, force = world.data.contact, np.zeros(6)
         world.force_vectors = vectors = []
         pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
-        for place, ((first, second), axes) in enumerate(pairs):
-            mj.mj_contactForce(world.model, world.data, place, force)
+        for index, ((first, second), axes) in enumerate(pairs):
+            mj.mj_contactForce(world.model, world.data, index, force)
             x, y, z = (force[:3] @ axes).tolist()
             vectors.append((first, second, (x, y, z)))
     return world.force_vectors

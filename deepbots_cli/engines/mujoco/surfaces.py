@@ -65,24 +65,24 @@ class ContactMonitor:
             pairs = self._contacts.geom.tolist()
             if pairs != self._ignored_pairs:
                 met = [
-                    place
+                    index
                     for first, second in pairs
-                    for place in self._readers_by_pair.get((first, second), ())
+                    for index in self._readers_by_pair.get((first, second), ())
                 ]
-                for place in met:
-                    self._touched[place] = True
+                for index in met:
+                    self._touched[index] = True
                 self._ignored_pairs = pairs if not met else []
 
-    def reader(self, own: Iterable[int], others: Iterable[int]) -> ContactReader:
-        place, touched, others = len(self._touched), self._touched, tuple(others)
+    def reader(self, own_geoms: Iterable[int], other_geoms: Iterable[int]) -> ContactReader:
+        index, touched, other_geoms = len(self._touched), self._touched, tuple(other_geoms)
         self._ignored_pairs = []
-        for geom in own:
-            for other_geom in others:
-                self._readers_by_pair.setdefault((geom, other_geom), []).append(place)
-                self._readers_by_pair.setdefault((other_geom, geom), []).append(place)
+        for geom in own_geoms:
+            for other_geom in other_geoms:
+                self._readers_by_pair.setdefault((geom, other_geom), []).append(index)
+                self._readers_by_pair.setdefault((other_geom, geom), []).append(index)
         touched.append(False)
         self._all_false.append(False)
-        return lambda: touched[place]
+        return lambda: touched[index]
 
 
 def force(world: MujocoWorld, geoms: Iterable[int]) -> ForceReader:
@@ -107,13 +107,13 @@ def force_vector(world: MujocoWorld, geoms: Iterable[int]) -> VectorReader:
     return read
 
 
-def clearance(world: MujocoWorld, ones: Sequence[int], others: Sequence[int]) -> ClearanceReader:
+def clearance(world: MujocoWorld, first_geoms: Sequence[int], second_geoms: Sequence[int]) -> ClearanceReader:
     """Return a reader of the distance between geoms, without tires, which are within their wheels."""
     model, data = world.model, world.data
     pairs = [
         (first, second)
-        for first in ones
-        for second in others
+        for first in first_geoms
+        for second in second_geoms
         if ELLIPSOID not in (model.geom_type[first], model.geom_type[second])
     ]
 
@@ -252,11 +252,11 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
             reach if length < 0.0 else min(length - start, reach)
             for length, start in zip(lengths, ahead, strict=True)
         ]
-        for place, length in enumerate(free):
+        for index, length in enumerate(free):
             if length < 0.0:  # something is between the center and the start
-                origin, direction = position + axes @ starts[place], axes @ directions[place]
+                origin, direction = position + axes @ starts[index], axes @ directions[index]
                 hit = ray(model, data, origin, direction, seen_groups, True, -1, None, None)
-                free[place] = reach if hit < 0.0 or hit > reach else hit
+                free[index] = reach if hit < 0.0 or hit > reach else hit
         groups[:] = saved
         return free
 
@@ -264,14 +264,14 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
 
 
 def line_of_sight(
-    world: MujocoWorld, body: Body, link: int, other: Body, other_link: int, point: Triple
+    world: MujocoWorld, body: Body, link: int, other_body: Body, other_link: int, point: Triple
 ) -> SightReader:
     """Return a reader of whether nothing is between a point on a link and the origin of another link, but for
     their bodies."""
     model, data = world.model, world.data
     geoms, groups = body.geoms_of(None), model.geom_group
     own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
-    met, its_own, offset = np.zeros(1, np.int32), frozenset(other.geoms_of(None)), np.array(point)
+    met, its_own, offset = np.zeros(1, np.int32), frozenset(other_body.geoms_of(None)), np.array(point)
 
     def is_free() -> bool:
         world.update_positions()

@@ -84,10 +84,10 @@ class PaintMap:
         shape = tuple(ceil((max(values) - min(values)) / self._cell) + 1 for values in (xs, ys))
         self._cells = np.zeros(shape, np.uint8)
         self._colors = np.zeros((_MAX_PAINTS + 1, 3), np.float32)
-        for place, line in enumerate(lines[:_MAX_PAINTS], start=1):
-            self._colors[place] = np.array(line.color[:3], np.float32) * 255.0
+        for number, line in enumerate(lines[:_MAX_PAINTS], start=1):
+            self._colors[number] = np.array(line.color[:3], np.float32) * 255.0
             for start, end in line.pieces:
-                self._stroke(start, end, line.width / 2, place)
+                self._stroke(start, end, line.width / 2, number)
 
     def _stroke(self, start: tuple[float, float], end: tuple[float, float], half: float, paint: int) -> None:
         """Paint all cells whose center is within `half` m of a straight piece."""
@@ -273,16 +273,16 @@ class Camera:
         return picture
 
     def camera_image(
-        self, aim: CameraPose, places: NDArray[np.int32], ground: int, names: tuple[str, ...]
+        self, aim: CameraPose, name_indices: NDArray[np.int32], ground: int, names: tuple[str, ...]
     ) -> CameraImage:
-        """Return the whole picture; `places` are the indices of PyBullet's numbers among `names`, `ground` is
-        that of the floor."""
+        """Return the whole picture; `name_indices` are the indices of PyBullet's numbers among `names`,
+        `ground` is that of the floor."""
         picture, buffer, numbers = self._rendered(aim)
         colors, bare, rays = picture.copy(), numbers < 0, self._world_rays(aim)
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
             CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer
         ) + np.float32(EYE_OFFSET_M)
-        bodies = np.where(bare, np.int32(-1), places[numbers])
+        bodies = np.where(bare, np.int32(-1), name_indices[numbers])
         depth[bare] = CAMERA_RANGE_M
         if self._floor is not None and aim.eye[2] > 0.0:
             floor = bare & (rays[..., 2] < -1e-6)

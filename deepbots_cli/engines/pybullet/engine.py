@@ -231,14 +231,14 @@ class PyBulletEngine:
                 lambda body, link: self._contact_monitor(body).touches_any_but(link, left_out),
                 surfaces.ANY_LINK,
             )
-        places = [
+        link_keys = [
             (body.number, _index(body, link, surfaces.ANY_LINK))
             for name, link in others
             for body in self._pool(name)
         ]
         return self._bound(
             one,
-            lambda body, link: self._contact_monitor(body).touches_any_of(link, places),
+            lambda body, link: self._contact_monitor(body).touches_any_of(link, link_keys),
             surfaces.ANY_LINK,
         )
 
@@ -258,11 +258,11 @@ class PyBulletEngine:
         pools = (self._pool(one[0]), self._pool(other[0]))
 
         def between(body: Body, link: int) -> ClearanceReader:
-            near = (body.number, link)
+            first_key = (body.number, link)
             return self._bound(
                 other,
                 lambda far_body, far_link: surfaces.clearance(
-                    self._client, near, (far_body.number, far_link)
+                    self._client, first_key, (far_body.number, far_link)
                 ),
                 surfaces.ANY_LINK,
             )
@@ -416,15 +416,15 @@ class PyBulletEngine:
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
         camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
-        # `places` has the index among the names for each of PyBullet's numbers.
-        names, places = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
-        for place, pool in enumerate(self._pools.values()):
-            places[[body.number for body in pool]] = place
+        # `name_indices` has the index among the names for each of PyBullet's numbers.
+        names, name_indices = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
+        for index, pool in enumerate(self._pools.values()):
+            name_indices[[body.number for body in pool]] = index
         ground = names.index(GROUND) if GROUND in names else -1
 
         def look() -> CameraImage:
             image = camera.camera_image(
-                cameras.pose_along(frames.compose(pose(), mount)), places, ground, names
+                cameras.pose_along(frames.compose(pose(), mount)), name_indices, ground, names
             )
             return image._replace(colors=brightened(image.colors, self._parameters.light))
 

@@ -98,7 +98,7 @@ def create_client(world: WorldModel) -> int:
     links = (link for robot in world.robots for link in robot.model.links)
     stated = [
         world.ground.restitution if world.ground else 0.0,
-        *(thing.restitution for thing in world.objects),
+        *(body.restitution for body in world.objects),
     ]
     if any(value > 0.0 for value in (*stated, *(link.friction.restitution or 0.0 for link in links))):
         # Contact error reduction turns penetration into velocity, more with every step of an impact: a
@@ -140,15 +140,15 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
         file, cylinder = Path(folder, "body.urdf"), Path(folder, _CYLINDER)
         cylinder.write_text(_cylinder_mesh(), encoding="ascii")
-        for thing in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
-            variants = [(name, _object(client, form, file)) for name, form in forms_of(thing).items()]
-            for _, body in variants if thing.pooled else ():
+        for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
+            variants = [(name, _object(client, form, file)) for name, form in forms_of(object_body).items()]
+            for _, body in variants if object_body.pooled else ():
                 parked += 1
                 body.initial_pose = (
                     (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
                     frames.IDENTITY_ROTATION,
                 )
-            yield Pool(thing.name, variants, thing.pooled)
+            yield Pool(object_body.name, variants, object_body.pooled)
         for robot in world.robots:
             if len(robot.model.joints) > MAX_JOINTS:
                 count = len(robot.model.joints)
@@ -188,10 +188,14 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
         p.changeConstraint(gear, maxForce=0.0, physicsClientId=client)
 
 
-def _object(client: int, thing: ObjectBody, file: Path) -> Body:
-    model, fixed, is_mesh = as_robot(thing), not is_movable(thing), isinstance(thing.shape, Mesh)
-    body = _load(client, thing.name, model, fixed, file, inertia_known=not is_mesh)
-    body.initial_pose = body.center_pose(*frames.frame(thing.pose))
+def _object(client: int, object_body: ObjectBody, file: Path) -> Body:
+    model, fixed, is_mesh = (
+        as_robot(object_body),
+        not is_movable(object_body),
+        isinstance(object_body.shape, Mesh),
+    )
+    body = _load(client, object_body.name, model, fixed, file, inertia_known=not is_mesh)
+    body.initial_pose = body.center_pose(*frames.frame(object_body.pose))
     return body
 
 
@@ -292,7 +296,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
             "flags": p.GEOM_FORCE_CONCAVE_TRIMESH,
         }
         shape = p.createCollisionShape(p.GEOM_MESH, **mesh, physicsClientId=client)
-        drawn, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
+        visual, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
         rows, columns = heights.heights.shape
@@ -304,10 +308,10 @@ def _terrain(client: int, ground: Terrain) -> Body:
             numHeightfieldColumns=rows,
             physicsClientId=client,
         )
-        drawn = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
+        visual = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
-    number = p.createMultiBody(0, shape, drawn, basePosition=(0.0, 0.0, middle), physicsClientId=client)
+    number = p.createMultiBody(0, shape, visual, basePosition=(0.0, 0.0, middle), physicsClientId=client)
     body = _ground_body(client, number, Friction(lateral=ground.friction))
     body.initial_pose = ((0.0, 0.0, middle), frames.IDENTITY_ROTATION)
     return body
@@ -383,10 +387,13 @@ def _cylinder_mesh(sides: int = 48) -> str:
     lines = [f"v {x_y} {z}" for x_y in rim for z in (-0.5, 0.5)] + ["v 0 0 -0.5", "v 0 0 0.5"]
     lines += [f"vn {x_y} 0" for x_y in rim] + ["vn 0 0 -1", "vn 0 0 1"]
     below, above = 2 * sides + 1, 2 * sides + 2
-    for here in range(1, sides + 1):
-        after = here % sides + 1
-        a, b, c, d = 2 * here - 1, 2 * after - 1, 2 * after, 2 * here
-        lines += [f"f {a}//{here} {b}//{after} {c}//{after}", f"f {a}//{here} {c}//{after} {d}//{here}"]
+    for index in range(1, sides + 1):
+        next_index = index % sides + 1
+        a, b, c, d = 2 * index - 1, 2 * next_index - 1, 2 * next_index, 2 * index
+        lines += [
+            f"f {a}//{index} {b}//{next_index} {c}//{next_index}",
+            f"f {a}//{index} {c}//{next_index} {d}//{index}",
+        ]
         lines += [
             f"f {below}//{sides + 1} {b}//{sides + 1} {a}//{sides + 1}",
             f"f {above}//{sides + 2} {d}//{sides + 2} {c}//{sides + 2}",

@@ -202,12 +202,12 @@ def torques(
                     exerted = list(map(add, exerted, drive.torques))
                     continue
                 for index, torque in zip(drive.indices, drive.torques, strict=True):
-                    if index in places:
-                        exerted[places[index]] += torque
+                    if index in rows_by_index:
+                        exerted[rows_by_index[index]] += torque
         return exerted
 
     joint_indices = tuple(indices)
-    places = {index: place for place, index in enumerate(joint_indices)}
+    rows_by_index = {index: row for row, index in enumerate(joint_indices)}
     return read_torques
 
 

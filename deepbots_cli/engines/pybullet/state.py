@@ -262,10 +262,10 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
             *((*link[:2], *link[6:8]) for link in states),
         ]
         total, momentum, first, flow = 0.0, ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR
-        for index, (place, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
+        for index, (position, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
-            arm, (x, y, z) = frames.subtract(place, base), frames.rotate_back(rotation, turning)
+            arm, (x, y, z) = frames.subtract(position, base), frames.rotate_back(rotation, turning)
             spin = frames.rotate(rotation, (ix * x, iy * y, iz * z))
             momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
             first = frames.add(first, frames.scaled(arm, mass))
@@ -408,9 +408,9 @@ class Parameters:
         p.changeVisualShape(owner.number, index, rgbaColor=color, physicsClientId=self._client)
 
     def _paint(self, number: int, index: int, colors: list[Color]) -> None:
-        for place, color in enumerate(colors):
+        for shape_index, color in enumerate(colors):
             p.changeVisualShape(
-                number, index, shapeIndex=place, rgbaColor=color, physicsClientId=self._client
+                number, index, shapeIndex=shape_index, rgbaColor=color, physicsClientId=self._client
             )
 
     def _set_light(self, brightness: float) -> None:
@@ -422,5 +422,5 @@ def contact_parameters(friction: Friction) -> dict[str, float]:
     """Return the parameters under PyBullet's names. PyBullet multiplies the coefficients of both bodies, so a
     coefficient that is not given is 1 for `lateral`, and 0 for the others."""
     lateral = 1.0 if friction.lateral is None else friction.lateral
-    others = (friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
-    return dict(zip(_CONTACT_PARAMETERS.values(), (lateral, *others), strict=True))
+    other_coefficients = (friction.spinning or 0.0, friction.rolling or 0.0, friction.restitution or 0.0)
+    return dict(zip(_CONTACT_PARAMETERS.values(), (lateral, *other_coefficients), strict=True))

@@ -81,9 +81,11 @@ class ContactMonitor:
         for query in self._queries:
             for point in query():
                 if point[9] > 0.0 or point[8] <= 0.0:
-                    other, link, other_link = point[2:5]
+                    other_body, link, other_link = point[2:5]
                     for mark in self._open_flags:
-                        if (mark.link == link or mark.link == ANY_LINK) and mark.is_other(other, other_link):
+                        if (mark.link == link or mark.link == ANY_LINK) and mark.is_other(
+                            other_body, other_link
+                        ):
                             mark.touched = learned = True
         if learned:
             self._open_flags = [mark for mark in self._open_flags if not mark.touched]
@@ -102,17 +104,18 @@ class ContactMonitor:
         self.reset()
         return mark.read
 
-    def touches_any_of(self, link: int, others: Collection[LinkKey]) -> ContactReader:
-        """Return whether the link touched one of `others`."""
-        keys = frozenset(others)
+    def touches_any_of(self, link: int, link_keys: Collection[LinkKey]) -> ContactReader:
+        """Return whether the link touched one of `link_keys`."""
+        keys = frozenset(link_keys)
         return self._flag(
-            link, lambda other, other_link: (other, other_link) in keys or (other, ANY_LINK) in keys
+            link,
+            lambda other_body, other_link: (other_body, other_link) in keys or (other_body, ANY_LINK) in keys,
         )
 
     def touches_any_but(self, link: int, without: Collection[int]) -> ContactReader:
         """Return whether the link touched anything but the bodies `without`."""
         left_out = frozenset(without)
-        return self._flag(link, lambda other, other_link: other not in left_out)
+        return self._flag(link, lambda other_body, other_link: other_body not in left_out)
 
 
 def penetrations(client: int) -> dict[tuple[LinkKey, LinkKey], float]:
@@ -139,10 +142,10 @@ def _contact_points(client: int, body: Body, link: int) -> ContactQuery:
 
 
 def _from_other_side(point: Any) -> tuple[Any, ...]:
-    flag, body, other_body, link, other_link, place, other_place, normal, distance, force = point[:10]
+    flag, body, other_body, link, other_link, position, other_position, normal, distance, force = point[:10]
     first, along, second, across = point[10:14]
     normal, along, across = (frames.scaled(axis, -1.0) for axis in (normal, along, across))
-    ends = (other_body, body, other_link, link, other_place, place)
+    ends = (other_body, body, other_link, link, other_position, position)
     return (flag, *ends, normal, distance, force, first, along, second, across)
 
 
@@ -169,9 +172,9 @@ def force_vector(client: int, body: Body, link: int) -> VectorReader:
     return total
 
 
-def clearance(client: int, one: LinkKey, other: LinkKey) -> ClearanceReader:
+def clearance(client: int, first: LinkKey, second: LinkKey) -> ClearanceReader:
     read = partial(
-        p.getClosestPoints, one[0], other[0], MAX_CLEARANCE_M, one[1], other[1], physicsClientId=client
+        p.getClosestPoints, first[0], second[0], MAX_CLEARANCE_M, first[1], second[1], physicsClientId=client
     )
 
     def distance() -> float:
@@ -236,11 +239,11 @@ class Rays:
             hits = cast()
             free = [hit[2] * reach for hit in hits]
             if rounded:
-                for place, hit in enumerate(hits):
+                for number, hit in enumerate(hits):
                     if (surface := rounded.get(hit[:2])) is not None:
-                        ray = frames.compose(pose(), rays[place])
-                        free[place] = surface.hit_distance(
-                            ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[place]
+                        ray = frames.compose(pose(), rays[number])
+                        free[number] = surface.hit_distance(
+                            ray[0], frames.rotate(ray[1], (1.0, 0.0, 0.0)), free[number]
                         )
             return free
 
@@ -270,19 +273,19 @@ class Rays:
         return read
 
     def line_of_sight(
-        self, body: Body, index: int, other: Body, other_index: int, point: Triple
+        self, body: Body, index: int, other_body: Body, other_index: int, point: Triple
     ) -> SightReader:
         """Return a reader of whether nothing is between a point on a link and the origin of another link, but
         for their bodies."""
         pose = state.pose(self._client, body, index, self._cache)
-        target = state.pose(self._client, other, other_index, self._cache)
+        target = state.pose(self._client, other_body, other_index, self._cache)
         mask, mount = ~self._collision_group_bit(body), (point, frames.IDENTITY_ROTATION)
         cast = partial(p.rayTestBatch, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client)
 
         def is_free() -> bool:
             start, end = frames.compose(pose(), mount)[0], target()[0]
             ((number, _, fraction, *_),) = cast([start], [end])
-            if number in (-1, other.number):
+            if number in (-1, other_body.number):
                 return True
             return bool((1.0 - fraction) * dist(start, end) < SIGHT_TOLERANCE_M)
 
@@ -300,16 +303,16 @@ class Rays:
     def _collision_group_bit(self, body: Body) -> int:
         """Return the bit of a body's own group; its collisions stay the same."""
         if body.number not in self._groups:
-            place = FIRST_GROUP + len(self._groups)
-            if place > LAST_GROUP:
+            group = FIRST_GROUP + len(self._groups)
+            if group > LAST_GROUP:
                 raise EngineError(
                     f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}'"
                     " is one more"
                 )
-            self._groups[body.number] = 1 << place
+            self._groups[body.number] = 1 << group
             for name, index in body.links.items():
                 mask = ALL_BUT_STATIC if name in body.static_links else ALL_GROUPS
-                p.setCollisionFilterGroupMask(body.number, index, 1 << place, mask, self._client)
+                p.setCollisionFilterGroupMask(body.number, index, 1 << group, mask, self._client)
         return self._groups[body.number]
 
 
@@ -322,9 +325,9 @@ class RoundSurface:
     pose: PoseReader
     origin: Frame
 
-    def hit_distance(self, start: Triple, direction: Triple, near: float) -> float:
+    def hit_distance(self, start: Triple, direction: Triple, expected: float) -> float:
         """Return the distance (m) along a unit direction at which the surface is met, if that is close to the
-        answer `near`."""
+        answer `expected`."""
         center, rotation = frames.compose(self.pose(), self.origin)
         back = frames.inverse(rotation)
         s, d = frames.rotate(back, frames.subtract(start, center)), frames.rotate(back, direction)
@@ -338,9 +341,9 @@ class RoundSurface:
             )
             if abs(s[2] + met * d[2]) > half:
                 if isinstance(self.shape, Cylinder):
-                    return near  # its ends are flat
+                    return expected  # its ends are flat
                 met = min(_ball(s, d, half, r), _ball(s, d, -half, r))
-        return met if abs(met - near) < MAX_CORRECTION_M else near
+        return met if abs(met - expected) < MAX_CORRECTION_M else expected
 
 
 def _ball(s: Triple, d: Triple, height: float, radius: float) -> float:

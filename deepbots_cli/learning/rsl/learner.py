@@ -203,8 +203,8 @@ class RslLearner(ArrayLearner):
         if limits:
             last = _tensor(np.stack([ending.observation for _, ending in limits]))
             values = self.algorithm.critic(self._grouped(last)).flatten()
-            places = tuple(torch.tensor([(step, ending.row) for step, ending in limits]).T)
-            rewards[places] += self.algorithm.gamma * values
+            cells = tuple(torch.tensor([(step, ending.row) for step, ending in limits]).T)
+            rewards[cells] += self.algorithm.gamma * values
         return rewards
 
     def recent(self) -> tuple[Any, Array, Array | None]:
@@ -238,8 +238,8 @@ class RslLearner(ArrayLearner):
     def _parameters(self) -> list[nn.Parameter]:
         return [parameter for group in self.algorithm.optimizer.param_groups for parameter in group["params"]]
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
-        super().restore(kept, arrays, same=same)
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        super().restore(saved_state, arrays, same=same)
         self.algorithm.learning_rate = float(self._rate[0])
         for group in self.algorithm.optimizer.param_groups:
             group["lr"] = self.algorithm.learning_rate
@@ -255,7 +255,7 @@ class RslLearner(ArrayLearner):
 
     def network(self) -> PolicyNetwork:
         actor = self.algorithm.actor
-        first, *others = actor.mlp
+        first, *layers = actor.mlp
         if actor.obs_normalization:
             first = _normalizing(first, actor.obs_normalizer)
         return PolicyNetwork(
@@ -263,7 +263,7 @@ class RslLearner(ArrayLearner):
             pictures=frozenset(),
             transposed=frozenset(),
             memory=None,
-            layers=nn.Sequential(first, *others),
+            layers=nn.Sequential(first, *layers),
         )
 
 
@@ -354,8 +354,8 @@ def _normalizing(layer: nn.Linear, normalizer: Any) -> nn.Linear:
     return combined
 
 
-def _grouped(part: torch.Tensor, whole: torch.Tensor) -> TensorDict:
-    return TensorDict({"policy": part, "critic": whole}, batch_size=whole.shape[:1])
+def _grouped(policy: torch.Tensor, critic: torch.Tensor) -> TensorDict:
+    return TensorDict({"policy": policy, "critic": critic}, batch_size=critic.shape[:1])
 
 
 def _tensor(array: Array) -> torch.Tensor:

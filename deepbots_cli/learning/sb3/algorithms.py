@@ -407,11 +407,11 @@ class DecayingNoise(ActionNoise):
     def __call__(self) -> npt.NDArray[np.float32]:
         if self._factor is None:
             return np.random.normal(0.0, self.sigma, self._size).astype(np.float32)
-        drawn = np.random.normal(0.0, 1.0, self._size)
+        noise = np.random.normal(0.0, 1.0, self._size)
         self.drift = (
-            drawn
+            noise
             if self.drift is None
-            else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * drawn
+            else self._factor * self.drift + math.sqrt(1.0 - self._factor**2) * noise
         )
         return (self.sigma * self.drift).astype(np.float32)
 

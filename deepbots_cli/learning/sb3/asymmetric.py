@@ -112,9 +112,9 @@ class _OnPolicy(internals.Layers):
             self.observation_space, self.columns
         )
         # The library makes layers of policy and critic for one width: they are made for each width in turn.
-        whole, self.features_dim = self.features_dim, self.features_extractor.features_dim
+        full_width, self.features_dim = self.features_dim, self.features_extractor.features_dim
         build()
-        own_layers, self.features_dim = self.mlp_extractor.policy_net, whole
+        own_layers, self.features_dim = self.mlp_extractor.policy_net, full_width
         build()
         self.mlp_extractor.policy_net = own_layers
 

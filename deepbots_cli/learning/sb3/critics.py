@@ -65,8 +65,8 @@ def check_critic(model: Any) -> CriticCheck | None:
         return None
     samples = np.linspace(0, len(steps) - 1, min(_SAMPLES, len(steps))).round().astype(int)
     steps, copies = steps[samples], copies[samples]
-    places = rows[steps], copies
-    values = _values(model, buffer, places)
+    cells = rows[steps], copies
+    values = _values(model, buffer, cells)
     return CriticCheck(float(values.mean()), float(followed[steps, copies].mean()))
 
 
@@ -83,16 +83,16 @@ def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> 
     return followed, unknown
 
 
-def _values(model: Any, buffer: Any, places: tuple[Array, Array]) -> Array:
+def _values(model: Any, buffer: Any, cells: tuple[Array, Array]) -> Array:
     """Return the critic's values of stored steps, the smaller one of two critics."""
     contents: Any = buffer.observations
     stored = (
-        {key: part[places] for key, part in contents.items()}
+        {key: part[cells] for key, part in contents.items()}
         if isinstance(contents, dict)
-        else contents[places]
+        else contents[cells]
     )
     # The columns behind the actions are labels of a teacher.
-    actions = buffer.actions[places][:, : get_action_dim(model.action_space)]
+    actions = buffer.actions[cells][:, : get_action_dim(model.action_space)]
     with torch.no_grad():
         observations, _ = model.policy.obs_to_tensor(stored)
         if hasattr(model, "q_net"):

@@ -176,8 +176,8 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
         return _of_members(scenario, total_timesteps)
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
-    written: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
-    written |= {
+    values: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
+    values |= {
         name: value
         for name, value in (("action_noise", training.action_noise), ("replay", training.replay))
         if value is not None
@@ -191,8 +191,8 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     title = "library default" if library is None else library_of(base)
     effective = []
     for name in ALGORITHMS[training.algorithm].hyperparameter_names():
-        if name in written:
-            effective.append(EffectiveHyperparameter(name, written[name], "scenario"))
+        if name in values:
+            effective.append(EffectiveHyperparameter(name, values[name], "scenario"))
         elif name in defaults:
             effective.append(EffectiveHyperparameter(name, defaults[name], "deepbots"))
         else:
@@ -207,8 +207,8 @@ def _of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperp
         name: effective_hyperparameters(member.program, total_timesteps)
         for name, member in scenario.members.items()
     }
-    first, *others = by_agent.values()
-    common = [entry for entry in first if all(entry in other for other in others)]
+    first, *other_agents = by_agent.values()
+    common = [entry for entry in first if all(entry in entries for entries in other_agents)]
     per_agent = [
         entry._replace(name=f"{agent}.{entry.name}")
         for agent, entries in by_agent.items()

@@ -66,11 +66,11 @@ class Lessons:
     def __init__(self, model: Any, demonstrations: Demonstrations | None = None) -> None:
         self._model = model
         if demonstrations is not None:
-            shown = demonstrations.observations
+            demonstrated = demonstrations.observations
             self.observations: Any = (
-                {key: part[:, None] for key, part in shown.items()}
-                if isinstance(shown, dict)
-                else shown[:, None]
+                {key: part[:, None] for key, part in demonstrated.items()}
+                if isinstance(demonstrated, dict)
+                else demonstrated[:, None]
             )
             self.actions = demonstrations.actions[:, None]
             self.buffer_size, self.pos, self.full = len(self.actions), 0, True
@@ -200,8 +200,8 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         if lessons is None:
             loss = _loss(model, policy.get_distribution(observations, **options), batch[0])
         else:
-            shown, targets = lessons.draw(len(actions))
-            loss = _loss(model, policy.get_distribution(shown), targets)
+            taught_observations, targets = lessons.draw(len(actions))
+            loss = _loss(model, policy.get_distribution(taught_observations), targets)
         losses.append(float(loss.detach().mean()))
         entropies.append(-float(entropy.detach().mean()))
         return values, log_prob, ent_coef * entropy - weight * loss
@@ -250,7 +250,7 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
     labels."""
     buffer = model.replay_buffer
     draw, device = buffer.sample, model.device
-    shown, following = (
+    current, following = (
         _tensors(observations, device)
         for observations in (demonstrations.observations, demonstrations.following)
     )
@@ -263,14 +263,14 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
         at = torch.from_numpy(np.random.randint(count, size=round(_DEMONSTRATED_SHARE * batch_size)))
         rewards = demonstrations.rewards[at.numpy(), None]
         rewards = rewards if env is None else env.normalize_reward(rewards)
-        drawn = {
+        columns = {
             "actions": actions[at],
             "rewards": torch.as_tensor(rewards, dtype=torch.float32, device=device),
             "dones": ends[at],
         }
-        for name, part in drawn.items():
+        for name, part in columns.items():
             getattr(samples, name)[: len(at)] = part
-        for mixed, source in ((samples.observations, shown), (samples.next_observations, following)):
+        for mixed, source in ((samples.observations, current), (samples.next_observations, following)):
             for key, part in source.items() if isinstance(source, dict) else [(None, source)]:
                 (mixed if key is None else mixed[key])[: len(at)] = part[at]
         if samples.discounts is not None:  # the samples span several steps, and demonstrations a single one

@@ -131,9 +131,9 @@ def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
     """Context in which `note` is called with the rows of each batch that a rollout buffer returns."""
     draw = buffer._get_samples
 
-    def noted(rows: Array, *rest: Any) -> Any:
+    def noted(rows: Array, *arguments: Any) -> Any:
         note(rows)
-        return draw(rows, *rest)
+        return draw(rows, *arguments)
 
     buffer._get_samples = noted
     try:
@@ -143,9 +143,9 @@ def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
 
 
 @contextmanager
-def samples_chosen(buffer: Any, chosen: Array) -> Iterator[None]:
+def samples_chosen(buffer: Any, mask: Array) -> Iterator[None]:
     """Context in which a rollout buffer returns only chosen samples (truth values, steps x rows)."""
-    usual, numbers = buffer.get, np.flatnonzero(chosen.T)
+    usual, numbers = buffer.get, np.flatnonzero(mask.T)
 
     def get(batch_size: int | None = None) -> Iterator[Any]:
         if not buffer.generator_ready:

@@ -270,12 +270,14 @@ class StableLearner(Learner):
         drift = ArraySpec(np.dtype(float), self.model.action_space.shape, is_optional=True)
         return super().specs(state) | {f"noise/{index}": drift for index in range(len(self._actor.noises))}
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
         model = self.model
-        for counter, value in kept.counts.items():
+        for counter, value in saved_state.counts.items():
             setattr(model, counter, type(getattr(model, counter))(value))
-        model.ep_info_buffer.extend({"r": number_of(info.r), "l": number_of(info.l)} for info in kept.infos)
-        model.ep_success_buffer.extend(kept.successes)
+        model.ep_info_buffer.extend(
+            {"r": number_of(info.r), "l": number_of(info.l)} for info in saved_state.infos
+        )
+        model.ep_success_buffer.extend(saved_state.successes)
         internals.continue_training(model, model.env.unwrapped.collector.starts)
         for index, tensor in enumerate(self._memory):
             tensor.copy_(torch.from_numpy(arrays[f"lstm/{index}"]))
@@ -291,10 +293,12 @@ class StableLearner(Learner):
                 float(count),
             )
             normalizer.returns = arrays["returns"]
-        model.action_space.np_random.bit_generator.state = kept.action_space.model_dump()
+        model.action_space.np_random.bit_generator.state = saved_state.action_space.model_dump()
         if self._buffer is not None:
             starts = arrays.get("episode_starts") if same else None
-            self._replay.refill(self._buffer, kept, self.steps // model.n_envs, starts, model.action_space)
+            self._replay.refill(
+                self._buffer, saved_state, self.steps // model.n_envs, starts, model.action_space
+            )
 
     @property
     def _buffer(self) -> Any:
@@ -444,13 +448,13 @@ class OnPolicyLearner(StableLearner):
         rate = self._adaptive_rate
         return super().state() | {"learning_rate": None if rate is None else rate.rate}
 
-    def restore(self, kept: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
-        if self._adaptive_rate is not None and kept.learning_rate is not None:
-            self._adaptive_rate.rate = kept.learning_rate
+    def restore(self, saved_state: Any, arrays: Mapping[str, Array], *, same: bool) -> None:
+        if self._adaptive_rate is not None and saved_state.learning_rate is not None:
+            self._adaptive_rate.rate = saved_state.learning_rate
         is_taught = self.setup.training.teacher is not None or self.setup.teacher is not None
-        if self._takes_fragments and is_taught and kept.replay[0]:
+        if self._takes_fragments and is_taught and saved_state.replay[0]:
             self._lessons = Lessons(self.model)
-        super().restore(kept, arrays, same=same)
+        super().restore(saved_state, arrays, same=same)
 
     @property
     def _buffer(self) -> Lessons | None:

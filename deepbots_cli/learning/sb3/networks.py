@@ -71,8 +71,8 @@ def sampled_actions(
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does
         logits = scores - scores.logsumexp(-1, keepdim=True)
-        drawn = torch.multinomial(nn.functional.softmax(logits, -1), 1, True)
-        return drawn.squeeze(-1), values, logits.gather(-1, drawn).squeeze(-1)
+        samples = torch.multinomial(nn.functional.softmax(logits, -1), 1, True)
+        return samples.squeeze(-1), values, logits.gather(-1, samples).squeeze(-1)
     deviations = torch.ones_like(scores) * policy.log_std.exp()  # as `Normal` does
     actions = scores + torch.normal(torch.zeros_like(scores), torch.ones_like(scores)) * deviations
     log_probs = (

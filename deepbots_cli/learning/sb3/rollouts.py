@@ -63,12 +63,12 @@ class RolloutActor:
             else:
                 if masks is not None:
                     options["action_masks"] = columns["masks"] = masks
-                drawn = (
+                sampled = (
                     networks.sampled_actions(policy, inputs)
                     if isinstance(inputs, torch.Tensor) and masks is None
                     else None
                 )
-                actions, values, log_probs = policy(inputs, **options) if drawn is None else drawn
+                actions, values, log_probs = policy(inputs, **options) if sampled is None else sampled
         world_actions = actions = actions.cpu().numpy()
         if isinstance(model.action_space, spaces.Box):
             if policy.squash_output and not self._is_recurrent:

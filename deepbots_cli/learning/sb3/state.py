@@ -122,24 +122,24 @@ class ReplayFiles:
         if not has_same_size:
             self.offset = oldest
         columns = _columns(buffer)
-        whole = (
+        is_complete = (
             self.segments[-1][1] == added and self.segments[0][0] <= max(self.offset, added - size)
             if self.segments
             else self.offset == added
         )
-        if not whole:
+        if not is_complete:
             raise ValueError("the segments of the replay buffer are not all there")
         for first, last in self.segments:
             specs = {
                 name: ArraySpec(column.dtype, (last - first, *column.shape[1:]))
                 for name, column in columns.items()
             }
-            read = read_arrays(self._path(first, last), specs)
+            arrays = read_arrays(self._path(first, last), specs)
             rows = self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
-                column[rows] = read[name][-len(rows) :]
+                column[rows] = arrays[name][-len(rows) :]
             # The columns behind the actions are labels of a teacher.
-            check_actions(read["actions"][..., : get_action_dim(action_space)], action_space)
+            check_actions(arrays["actions"][..., : get_action_dim(action_space)], action_space)
         buffer.pos = (added - self.offset) % buffer.buffer_size
         buffer.full = added - self.offset >= buffer.buffer_size
         if isinstance(buffer, HerReplayBuffer):

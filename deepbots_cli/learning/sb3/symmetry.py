@@ -30,8 +30,8 @@ def mirrored_actions(symmetry: Symmetry, space: spaces.Space[Any], actions: Arra
     if isinstance(space, spaces.Box):
         return _mirrored(symmetry.ranges, actions)
     images = np.empty_like(actions)
-    for place, (source, options) in enumerate(zip(symmetry.choices, symmetry.options, strict=True)):
-        images[..., place] = np.array(options)[actions[..., source].astype(int)]
+    for index, (source, options) in enumerate(zip(symmetry.choices, symmetry.options, strict=True)):
+        images[..., index] = np.array(options)[actions[..., source].astype(int)]
     return images
 
 
