@@ -366,25 +366,33 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         return problem.finding(
             "this line belongs to the value above, so it cannot begin with a key", help, at, length
         )
+    if misplaced := _value_out_of_place(problem, line, above):
+        return misplaced
     written = problem.rest(problem.line_start).strip()[:_MAX_SHOWN]
-    holder = problem.line_above(above.start)
-    is_first = holder is not None and holder.opens and holder.indent >= above.indent
-    if holder is not None and (is_first or holder.indent == line.indent):
-        # The section above has no key yet, or its keys are as deep as the next line: the line with the value
-        # is the one that is out of place.
-        value = problem.rest(above.start).strip()[:_MAX_SHOWN]
-        word = "below" if is_first else "like"
-        headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
-        help = f"indent it like the line below: `{' ' * line.indent}{value}`"
-        fix = _indented(problem, above.start, above.indent, line.indent)
-        labels = (problem.label(line, _indented_by(line.indent)),)
-        return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
     help = f"indent it like the line above: `{' ' * above.indent}{written}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
         headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
     )
+
+
+def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding | None:
+    """Report the line above if the section that it is to belong to has no key yet, or has keys as deep as
+    `line`."""
+    holder = problem.line_above(above.start)
+    if holder is None or line.indent <= above.indent:
+        return None
+    is_first = holder.opens and holder.indent >= above.indent
+    if not is_first and holder.indent != line.indent:
+        return None
+    value = problem.rest(above.start).strip()[:_MAX_SHOWN]
+    word = "below" if is_first else "like"
+    headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
+    help = f"indent it like the line below: `{' ' * line.indent}{value}`"
+    fix = _indented(problem, above.start, above.indent, line.indent)
+    labels = (problem.label(line, _indented_by(line.indent)),)
+    return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
 
 
 def _is_first(problem: _Problem, line: _Line) -> bool:
@@ -455,6 +463,11 @@ def _behind_value(problem: _Problem) -> Finding | None:
     if line is None or not levels:
         help = "give keys of one mapping the same indentation"
         return problem.finding("this line does not align with the lines above", help, at, length)
+    above = problem.line_above(line.start)
+    if above is not None and above.key and not above.opens:
+        misplaced = _value_out_of_place(problem, line, above)
+        if misplaced is not None:
+            return misplaced
     near, *others = sorted(levels, key=lambda level: abs(level.indent - line.indent))
     below = problem.line_below(line.start)
     if line.opens and below is not None and below.indent > line.indent:

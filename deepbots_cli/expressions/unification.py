@@ -139,10 +139,18 @@ def dimension_of(
             )
         needed = value if first.type.dimension == NUMBER else first
         help, names = _plain_names(needed.type.dimension, first, value)
+        if help is None:
+            help, names = _other_unit(first, value)
         help = help or "both sides need the same dimension; divide by a unit to get a plain number"
-        headline = f"{first.type.description} is combined with {value.type.description}"
+        headline = f"{_described(first)} is combined with {_described(value)}"
         raise report_at(report, "DB503", node, headline, help, names=names)
     return first.type.dimension
+
+
+def _described(value: Typed) -> str:
+    """Return the name of a value, if it has one, and its dimension."""
+    name = f"`{value.symbol.name}`, " if isinstance(value, Reference) else ""
+    return f"{name}{value.type.description}"
 
 
 def require_dimension(
@@ -241,6 +249,25 @@ def _plain_names(dimension: Dimension, *values: Typed) -> tuple[str | None, dict
     }
 
 
+def _other_unit(first: Typed, second: Typed) -> tuple[str | None, dict[str, str | None]]:
+    """Return a hint for a named fixed value that is combined with a measured one, since its definition
+    probably has the wrong unit; and the name, with its corrected text."""
+    sides = ((first, second.type.dimension), (second, first.type.dimension))
+    named = [
+        (side, dimension)
+        for side, dimension in sides
+        if isinstance(side, Reference) and side.symbol.value is not None and dimension != NUMBER
+    ]
+    if len(named) != 1:
+        return None, {}
+    ((side, dimension),) = named
+    name, corrected = _with_unit(side, dimension)
+    if corrected is None:
+        return None, {}
+    help = f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their units"
+    return help, {name: None}  # without a fix: the other side may be the wrong one
+
+
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
     """Return the units that numbers up to `largest` probably have."""
     if dimension != ANGLE:
@@ -320,7 +347,8 @@ def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
             numbers, unit = (degrees,), "deg"
     if len(numbers) != 1:
         return name, None
-    unit = f"{unit}/s" if dimension / needed == TIME and "/" not in unit else str(needed)
+    is_rate = dimension / needed == TIME and "/" not in unit
+    unit = f"{unit}/s" if is_rate else _probable_units(needed, abs(numbers[0]))[0]
     return name, f"{_number_text(numbers[0])} {unit}"
 
 

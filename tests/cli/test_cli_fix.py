@@ -259,7 +259,7 @@ def test_a_mistake_hidden_by_a_misspelling_is_reported_after_its_fix(deepbots, s
     )
     ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes")
     assert path.read_text() == faulty(("abs(x) > track", "abs(speed) > track"), ("32 ms", "32 kg"))
-    assert "DB503[dimension-mismatch]: a speed (m/s) is combined with a length (m)" in ran.out
+    assert "DB503[dimension-mismatch]: a speed (m/s) is combined with `track`, a length (m)" in ran.out
     assert ran.code == 1
 
 

@@ -100,3 +100,13 @@ def test_the_line_that_does_not_align_is_moved(line: str, spaces: int) -> None:
 
 def test_a_tab_becomes_spaces() -> None:
     assert _corrected(TEXT.replace("  alive:", "\talive:")) == TEXT
+
+
+def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved() -> None:
+    right = "world:\n  timestep: 32 ms    # of a step\n  substeps: 4\n"
+    text = TEXT.replace("world: {timestep: 32 ms, substeps: 4}\n", right)
+    assert text != TEXT
+    wrong = text.replace("  timestep:", "timestep:")
+    (finding,) = findings_of(wrong)
+    assert finding.headline == "`timestep` is not indented below `world`, but the next line is"
+    assert _corrected(wrong) == text
