@@ -6,7 +6,7 @@ import asyncio
 import json
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.commands import RUNS_FOLDER
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
-from deepbots_cli.studio.trainings import Curves, read_curves
+from deepbots_cli.studio.trainings import Curves, Point, read_curves
 
 Guarded = Callable[[Callable[[], Any]], None]
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
@@ -57,6 +57,8 @@ _AGE_INTERVAL_S = 30.0
 _OPTIONAL = ("success", "solved")
 """The columns that are left out while no run has a value."""
 _GRID_COLOR = "rgba(128, 128, 128, 0.3)"
+_MARGIN = "8%"
+"""The distance of the lowest and the highest point from the ends of an axis, of the range of the points."""
 
 
 class TrainingTab:
@@ -198,18 +200,13 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
     terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
     text = {"color": "#cccccc" if dark else "#444444"}
+    returns = [*_returns(curves), (0.0, curves.solved_return)]
     marks = [*stages, *_goals(curves)]
     if marks:
         lines[0]["markLine"] = {"data": marks, "symbol": "none", "silent": True, "label": text}
-    # A line of marks does not extend an axis.
-    highest = max(
-        (value for _, value in (*curves.returns, *curves.evaluations) if value is not None), default=None
-    )
-    goal = curves.solved_return
-    top = {"max": goal} if goal is not None and highest is not None and highest < goal else {}
     axis = {
         "nameLocation": "middle",
-        "axisLabel": text,
+        "axisLabel": {**text, "hideOverlap": True},
         "nameTextStyle": text,
         "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
     }
@@ -223,11 +220,12 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
             "top": 4,
             "textStyle": text,
             "inactiveColor": "#666666" if dark else "#bbbbbb",
+            "data": [line["name"] for line in (*lines, *terms) if line["data"]],
             "selected": {line["name"]: False for line in terms},
         },
         "xAxis": {"type": "value", "name": "timesteps", "nameGap": 22, **axis},
         "yAxis": [
-            {"type": "value", "name": "return", "nameGap": 46, "scale": True, **top, **axis},
+            {"type": "value", "name": "return", "nameGap": 46, **_range(returns), **axis},
             {
                 "type": "value",
                 "name": "success %",
@@ -239,8 +237,19 @@ def _options(curves: Curves, *, has_successes: bool, dark: bool) -> dict[str, An
                 "show": has_successes,
             },
         ],
-        "series": [line for line in [*lines, *terms] if line["data"]],
+        "series": [line for line in [*lines, *terms, *_goal_points(curves)] if line["data"]],
     }
+
+
+def _range(points: Iterable[Point]) -> dict[str, Any]:
+    """Return the options of an axis of returns: its range has a margin, and begins at 0 if no value is
+    negative.
+
+    ECharts merges new options into those before and rounds the range to whole ticks. Limits that only some
+    options have would stay and cut off later points.
+    """
+    has_negative = any(value is not None and value < 0 for _, value in points)
+    return {"scale": has_negative, "boundaryGap": [_MARGIN if has_negative else 0, _MARGIN]}
 
 
 def _curves_or_none(run: Path) -> Curves:
@@ -254,6 +263,7 @@ def _compared(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
     """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
     has_successes = any(each.successes for each in curves.values())
     options = _options(Curves(), has_successes=has_successes, dark=dark)
+    options["yAxis"][0].update(_range(point for each in curves.values() for point in _returns(each)))
     series = []
     for number, (name, each) in enumerate(curves.items()):
         for line in (
@@ -262,7 +272,9 @@ def _compared(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
             _line(f"{name}, success", _percent(each.successes), 1, dashed=True),
         ):
             series.append({**line, "itemStyle": {"color": options["color"][number]}})
-    return {**options, "series": [line for line in series if line["data"]]}
+    series = [line for line in series if line["data"]]
+    options["legend"]["data"] = [line["name"] for line in series]
+    return {**options, "series": series}
 
 
 def _goals(curves: Curves) -> list[dict[str, Any]]:
@@ -271,6 +283,19 @@ def _goals(curves: Curves) -> list[dict[str, Any]]:
         return []
     label = {"formatter": f"solved: {curves.solved_return:g}", "position": "insideStartTop"}
     return [{"yAxis": curves.solved_return, "label": label}]
+
+
+def _goal_points(curves: Curves) -> list[dict[str, Any]]:
+    """Return an invisible point at that return, because a line of marks does not extend an axis."""
+    steps = [at for at, _ in _returns(curves)]
+    if curves.solved_return is None or not steps:
+        return []
+    line = _line("", [(max(steps), curves.solved_return)], 0)
+    return [{**line, "silent": True, "tooltip": {"show": False}}]
+
+
+def _returns(curves: Curves) -> list[Point]:
+    return [*curves.returns, *curves.evaluations]
 
 
 def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: bool = False) -> dict[str, Any]:
