@@ -352,7 +352,8 @@ class Session:
         if changed:
             self._tell("text")
         stamps = file_stamps(self._watched())
-        if self._stamps and stamps != self._stamps:
+        # A finished analysis may name more files, which have not changed.
+        if any(stamp != stamps.get(path, stamp) for path, stamp in self._stamps.items()):
             if not changed:
                 self.language.update_all()
             self._restart_robot()
