@@ -8,6 +8,7 @@ from typing import Any
 
 from nicegui import ui
 
+from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.studio.gate import ROBOT_PATH
 from deepbots_cli.studio.session import Session
 
@@ -27,6 +28,7 @@ KEYS = """<script>addEventListener("keydown", (event) => {
 """The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead
 out."""
 _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
+_CLOSING_MS = 300
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
@@ -162,6 +164,9 @@ class RobotPane:
         state = self._session.robot.state
         if name and state is not None and name != state.driver:
             self._session.robot.set_driver(name)
+            if name == HAND:
+                # The closing list takes the focus back first.
+                ui.run_javascript(f"setTimeout({_ENTER}, {_CLOSING_MS})")
 
     def _write_parameters(self) -> None:
         self._guarded(self._session.write_parameters)
