@@ -266,7 +266,13 @@ class Page:
         self._controls = controls
         turns = not isinstance(player, ReplayPlayer) and turns_left(player, playback.seed, playback.episode)
         playback.manual_input = ManualInput(player.reader.layout.action, turns_left=turns)
-        self.panel = Panel(self.server.gui, playback, self._tasks.put, self.change_parameter)
+        self.panel = Panel(
+            self.server.gui,
+            playback,
+            self._tasks.put,
+            self.change_parameter,
+            chooses_driver=not self._embedded,
+        )
         self.banner = self.panel.banner
 
     def _clear(self) -> None:

@@ -62,11 +62,19 @@ class Panel:
     """
 
     def __init__(
-        self, gui: viser.GuiApi, playback: Playback, queue: Queue, on_parameter: Callable[[str, str], None]
+        self,
+        gui: viser.GuiApi,
+        playback: Playback,
+        queue: Queue,
+        on_parameter: Callable[[str, str], None],
+        *,
+        chooses_driver: bool = True,
     ) -> None:
         """Add the controls. `queue` runs the work of a control in the thread of the page; `on_parameter`
-        takes a name and its new value."""
+        takes a name and its new value. The page around an embedded panel has the list of drivers itself
+        (`chooses_driver`)."""
         self._gui, self._playback, self._queue = gui, playback, queue
+        self._chooses_driver = chooses_driver
         worlds, player = playback.worlds, playback.worlds[0].player
         self._agents = {
             f"{world.title}: {name}" if world.title else name: ChosenAgent(number, name)
@@ -143,7 +151,7 @@ class Panel:
             seed.on_update(lambda _: queue(lambda: playback.set_seed(int(seed.value))))
         # The name of the driver may be `actions`.
         names = tuple(dict.fromkeys((*player.opened.drivers, player.driver_name)))
-        if len(names) > 1 and len(playback.worlds) == 1:
+        if self._chooses_driver and len(names) > 1 and len(playback.worlds) == 1:
             driver = gui.add_dropdown("driver", names, initial_value=player.driver_name)
             driver.on_update(lambda _: queue(lambda: playback.set_driver(driver.value)))
         if len(self._agents) > 1:
