@@ -108,9 +108,14 @@ class StudioPage:
         with ui.tabs().props("dense no-caps align=left") as tabs:
             train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
             inspect = ui.tab("Inspect")
+
+        async def diagnose(run: Path) -> None:
+            tabs.set_value("Runs")
+            await self._runs.diagnose(run)
+
         with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(train):
-                self._training = TrainingTab(self._session, self._guarded)
+                self._training = TrainingTab(self._session, self._guarded, diagnose)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_advice)
             with ui.tab_panel(command):

@@ -6,7 +6,7 @@ import asyncio
 import json
 import re
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -62,10 +62,12 @@ _MARGIN = "8%"
 
 
 class TrainingTab:
-    """Buttons for the scenario, and the curve of a training."""
+    """Buttons for the scenario, and the curve of a training; `diagnose` shows why a run is not solved."""
 
-    def __init__(self, session: Session, guarded: Guarded) -> None:
-        self._session, self._guarded = session, guarded
+    def __init__(
+        self, session: Session, guarded: Guarded, diagnose: Callable[[Path], Awaitable[None]]
+    ) -> None:
+        self._session, self._guarded, self._show_diagnosis = session, guarded, diagnose
         with ui.element("div").classes("studio-bar"):
             for verb, words, tip in (
                 ("Try", ["try"], "run a few episodes with random actions"),
@@ -86,7 +88,11 @@ class TrainingTab:
                 on_change=lambda event: session.following.turn(bool(event.value), session.current),
             ).props('dense title="show the newest policy of the training in the robot"')
         self._result = Result()
-        self._text = ui.label("").classes("studio-status").props('role="status"')
+        with ui.element("div").classes("studio-bar"):
+            self._text = ui.label("").classes("studio-status").props('role="status"')
+            self._why = ui.button("Why is it not solved?", on_click=self._diagnose_training)
+            self._why.props("dense outline no-caps")
+            self._why.set_visibility(False)
         self._command = ui.label("").classes("studio-command")
         self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
         with self._steps:
@@ -125,12 +131,17 @@ class TrainingTab:
         self._result.update()
         self._follows.set_value(self._session.following.is_on)
         self._command.set_text("" if task is None else task.command)
+        is_running = task is not None and task.is_running
+        run = None if training is None else training.listed
+        is_unsolved = run is not None and run.solved is False and not is_running
+        self._why.set_visibility(is_unsolved)
+        self._text.classes(
+            add="studio-unsolved" if is_unsolved else None, remove=None if is_unsolved else "studio-unsolved"
+        )
         if training is None:
             self._text.set_text("")
             return
         self._steps.set_visibility(False)
-        run = training.listed
-        is_running = task is not None and task.is_running
         if run is None:
             self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
             self._chart.set_visibility(False)
@@ -151,6 +162,11 @@ class TrainingTab:
                 _options(training.curves, has_successes=run.success_rate is not None, dark=self._is_dark)
             )
             self._chart.update()
+
+    async def _diagnose_training(self) -> None:
+        training = self._session.commands.training
+        if training is not None:
+            await self._show_diagnosis(training.path)
 
     def set_dark(self, dark: bool) -> None:
         self._is_dark = dark
@@ -496,12 +512,15 @@ class RunsTab:
         self._result.watch(task, "below the curves")
 
     async def _diagnose(self) -> None:
-        """Show the causes of a training that does not learn, with a button that writes the advice."""
         try:
             (path,) = self._selected()
         except UsageError as error:
             ui.notify(str(error), type="warning", position="top")
             return
+        await self.diagnose(path)
+
+    async def diagnose(self, path: Path) -> None:
+        """Show the causes of a training that does not learn, with a button that writes the advice."""
         self._result.fill(f"looking at {path.name} ...")
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
         with self._result.fill(f"Diagnosis of {path.name}").classes("studio-advice"):

@@ -201,14 +201,15 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         )
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address)
+        cause = "document.querySelector('.studio-cause')?.innerText.includes('Changed since runs/mine-1')"
         page.open_tab("Runs")
         select = "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == '{}').click()"
         page.wait("document.querySelector('table')?.innerText.includes('mine-2')")
         page.tab.run(select.format("mine-2"))
-        page.click("Diagnose")
-        page.wait(
-            "document.querySelector('.studio-cause')?.innerText.includes('Changed since runs/mine-1')", 90
-        )
+        page.click("Curve")
+        page.wait("document.querySelector('.studio-unsolved')?.innerText.includes('not solved')")
+        page.click("Why is it not solved?")
+        page.wait(cause, 90)
         page.click("Set back truncation.max_steps: 100")
         page.click("Remove robots.cart.links.pole")
         page.wait("document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')")
