@@ -84,7 +84,9 @@ def test_a_space_that_cannot_be_searched_is_a_finding_at_its_place():
     assert headlines_of("train.n_epochs: 5.5 .. 20") == [
         "DB103 expected a whole number, found the number `5.5`"
     ]
-    assert headlines_of("track: 0.2 .. 0.4") == ["DB503 a length (m) is combined with `track`, a plain number"]
+    assert headlines_of("track: 0.2 .. 0.4") == [
+        "DB503 a length (m) is combined with `track`, a plain number"
+    ]
     assert headlines_of("train.network.activation: tanh | relux") == ["DB104 unknown word `relux`"]
     assert headlines_of("track: 0.2 m .. 0.3 m, parameters.track: 0.2 .. 0.4 m") == [
         "DB202 `parameters.track` is already searched"
