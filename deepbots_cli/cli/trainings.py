@@ -181,8 +181,8 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
 
 
 def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Statement]:
-    """Return why a training did not solve its task or fell apart, the most likely cause first; what has merely
-    changed comes last."""
+    """Return why a training did not solve its task or fell apart, the most likely cause first; what
+    has merely changed comes last."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
         from deepbots_cli.insight.diagnosis import causes_after
 

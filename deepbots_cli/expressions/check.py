@@ -453,11 +453,8 @@ class _Checker:
             and len(names) > MAX_BESIDE
             and (owned is not None or is_typo(name, suggestion.text))
         )
-        help = " ".join(
-            filter(
-                None, (f"did you mean `{suggestion.text}`?" if suggestion else "", "" if is_clear else listed)
-            )
-        )
+        question = f"did you mean `{suggestion.text}`?" if suggestion else ""
+        help = " ".join(filter(None, (question, "" if is_clear else listed)))
         fix = (
             suggestion._replace(text=f"{before}{suggestion.text}")
             if suggestion and before is not None

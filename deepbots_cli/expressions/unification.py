@@ -264,7 +264,10 @@ def _other_unit(first: Typed, second: Typed) -> tuple[str | None, dict[str, str 
     name, corrected = _with_unit(side, dimension)
     if corrected is None:
         return None, {}
-    help = f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their units"
+    help = (
+        f"if the unit of `{name}` is wrong, write `{name}: {corrected}`; otherwise divide both sides by their"
+        " units"
+    )
     return help, {name: None}  # without a fix: the other side may be the wrong one
 
 

@@ -338,6 +338,9 @@ def _home_elsewhere(parent: NodePath, key: str) -> str | None:
     if not homes or len(homes) > _MAX_HOMES:
         return None
     best = homes[0]
-    return (
-        f"of `{'.'.join('<name>' if step == '*' else step for step in best)}`" if best else "of the top level"
-    )
+    return f"of `{section_text(best)}`" if best else "of the top level"
+
+
+def section_text(path: Sequence[str]) -> str:
+    """Return the path of a section as text, with `<name>` for the names that a scenario chooses."""
+    return ".".join("<name>" if step == "*" else step for step in path)

@@ -37,6 +37,7 @@ from deepbots_cli.scenario.base import (
     walk_sections,
 )
 from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.keys import section_text
 from deepbots_cli.scenario.scenario import Scenario
 
 _CODE = re.compile(r"db\d", re.IGNORECASE)
@@ -241,9 +242,7 @@ def _blocks(word: str) -> list[list[str]]:
     sections_by_lines: dict[Lines, dict[str, dict[str, None]]] = {}
     all_kinds: dict[str, int] = {}
     for path, part, mark in walk_sections(Scenario):
-        section = (
-            f"`{'.'.join('<name>' if step == '*' else step for step in path)}`" if path else "a scenario"
-        )
+        section = f"`{section_text(path)}`" if path else "a scenario"
         kind = (
             ""
             if isinstance(part, Kinds) or not mark
