@@ -10,7 +10,7 @@ from deepbots_cli.document.nodes import follow_dotted
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, list_text, statement
 from deepbots_cli.insight.training import TrainingEvidence
-from deepbots_cli.learning.changes import SEED, ChangedValue, changed_values, solved_before
+from deepbots_cli.learning.changes import SEED, ChangedValue, nearest_solved
 from deepbots_cli.learning.run import Run
 
 _MAX_SHOWN = 4
@@ -31,11 +31,13 @@ def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
     try:
         # Of several agents, the evidence is about the scenario of one of them.
         run = Run.open(evidence.run.path) if evidence.agent else evidence.run
-        earlier = solved_before(run)
-        values = changed_values(earlier, run) if earlier is not None else []
+        nearest = nearest_solved(run)
     except (DeepbotsError, OSError):
         return None
-    if earlier is None or all(value.path == SEED for value in values):
+    if nearest is None:
+        return None
+    earlier, values = nearest
+    if all(value.path == SEED for value in values):
         return None
     changes = [_change(value, evidence) for value in values]
     return {

@@ -22,6 +22,7 @@ from deepbots_cli.compiler.inputs import ELSEWHERE
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.files import display_path
 from deepbots_cli.errors import RunError
 from deepbots_cli.insight.changed import changed_since_solved
 from deepbots_cli.insight.collapse import fell_apart, suspects
@@ -272,7 +273,7 @@ _OF_AGENT = {"diagnose", "eval", "try"}
 def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     """Return the next command after a cause: the training with the advised values, or a command that shows
     the fault."""
-    run, path = evidence.run, quote(str(evidence.run.path))
+    run, path = evidence.run, quote(display_path(evidence.run.path))
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
         return f"deepbots resume {path} --timesteps {statement.settings[TOTAL_TIMESTEPS]}"
     if statement.settings:

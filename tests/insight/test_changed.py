@@ -58,7 +58,7 @@ def test_what_changed_since_a_solved_run_is_named_with_its_places(solved, tmp_pa
     )
     assert cause["text"] in " ".join(shown.split())
     assert "most likely cause: Changed" not in shown
-    assert cause["command"] == f"deepbots diff {Path('runs/solved')} {run}"
+    assert cause["command"] == f"deepbots diff {Path('runs/solved')} {Path('runs/missed')}"
     assert all(change["is_written"] for change in cause["evidence"]["changes"])
 
     # The fact comes first, unless a cause is certain.
@@ -69,6 +69,14 @@ def test_what_changed_since_a_solved_run_is_named_with_its_places(solved, tmp_pa
     (tmp_path / "mine.yaml").write_text(f"# a comment\n{HARD}", encoding="utf-8")
     (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
     assert f"(runs/missed/inputs/{places[1]})" in cause["text"]
+
+
+def test_the_nearest_of_the_solved_runs_is_compared(solved, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _trained(tmp_path, "newer", EASY.replace("  time: ", "  other: 0.002\n  time: "))
+    run = _trained(tmp_path, "missed", HARD)
+    (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
+    assert cause["evidence"]["earlier"] == str(Path("runs/solved"))
 
 
 def test_a_solved_run_of_another_name_or_folder_is_not_compared(solved, tmp_path, capsys):
