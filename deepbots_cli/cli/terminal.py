@@ -61,7 +61,7 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     """Context with a function that shows the numbers of completed and of all items, again from 1 for the next
     row of them.
 
-    Unless `always`, there is at most one line in 30 s if standard error is no terminal.
+    Unless `always`, there is at most one line in 10 s if standard error is no terminal.
     """
     bar: ProgressBar | None = None
     shown_at = time.perf_counter()
@@ -159,7 +159,7 @@ def json_compatible(data: object) -> object:
 
 _MIN_TIMED_S = 0.5
 """The time before a speed is shown, in s."""
-_LINE_INTERVAL_S = 30.0
+_LINE_INTERVAL_S = 10.0
 """The time between two lines of a work that need not be followed, in s."""
 
 

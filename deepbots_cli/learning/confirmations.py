@@ -81,7 +81,7 @@ class Confirmations:
         Args:
             evaluated: The episodes that met `solved`.
             returns: The lowest and the highest return of an episode.
-            report: Called once `activity` is set.
+            report: Called whenever `activity` has changed.
 
         Returns:
             The summary of the new starts if they show it.
@@ -100,10 +100,8 @@ class Confirmations:
                     "write fewer episodes, such as `over 100 episodes`, or a lower value"
                 )
             return None
-        self.activity = Activity(f"confirming on {plan.episodes:,} new starts", f"needs {plan.requirement}")
-        report()
         root = confirmation_root(self._active.run.record.seed, number)
-        episodes = self._play(plan, root)
+        episodes = self._play(plan, root, report)
         self.count, self.activity = number, None
         self.steps += sum(episode.length for episode in episodes)
         summary = Summary.of_episodes(episodes)
@@ -129,10 +127,12 @@ class Confirmations:
             )
         return True
 
-    def _play(self, plan: Confirmation, root: int) -> list[Episode]:
-        active = self._active
+    def _play(self, plan: Confirmation, root: int, report: Callable[[], None]) -> list[Episode]:
+        active, name = self._active, f"confirming on {plan.episodes:,} new starts"
         episodes: list[Episode] = []
         while len(episodes) < plan.episodes and not plan.is_lost(episodes):
+            self.activity = Activity(name, f"{len(episodes):,} played, needs {plan.requirement}")
+            report()
             part = range(len(episodes), min(plan.episodes, len(episodes) + CONFIRMATION_PART))
             seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
             episodes += active.evaluator.play(active.learner, active.run.program, active.interruption, seeds)

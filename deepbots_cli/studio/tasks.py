@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -28,6 +29,9 @@ TASK_NAME, LOG_NAME, EXIT_NAME = "task.json", "log", "exit"
 _MAX_RECORD_BYTES = 100_000
 MAX_LOG_BYTES = 200_000
 """The number of bytes at the end of an output that the page shows."""
+_MAX_LINE_BYTES = 1_000
+_BESIDE_LEARNING = re.compile(r"[\d,]+ of [\d,]+ steps  (.+) \.\.\.")
+_EPISODES = re.compile(r"[\d,]+ of [\d,]+ episodes")
 _START_S = 10.0
 """The time in s within which a process locks its folder."""
 _MAX_TASKS = 100
@@ -82,13 +86,27 @@ class Task:
 
     def output(self) -> str:
         """Return the end of the output, without the lines that a progress display has replaced."""
+        lines = self._tail(MAX_LOG_BYTES).split("\n")
+        return "\n".join(line.rstrip("\r").rpartition("\r")[2] for line in lines)
+
+    @property
+    def activity(self) -> str:
+        """What the last line of the output says about the progress of an evaluation; empty if it says
+        something else."""
+        line = self._tail(_MAX_LINE_BYTES).rstrip().rpartition("\n")[2]
+        training = _BESIDE_LEARNING.fullmatch(line)
+        if training is not None:
+            return training[1]
+        return f"evaluating, {line}" if _EPISODES.match(line) else ""
+
+    def _tail(self, size: int) -> str:
+        """Return at most `size` bytes of the end of the output as text."""
         try:
             with (self.path / LOG_NAME).open("rb") as stream:
-                stream.seek(max(0, stream.seek(0, os.SEEK_END) - MAX_LOG_BYTES))
-                text = stream.read(MAX_LOG_BYTES).decode("utf-8", "replace")
+                stream.seek(max(0, stream.seek(0, os.SEEK_END) - size))
+                return stream.read(size).decode("utf-8", "replace")
         except OSError:
             return ""
-        return "\n".join(line.rstrip("\r").rpartition("\r")[2] for line in text.split("\n"))
 
     def stop(self) -> None:
         """End the process as Ctrl-C does; a training keeps its policy."""

@@ -264,6 +264,7 @@ def test_a_lucky_evaluation_does_not_stop_a_training(tmp_path: Path) -> None:
     assert result.solved_at is None
     assert result.confirmations >= 1
     assert notes.activities[0].startswith("confirming on ")
+    assert ": 0 played, needs " in notes.activities[0]
     assert any("not confirmed after" in note and "the training goes on" in note for note in notes.notes)
 
 

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,11 +23,13 @@ import pytest
 pytest.importorskip("nicegui")
 import uvicorn
 
+from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import Task, TaskRecord, Tasks, write_record
+from deepbots_cli.studio.tasks import LOG_NAME, Task, TaskRecord, Tasks, write_record
 from deepbots_cli.view import access
 
 TOKEN = "a-token-of-22-letters-"
@@ -391,6 +394,25 @@ def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
     finally:
         sleeping.send_signal(signal.SIGKILL)
         sleeping.wait()
+
+
+def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
+    task = Task(tmp_path, TaskRecord(words=("train",), title="train", folder="/"))
+    assert task.activity == ""
+    with (tmp_path / LOG_NAME).open("w", encoding="utf-8") as log:
+        reporter, progress = ProgressReporter(log), TrainingProgress(8_000, 10_000, 40, 12.5, None)
+        reporter.start(progress)
+        confirms = Activity("confirming on 200 new starts", "40 played, needs 90 % of them")
+        reporter.update(replace(progress, activity=confirms))
+        log.flush()
+        assert task.activity == "confirming on 200 new starts: 40 played, needs 90 % of them"
+        reporter.update(replace(progress, steps=9_000))
+        log.flush()
+        assert task.activity == ""
+        bar = ProgressBar(100, "episodes", stream=log)
+        bar.update(20)
+        log.flush()
+        assert task.activity == "evaluating, 20 of 100 episodes"
 
 
 # The studio itself
