@@ -7,7 +7,9 @@ passes get all valid entries and nothing is reported twice.
 from __future__ import annotations
 
 import re
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from typing import Any
 
 from pydantic import ValidationError
@@ -29,7 +31,7 @@ from deepbots_cli.scenario.base import (
     set_paths,
     shape_at,
 )
-from deepbots_cli.scenario.fields import FieldType, error, mismatch
+from deepbots_cli.scenario.fields import FieldType, counted_noun, error, mismatch
 from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
@@ -45,6 +47,8 @@ from deepbots_cli.scenario.scenario import VERSION, Scenario
 _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 
+_ONLY_SPACE = re.compile(r"\s*:(\s|#[^\n]*)*")
+_LINE = re.compile(r"^(?=[^\n])", re.MULTILINE)
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still checked.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
@@ -100,7 +104,7 @@ def validate(root: nodes.MappingNode, findings: Findings) -> Scenario | None:
                 for problem in problems
                 if not (_is_follow_up(root, problem) or _is_misspelled(problem, problems))
             ]
-            new = _merge_forms_of_isaac_lab(root, data, new)
+            new = _merge_forms_of_isaac_lab(root, data, _merge_unindented_entries(root, new))
             outcome = [
                 problem.finding
                 for problem in _merge_missing_sections(root, _merge_misplaced_section(root, data, new))
@@ -319,6 +323,56 @@ def _merge_forms_of_isaac_lab(root: nodes.MappingNode, data: Any, problems: list
             merged = _Problem(path, finding)
             problems = [merged, *(problem for problem in problems if problem not in inside)]
     return problems
+
+
+def _merge_unindented_entries(root: nodes.MappingNode, problems: list[_Problem]) -> list[_Problem]:
+    """Replace the unknown keys directly below a key without a value, which lack its indentation, by a single
+    problem for each such key."""
+    unknown: dict[NodePath, dict[str, _Problem]] = {}
+    for problem in problems:
+        if problem.finding.code == "DB101" and problem.path:
+            unknown.setdefault(problem.path[:-1], {})[str(problem.path[-1])] = problem
+    for path, by_name in unknown.items():
+        section = descend(root, path)[0]
+        if not isinstance(section, nodes.MappingNode) or section.span.text.startswith("{"):
+            continue
+        for owner in section.keys_without_value:
+            entries = _entries_directly_below(owner, section, by_name)
+            if entries:
+                merged = [by_name[entry.key.text] for entry in entries]
+                finding = _unindented(owner, entries, merged[0].finding)
+                remaining = [problem for problem in problems if problem not in merged]
+                problems = [replace(merged[0], finding=finding), *remaining]
+    return problems
+
+
+def _entries_directly_below(
+    owner: ScalarNode, section: nodes.MappingNode, names: Container[str]
+) -> list[nodes.Entry]:
+    """Return the entries with these names that follow a key in the text, up to the first with another name."""
+    source = owner.span.source
+    entries = [entry for entry in section.entries.values() if entry.key.span.source is source]
+    below = [entry for entry in entries if entry.key.span.start > owner.span.end]
+    below.sort(key=lambda entry: entry.key.span.start)
+    following = list(takewhile(lambda entry: entry.key.text in names, below))
+    is_directly_below = following and _ONLY_SPACE.fullmatch(
+        source.text, owner.span.end, following[0].key.span.start
+    )
+    return following if is_directly_below else []
+
+
+def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], finding: Finding) -> Finding:
+    source, first = owner.span.source, entries[0].key
+    more = f" and {counted_noun(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
+    verb = "are" if more else "is"
+    begin = source.text.rfind("\n", 0, first.span.start) + 1
+    starts = [match.start() for match in _LINE.finditer(source.text, begin, entries[-1].value.span.end)]
+    return replace(
+        finding,
+        headline=f"`{first.text}`{more} {verb} not indented below `{owner.text}`",
+        help=f"indent {'them' if more else 'it'} by two spaces: `  {first.text}: ...`",
+        fix=Fix(tuple(Edit(Span(source, start, start), "  ") for start in starts), safe=False),
+    )
 
 
 def _merge_misplaced_section(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:

@@ -16,8 +16,9 @@ def _corrected(text: str) -> str:
     """The text after the fix of its only finding with one."""
     (finding,) = (each for each in findings_of(text) if each.fix is not None)
     assert finding.fix is not None
-    (edit,) = finding.fix.edits
-    return text[: edit.span.start] + edit.text + text[edit.span.end :]
+    for edit in sorted(finding.fix.edits, key=lambda edit: edit.span.start, reverse=True):
+        text = text[: edit.span.start] + edit.text + text[edit.span.end :]
+    return text
 
 
 @pytest.mark.parametrize(
@@ -110,3 +111,25 @@ def test_the_first_key_of_a_section_without_indentation_is_the_one_that_is_moved
     (finding,) = findings_of(wrong)
     assert finding.headline == "`timestep` is not indented below `world`, but the next line is"
     assert _corrected(wrong) == text
+
+
+@pytest.mark.parametrize(
+    ("section", "names"),
+    [
+        ("reward:\n  alive: 1\n", "`alive` is"),
+        (
+            "reward:   # terms\n# one\n  alive: 1\n  more:\n    -0.1 * abs(x) / m\n\n  again: 2\n",
+            "`alive` and 2 more keys are",
+        ),
+    ],
+)
+def test_keys_below_an_empty_section_are_indented(section: str, names: str) -> None:
+    right = SCENARIO.replace("reward:\n  alive: 1\n", section)
+    wrong = right.replace(section, section.replace("\n  ", "\n"))
+    assert f"{names} not indented below `reward`" in [finding.headline for finding in findings_of(wrong)]
+    assert _corrected(wrong) == right
+
+
+def test_a_key_of_the_language_below_an_empty_section_is_not_part_of_it() -> None:
+    wrong = SCENARIO.replace("reward:\n  alive: 1\n", "reward:\n")
+    assert all(finding.fix is None for finding in findings_of(wrong))

@@ -336,6 +336,8 @@ def _fixed(
 
 def _change(edit: Edit | None) -> str:
     old, new = (" ".join(text.split())[:60] for text in (edit.span.text, edit.text)) if edit else ("", "")
+    if not old:
+        return f"`{new}` added" if new else "indented"
     return f"`{old}` -> `{new}`" if new else f"`{old}` removed"
 
 
