@@ -29,7 +29,7 @@ class _Optics(Sensor):
         self._fov = number(spec.node, "fieldOfView")
 
     def _begin(self) -> None:
-        """Check that the device can see, so that an error is where it is enabled."""
+        """Check that pictures can be drawn, so that an error is raised where the device is enabled."""
         from deepbots_cli.webots.rendering import require_opengl
 
         node = self._spec.node

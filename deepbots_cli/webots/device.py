@@ -104,7 +104,7 @@ class HasLookupTable(Sensor):
         self._table = vectors(spec.node, "lookupTable")
 
     def getLookupTable(self) -> list[float]:
-        return [part for row in self._table for part in row]
+        return [value for row in self._table for value in row]
 
 
 class VectorSensor(HasLookupTable):
@@ -137,8 +137,8 @@ class VectorSensor(HasLookupTable):
 
 
 def look_up(table: Sequence[Triple], value: float) -> tuple[float, float]:
-    """Return the response and its share of noise, between the rows of a lookup table; beyond its ends, those
-    of the nearest row."""
+    """Interpolate the response and its share of noise between the rows of a lookup table. Beyond the ends of
+    the table, the nearest row applies."""
     if not table:
         return value, 0.0
     if value <= table[0][0]:

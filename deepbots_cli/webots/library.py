@@ -1,7 +1,7 @@
-"""PROTOs of Webots' own library that deepbots has an equivalent of, written anew from published measures.
+"""Equivalents of PROTOs of Webots' own library, written anew from published dimensions.
 
-They have the fields, devices, masses and outlines of the originals; they look plain. A definition is an
-interface, and a function that returns a body for the values of a PROTO node.
+They have the fields, devices, masses and outlines of the originals, and a plain appearance. A definition is
+an interface, and a function that returns a body for the values of a PROTO node.
 """
 
 from __future__ import annotations
@@ -181,9 +181,9 @@ def _bb8(fields: Fields) -> str:
     mass, heavy, light = (fields.positive(name)[0] for name in ("bodyMass", "weightMass", "headMass"))
     speed = fields.positive("maxVelocity")[0]
 
-    def sensors(where: str, place: float) -> str:
+    def sensors(where: str, height: float) -> str:
         return "".join(
-            f'{kind} {{ translation 0 0 {place!r} name "{where} {name}" }} '
+            f'{kind} {{ translation 0 0 {height!r} name "{where} {name}" }} '
             for kind, name in (("Accelerometer", "accelerometer"), ("Gyro", "gyro"))
         )
 
@@ -239,10 +239,10 @@ def _epuck(fields: Fields) -> str:
 
     eyes = ""
     for number, (x, y, yaw) in enumerate(_EPUCK_EYES):
-        place = f"translation {x} {y} {_EPUCK_EYE_HEIGHT} rotation 0 0 1 {yaw}"
-        eyes += f"""DistanceSensor {{ {place} name "ps{number}" type "infra-red" numberOfRays {rays}
+        pose = f"translation {x} {y} {_EPUCK_EYE_HEIGHT} rotation 0 0 1 {yaw}"
+        eyes += f"""DistanceSensor {{ {pose} name "ps{number}" type "infra-red" numberOfRays {rays}
           aperture 1.57 lookupTable [ {_EPUCK_RESPONSE} ] }}
-          LightSensor {{ {place} name "ls{number}" lookupTable [ 0 4095 0, 0.05 3600 0.05, 1 0 0 ] }} """
+          LightSensor {{ {pose} name "ls{number}" lookupTable [ 0 4095 0, 0.05 3600 0.05, 1 0 0 ] }} """
     lights = "".join(f'LED {{ name "led{number}" }} ' for number in range(10))
     return f"""Robot {{ translation IS translation rotation IS rotation name IS name {_ROBOT_BODY}
       children [ {wheel("left", 0.026)} {wheel("right", -0.026)} {eyes} {lights}

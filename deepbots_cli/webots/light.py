@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.syntax import Node
 
 SUN_DISTANCE_M = 1000.0
-"""How far a DirectionalLight is away where obstacles count."""
+"""The distance of a DirectionalLight in the search for obstacles, m."""
 
 
 class _Beam(NamedTuple):
-    """The light of one source at a place: the direction to the source and its distance (m), and the shares of
-    its intensity that are left by the distance, and by the cone of a SpotLight."""
+    """The light of one source at a position: the direction to the source, its distance (m), and the shares of
+    its intensity that remain after the attenuation by distance and in the cone of a SpotLight."""
 
     direction: Triple
     distance: float
@@ -40,17 +40,17 @@ class LightSensor(ScalarSensor, HasLookupTable):
     def _irradiance(self) -> float:
         """Return the mean over the colors of the light that arrives, through the color filter."""
         node = self._spec.node
-        place, rotation = self._frame()
+        position, rotation = self._frame()
         normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
         total = 0.0
         for light in self._simulation.scene.lights:
             if not boolean(light.node, "on"):
                 continue
-            beam = _beam(light, self._frame_of(light), place)
+            beam = _beam(light, self._frame_of(light), position)
             direct = (
                 number(light.node, "intensity") * max(0.0, frames.dot(normal, beam.direction)) * beam.spot
             )
-            if direct and boolean(node, "occlusion") and self._is_hidden(place, beam):
+            if direct and boolean(node, "occlusion") and self._is_hidden(position, beam):
                 direct = 0.0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
             total += beam.attenuation * (number(light.node, "ambientIntensity") + direct) * color
@@ -59,20 +59,20 @@ class LightSensor(ScalarSensor, HasLookupTable):
     def _frame_of(self, light: Light) -> Frame:
         return light.frame if light.body is None else self._simulation.physics.frame(light.body, light.frame)
 
-    def _is_hidden(self, place: Triple, beam: _Beam) -> bool:
+    def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
         robot = self._spec.body.robot
         skipped = None if robot is None else robot.index
-        return self._simulation.physics.rays(place, [beam.direction], beam.distance, skipped)[0][1] >= 0
+        return self._simulation.physics.rays(position, [beam.direction], beam.distance, skipped)[0][1] >= 0
 
 
-def _beam(light: Light, frame: Frame, place: Triple) -> _Beam:
-    """Return what arrives of a light at a place; its attenuation is 1 / (a + b d + c d^2)."""
+def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:
+    """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
     node = light.node
     if node.type == "DirectionalLight":
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
         return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)
     source = compose(frame, (vector(node, "location"), IDENTITY_ROTATION))[0]
-    offset = frames.subtract(source, place)
+    offset = frames.subtract(source, position)
     distance = math.hypot(*offset)
     constant, linear, square = vector(node, "attenuation")
     weakened = constant + linear * distance + square * distance**2

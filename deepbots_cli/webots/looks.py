@@ -33,7 +33,7 @@ def visible_shape(visual: Visual, files: Files) -> Shape | None:
 
 
 def _cone(radius: float, height: float, scale: Triple) -> Shape:
-    """Return a cone around z, of which the base is below."""
+    """Return a cone around z, with its base at the bottom."""
     rim: list[Triple] = [
         (radius * cos(2 * pi * k / CONE_SIDES), radius * sin(2 * pi * k / CONE_SIDES), -height / 2)
         for k in range(CONE_SIDES)
@@ -59,7 +59,9 @@ class Look:
         """The color with the mean of the texture."""
         if self.texture is None:
             return self.base
-        red, green, blue = (part * share for part, share in zip(self.base, self.texture.mean, strict=False))
+        red, green, blue = (
+            channel * share for channel, share in zip(self.base, self.texture.mean, strict=False)
+        )
         return red, green, blue, self.base[3]
 
 

@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 CONTACT_STEPS = 2.85
 """The time constant of contacts and stops, in substeps; stiffer ones let a resting box hop."""
 CONTACT_IMPEDANCE = (0.9, 0.9999, 0.004, 0.5, 2.0)
-"""Contacts give in where they are light, and hardly beyond 4 mm: with at most 0.95, an e-puck that pushes a
-wall with its 10 N m sinks 2 cm into it."""
+"""The impedance of contacts: they yield at small depths, and hardly beyond 4 mm. With a maximum of 0.95, an
+e-puck that pushes a wall with its 10 N m sinks 2 cm into it."""
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""A motor exerts all of its force: MuJoCo's default would leave 10 % of an error."""
+"""The impedance of motors, with which a motor exerts all of its force. MuJoCo's default leaves 10 % of an
+error."""
 KINEMATIC_MASS, KINEMATIC_INERTIA = 1e-3, 1e-6
 """The mass (kg) and moments (kg m^2) of a solid without physics at the end of a joint."""
 GRID_DEPTH_M = 1.0
@@ -63,8 +64,8 @@ class ModelBuilder:
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
-        place, rotation = body.frame
-        element = parent.add_body(name=f"b{body.index}", pos=place, quat=frames.wxyz(rotation))
+        position, rotation = body.frame
+        element = parent.add_body(name=f"b{body.index}", pos=position, quat=frames.wxyz(rotation))
         self.bodies.append(element)
         if body.is_free:
             self.free_joints[body] = element.add_freejoint()
@@ -103,12 +104,12 @@ class ModelBuilder:
 
     def _add_geometry(self, element: Any, body: Body, geometry: Geometry) -> None:
         shape = geometry.shape
-        place, rotation = geometry.frame
+        position, rotation = geometry.frame
         types = mj.mjtGeom
         fields: dict[str, Any] = {}
         match shape.kind:
             case "box":
-                fields = {"type": types.mjGEOM_BOX, "size": [part / 2 for part in shape.size]}
+                fields = {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
             case "sphere":
                 fields = {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
             case "cylinder" | "capsule":
@@ -117,12 +118,12 @@ class ModelBuilder:
             case "plane":
                 fields = {"type": types.mjGEOM_PLANE, "size": [0.0, 0.0, 1.0]}
             case "grid":
-                fields, place = self._grid(geometry)
+                fields, position = self._grid(geometry)
             case "mesh":
                 fields = {"type": types.mjGEOM_MESH, "meshname": self._mesh(geometry)}
         friction = self.scene.contact(geometry.material, geometry.material)
         added = element.add_geom(
-            pos=place,
+            pos=position,
             quat=frames.wxyz(rotation),
             mass=geometry.mass,
             friction=_friction(friction),
@@ -149,8 +150,8 @@ class ModelBuilder:
             userdata=((heights - low) / rise).tolist(),
         )
         middle: Frame = ((shape.size[0] / 2, shape.size[1] / 2, low), frames.IDENTITY_ROTATION)
-        place = compose(geometry.frame, middle)[0]
-        return {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": name}, place
+        position = compose(geometry.frame, middle)[0]
+        return {"type": mj.mjtGeom.mjGEOM_HFIELD, "hfieldname": name}, position
 
     def _mesh(self, geometry: Geometry) -> str:
         name = f"mesh{len(self._geoms)}"

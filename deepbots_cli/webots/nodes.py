@@ -179,7 +179,7 @@ _SLOTS: Mapping[str, tuple[str, ...]] = {
     "appearance": ("Appearance", "PBRAppearance"),
     "material": ("Material",),
 }
-"""The types of nodes that a field takes; those that derive from them, too."""
+"""The types of nodes that a field takes, with the types that derive from them."""
 
 
 def check(nodes: list[Node], findings: WorldFindings) -> None:

@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.simulation import Simulation
 
 MAX_DELAY_S = 0.1
-"""How far the world may be behind the clock. What it lacks beyond, it does not catch up."""
+"""The maximum delay of the world behind the clock that it catches up, s."""
 
 
 class Pace:
     """The pace of a world. Any thread may change it while the world waits."""
 
     def __init__(self, simulation: Simulation, *, is_fast: bool) -> None:
-        """Let the world run from now on, at the pace of a clock unless it `is_fast`."""
+        """Let the world run from now on: as fast as it can if `is_fast`, else at the pace of a clock."""
         self._simulation = simulation
         self._changed = threading.Condition()
         self._single_steps = 0

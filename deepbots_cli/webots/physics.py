@@ -63,13 +63,13 @@ class MotorState:
     last_error: float = 0.0
 
     def reset(self, position: float) -> None:
-        """Be as Webots starts a motor: it keeps its position."""
+        """Set the state in which Webots starts a motor: it keeps its position."""
         self.target_position, self.target_velocity = position, self.max_velocity
         self.available_torque, self.torque = self.max_torque, None
         self.velocity = self.integral = self.last_error = 0.0
 
     def next_velocity(self, position: float, step: float) -> float:
-        """Return the velocity that it aims at in a basic time step of `step` s, from its position now."""
+        """Return the target velocity in a basic time step of `step` s, from the present position."""
         velocity = self.target_velocity
         if not isinf(self.target_position):
             p, i, d = self.gains
@@ -155,7 +155,7 @@ class Physics:
     # Steps
 
     def reset(self) -> None:
-        """Bring the world back to its begin."""
+        """Bring the world back to its start."""
         model, data = self.model, self.data
         model.body_pos[:], model.body_quat[:] = self._static_frames
         model.dof_frictionloss[:], model.dof_damping[:] = self._usual
@@ -168,7 +168,7 @@ class Physics:
         self._has_positions = self._has_velocities = True
 
     def stop(self) -> None:
-        """Take away all velocities, and the torques of motors under torque control."""
+        """Set all velocities to 0, and the torques of motors under torque control."""
         self.data.qvel[:] = 0.0
         self.data.qacc_warmstart[:] = 0.0
         for motor in self.motors.values():
@@ -291,7 +291,7 @@ class Physics:
     def radius(self, owner: Node) -> float:
         """Return the radius of the ball around the origin of a solid that has its bounding object, m; 0
         without one."""
-        body, inside = self.scene.places[owner]
+        body, inside = self.scene.attachments[owner]
         origin = np.array(self.position(body, inside))
         geoms = [index for index, (_, geometry) in enumerate(self.geoms) if geometry.owner is owner]
         return max(
@@ -341,7 +341,7 @@ class Physics:
         return results
 
     def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
-        """Return the distance along each of many rays from one place, m; infinite beyond `reach`. The
+        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
         directions have the shape (rays, 3). The robot `skipped` stops no ray."""
         self.update_positions()
         groups = self.model.geom_group
@@ -359,7 +359,7 @@ class Physics:
         return np.where((lengths < 0) | (lengths > reach), inf, lengths).tolist()  # type: ignore[no-any-return]
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
-        """Return the contacts of the last substep: two geometries, the place, and the force on the second
+        """Return the contacts of the last substep: two geometries, the point, and the force on the second
         one, N."""
         contacts: list[tuple[int, int, Triple, Triple]] = []
         force = np.zeros(6)
@@ -401,7 +401,7 @@ class Physics:
         self._has_velocities = False
 
     def stop_body(self, body: Body) -> None:
-        """Take away the velocities of a body and of the bodies that hang on it."""
+        """Set the velocities of a body, and of the bodies that hang on it, to 0."""
         root = self.model.body_rootid[self.bodies[body.index]]
         for dof in np.flatnonzero(self.model.body_rootid[self.model.dof_bodyid] == root):
             self.data.qvel[dof] = 0.0
@@ -427,10 +427,10 @@ class Physics:
         self.scene.gravity = 0.0, 0.0, -gravity
         self.model.opt.gravity[:] = self.scene.gravity
 
-    def push(self, body: Body, force: Triple, torque: Triple, place: Triple | None = None) -> None:
-        """Push a body for the next basic time step: N and N m in the world, at a place or at its center."""
-        if place is not None:
-            arm = frames.subtract(place, self.center_of_mass(body))
+    def push(self, body: Body, force: Triple, torque: Triple, point: Triple | None = None) -> None:
+        """Push a body for the next basic time step: N and N m in the world, at a point or at its center."""
+        if point is not None:
+            arm = frames.subtract(point, self.center_of_mass(body))
             torque = frames.add(torque, frames.cross(arm, force))
         self.data.xfrc_applied[self.bodies[body.index]] += (*force, *torque)
 

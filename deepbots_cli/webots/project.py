@@ -1,6 +1,7 @@
 """The files of a project of Webots: worlds, controllers and PROTOs.
 
-Nothing is read outside the folder of the project and the folders that the user names, after following links.
+deepbots reads only files in the folder of the project and in the folders that the user names. It follows
+links before it checks this.
 """
 
 from __future__ import annotations
@@ -108,9 +109,9 @@ def _is_file(path: Path) -> bool:
 
 
 def _shown(path: Path) -> str:
-    """Return a path as messages show it: relative to the working directory where it is in it."""
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+    """Return a path as messages show it: relative to the working directory if it is below it."""
+    working_directory = Path.cwd()
+    return str(path.relative_to(working_directory)) if path.is_relative_to(working_directory) else str(path)
 
 
 @dataclass

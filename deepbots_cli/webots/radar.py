@@ -21,8 +21,8 @@ LIGHT_SPEED = 299_792_458.0
 
 @dataclass
 class RadarTarget:
-    """What a radar saw of a solid: the distance (m), the power that came back (dBm), the radial speed (m/s,
-    positive for one that moves away), and the azimuth (rad, positive to the right)."""
+    """The measurement of a solid by a radar: the distance (m), the power that came back (dBm), the radial
+    speed (m/s, positive for one that moves away), and the azimuth (rad, positive to the right)."""
 
     distance: float
     received_power: float
@@ -42,7 +42,7 @@ class Radar(Sensor):
         frequency = number(node, "frequency") * 1e9
         wavelength = LIGHT_SPEED / frequency if frequency > 0 else 0.0
         self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
-        """The power (mW) that a cross section of 1 m^2 throws back from 1 m."""
+        """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
 
     def getMinRange(self) -> float:
         return number(self._spec.node, "minRange")
@@ -73,17 +73,18 @@ class Radar(Sensor):
         self._targets = targets
 
     def _target(self, solid: Node) -> RadarTarget | None:
-        """Return what the radar sees of a solid, with the power in mW; None if it does not see it.
+        """Return the measurement of a solid, with the power in mW; None if the radar does not see it.
 
-        A solid is seen if a part of it, a ball around its bounding object, is within the range and the field
-        of view. Its values are those of its origin, limited to the range and the field of view.
+        The radar sees a solid if a part of the ball around its bounding object is within the range and the
+        field of view. The measurement is that of the origin of the solid, limited to the range and the field
+        of view.
         """
         node, physics = self._spec.node, self._simulation.physics
         if solid is node:
             return None
-        place, rotation = self._frame()
-        body, inside = self._simulation.scene.places[solid]
-        offset = frames.subtract(physics.position(body, inside), place)
+        position, rotation = self._frame()
+        body, inside = self._simulation.scene.attachments[solid]
+        offset = frames.subtract(physics.position(body, inside), position)
         distance, radius = math.hypot(*offset), physics.radius(solid)
         near, far = self.getMinRange(), self.getMaxRange()
         if distance == 0 or distance - radius > far or distance + radius < near:
@@ -119,15 +120,15 @@ class Radar(Sensor):
         return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
 
     def _is_hidden(self, solid: Node, offset: tuple[float, float, float], distance: float) -> bool:
-        """Return whether something else is on the way to a solid."""
+        """Return whether something is between the radar and a solid."""
         physics, robot = self._simulation.physics, self._spec.body.robot
         skipped = None if robot is None else robot.index
         unit = frames.scaled(offset, 1 / distance)
         geom = physics.rays(self._frame()[0], [unit], distance, skipped)[0][1]
-        return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.places[solid][0]
+        return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.attachments[solid][0]
 
     def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:
-        """Return targets with those made one that the radar cannot tell apart: means, weighted by power."""
+        """Merge targets that the radar cannot tell apart: into their means, weighted by power."""
         node = self._spec.node
         cell, cell_speed = number(node, "cellDistance"), number(node, "cellSpeed")
         if cell <= 0:

@@ -127,8 +127,8 @@ class Pictures:
     def _follow(self) -> None:
         """Place the bodies as they are now."""
         for body, index in self._bodies.items():
-            place, rotation = self._physics.frame(self._physics.scene.bodies[body])
-            self._data.mocap_pos[index], self._data.mocap_quat[index] = place, frames.wxyz(rotation)
+            position, rotation = self._physics.frame(self._physics.scene.bodies[body])
+            self._data.mocap_pos[index], self._data.mocap_quat[index] = position, frames.wxyz(rotation)
         mj.mj_kinematics(self._model, self._data)
         mj.mj_camlight(self._model, self._data)
 
@@ -142,12 +142,12 @@ class Pictures:
 
 
 def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
-    place, rotation = frame
+    position, rotation = frame
     ahead = frames.rotate(rotation, (1.0, 0.0, 0.0))
     for light in renderer.scene.lights[: renderer.scene.nlight]:
-        light.pos, light.dir = place, ahead  # MuJoCo's shines from where its own camera is
+        light.pos, light.dir = position, ahead  # by default, a light of MuJoCo is at MuJoCo's own camera
     for camera in renderer.scene.camera:
-        camera.pos = place
+        camera.pos = position
         camera.forward = ahead
         camera.up = frames.rotate(rotation, (0.0, 0.0, 1.0))
         camera.frustum_center, camera.frustum_width = 0.0, 0.0
@@ -196,12 +196,12 @@ class _VisualModel:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
         fields = self._fields(shape)
-        place, rotation = visual.frame
+        position, rotation = visual.frame
         if shape.kind == "grid":
             middle = (shape.size[0] / 2, shape.size[1] / 2, min(shape.heights))
-            place = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
+            position = compose(visual.frame, (middle, IDENTITY_ROTATION))[0]
         parent.add_geom(
-            pos=place,
+            pos=position,
             quat=frames.wxyz(rotation),
             **self._surface(visual.node, shape),
             contype=0,
@@ -230,7 +230,7 @@ class _VisualModel:
         types = mj.mjtGeom
         match shape.kind:
             case "box":
-                return {"type": types.mjGEOM_BOX, "size": [part / 2 for part in shape.size]}
+                return {"type": types.mjGEOM_BOX, "size": [side / 2 for side in shape.size]}
             case "sphere":
                 return {"type": types.mjGEOM_SPHERE, "size": [shape.size[0], 0.0, 0.0]}
             case "cylinder" | "capsule":

@@ -1,8 +1,8 @@
 """Controllers as threads of one process, of which one runs at a time.
 
-A controller that steps passes the turn: to the next controller, in the order of the world, that has nothing
-to wait for, or first lets the physics advance. So a world runs the same every time, and one controller alone
-never changes threads.
+A controller that steps passes the turn to the next controller, in the order of the world, whose step has
+ended. If there is none, the physics advances first. So a world runs the same every time, and a single
+controller never changes threads.
 
 Each controller has its own modules of the project, its own `__main__`, working directory, `sys.path` and
 `sys.argv`; installed packages are shared, and so is the state of `random` and `numpy.random`.
@@ -40,10 +40,11 @@ if TYPE_CHECKING:
 SITE = Path(__file__).parent / "site"
 """The folder with the module `controller`."""
 MAX_STEPS_AFTER_END = 100
-"""How often a controller may step after the end before its step ends it."""
+"""The number of steps that a controller may make after the end; a further step ends the controller."""
 CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
-"""What controllers find in their environment, if it is not set: pictures need a window, and small networks
-lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy machine)."""
+"""Defaults of environment variables of controllers. Without them, Matplotlib opens windows, and small
+networks lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy
+machine)."""
 WATCH_INTERVAL_S = 0.5
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
@@ -89,7 +90,7 @@ class Outcome:
     controllers: tuple[tuple[str, int, int], ...] = ()
     """Robot, exit code and number of steps of each controller."""
     is_stuck: bool = False
-    """Whether a controller still runs, which nothing but the end of the process ends."""
+    """Whether a controller still runs that only the end of the process ends."""
 
 
 class Runner:
@@ -182,10 +183,10 @@ class Runner:
     def _watch(self) -> None:
         """Wait for the end; a controller that makes no step for too long ends the run."""
         timeout = inf if self.timeout is None else self.timeout
-        seen, since = self._progress, time.monotonic()
+        last_progress, since = self._progress, time.monotonic()
         while not self._everything_ended.wait(min(timeout, WATCH_INTERVAL_S)):
-            if self._progress != seen or self._pace.is_paused:
-                seen, since = self._progress, time.monotonic()
+            if self._progress != last_progress or self._pace.is_paused:
+                last_progress, since = self._progress, time.monotonic()
             elif time.monotonic() - since >= timeout:
                 name = self._current.name if self._current is not None else "?"
                 self._problems.append(f"the controller of '{name}' made no step for {timeout:g} s")
@@ -211,8 +212,9 @@ class Runner:
     @contextmanager
     def _surroundings(self) -> Iterator[None]:
         """Give controllers their own surroundings, and restore those of the process."""
-        kept = (sys.path[:], sys.argv, os.getcwd(), sys.stdout, sys.stderr, sys.modules.get("__main__"))
-        before = set(sys.modules)
+        path, argv, folder = sys.path[:], sys.argv, os.getcwd()
+        stdout, stderr = sys.stdout, sys.stderr
+        main, modules_before = sys.modules.get("__main__"), set(sys.modules)
         finder = _ProjectFinder(self)
         sys.meta_path.insert(0, finder)
         name = self._speaker
@@ -231,16 +233,16 @@ class Runner:
             for stream in streams:
                 stream.close()
             sys.meta_path.remove(finder)
-            sys.path[:], sys.argv = kept[0], kept[1]
-            os.chdir(kept[2])
-            sys.stdout, sys.stderr = kept[3], kept[4]
+            sys.path[:], sys.argv = path, argv
+            os.chdir(folder)
+            sys.stdout, sys.stderr = stdout, stderr
             for module in {module for controller in self.controllers for module in controller.private}:
                 sys.modules.pop(module, None)
-            for module in set(sys.modules) - before:
+            for module in set(sys.modules) - modules_before:
                 if module.partition(".")[0] == "controller":
                     del sys.modules[module]
-            if kept[5] is not None:
-                sys.modules["__main__"] = kept[5]
+            if main is not None:
+                sys.modules["__main__"] = main
 
     def _speaker(self) -> str:
         return self._current.name if self._current is not None else ""
@@ -307,7 +309,7 @@ class Runner:
             controller.turn.acquire()
 
     def _next(self) -> Controller:
-        """Return the controller whose step has ended, after advancing the physics as far as that takes."""
+        """Advance the physics until the step of a controller ends, and return that controller."""
         simulation = self.simulation
         waiting = [controller for controller in self.controllers if not controller.has_ended]
         while not self.is_over:
@@ -323,7 +325,7 @@ class Runner:
 
     def _advance(self) -> None:
         if self._pace.wait():
-            self._progress += 1  # the time of a pause is not that of a controller
+            self._progress += 1  # a pause does not count as time of a controller
         try:
             self.simulation.run_step()
         except FloatingPointError as error:
@@ -342,22 +344,22 @@ class Runner:
         controller.turn.release()
 
     def _enter(self, controller: Controller) -> None:
-        """Put in place what belongs to a controller."""
+        """Install the modules, `sys.path`, arguments and working directory of a controller."""
         sys.path[:] = controller.path
         sys.argv = [str(controller.program), *controller.arguments]
         sys.modules.update(controller.modules)
         os.chdir(controller.folder)
 
     def _leave(self, controller: Controller) -> None:
-        """Put away what belongs to a controller."""
+        """Store the modules, `sys.path` and working directory of a controller, and remove its modules."""
         controller.path = sys.path[:]
         modules = sys.modules
-        own = controller.modules
-        own["__main__"] = modules["__main__"]
+        controller_modules = controller.modules
+        controller_modules["__main__"] = modules["__main__"]
         for name in controller.private:
             module = modules.pop(name, None)
             if module is not None:
-                own[name] = module
+                controller_modules[name] = module
         if not controller.has_ended:
             controller.folder = os.getcwd()
 
@@ -410,11 +412,11 @@ class Prefixed:
 
     def write(self, text: str) -> int:
         name = self._speaker()
-        *lines, rest = (self._unfinished.pop(name, "") + text).split("\n")
+        *lines, unfinished_line = (self._unfinished.pop(name, "") + text).split("\n")
         if lines:
             self._write(name, lines)
-        if rest:
-            self._unfinished[name] = rest
+        if unfinished_line:
+            self._unfinished[name] = unfinished_line
         return len(text)
 
     def _write(self, name: str, lines: Sequence[str]) -> None:
@@ -432,8 +434,8 @@ class Prefixed:
 
     def close(self) -> None:
         """Write lines that have no end yet."""
-        for name, rest in self._unfinished.items():
-            self._write(name, [rest])
+        for name, unfinished_line in self._unfinished.items():
+            self._write(name, [unfinished_line])
         self._unfinished.clear()
         self._stream.flush()
 
@@ -485,10 +487,10 @@ def packages_of(python: Path) -> list[str]:
     except (OSError, subprocess.SubprocessError) as error:
         raise UsageError(f"--python {python} does not run: {error}") from error
     version, *folders = ran.stdout.splitlines()
-    own = f"{sys.version_info[0]} {sys.version_info[1]}"
-    if version != own:
+    own_version = f"{sys.version_info[0]} {sys.version_info[1]}"
+    if version != own_version:
         raise UsageError(
             f"--python {python} is Python {version.replace(' ', '.')}, and deepbots runs on Python"
-            f" {own.replace(' ', '.')}; their packages do not mix"
+            f" {own_version.replace(' ', '.')}; their packages do not mix"
         )
     return [folder for folder in folders if "site-packages" in folder or "dist-packages" in folder]

@@ -1,8 +1,8 @@
 """Bodies, joints, geometries and devices of a world: what an engine builds. `scene_builder.py` reads them.
 
 A body is what moves as one: a solid that stands alone, or is the end point of a joint, with all solids fixed
-to it. A solid without physics that no joint carries does not move. `Scene.places` has the body and the frame
-of every node with a pose, so that a supervisor can ask for it.
+to it. A solid without physics that no joint carries does not move. `Scene.attachments` has the body and the
+frame of every node with a pose, so that a supervisor can ask for it.
 
 `port.Engine` does not serve here, because its world model has no joints outside of robots, no ball joints, no
 two joints between the same two bodies, no friction per pair of materials, and its motors reach a velocity as
@@ -70,7 +70,7 @@ class Geometry:
     owner: Node
     mass: float = 0.0
     reflection: float = 0.6
-    """The share of infra-red light that it throws back."""
+    """The share of infra-red light that it reflects."""
 
 
 @dataclass(eq=False)
@@ -126,7 +126,7 @@ class Joint:
 class Body:
     """A body: its frame in its parent, or in the world; its joints, geometries and stated inertias.
 
-    `is_free` says that it moves without a joint. Velocities are those at the begin: m/s and rad/s.
+    `is_free` says that it moves without a joint. Velocities are those at the start: m/s and rad/s.
     """
 
     index: int
@@ -189,11 +189,11 @@ class Contact:
 
 @dataclass(eq=False)
 class Scene:
-    """The bodies and robots of a world, and what it says about itself.
+    """The bodies, robots and settings of a world.
 
-    `basic_step` is in ms, `gravity` in m/s^2. `places` maps each node with a pose to its body and its frame
-    there, `outer_frames` those outside of bodies to their frame in the world, and `parents` to the node above
-    it.
+    `basic_step` is in ms, `gravity` in m/s^2. `attachments` maps each node with a pose to its body and its
+    frame in the body. `outer_frames` maps nodes with a pose outside of bodies to their frame in the world.
+    `parents` maps each node to the node above it.
     """
 
     nodes: list[Node]
@@ -204,7 +204,7 @@ class Scene:
     bodies: list[Body] = field(default_factory=list)
     robots: list[Robot] = field(default_factory=list)
     contacts: dict[tuple[str, str], Contact] = field(default_factory=dict)
-    places: dict[Node, tuple[Body, Frame]] = field(default_factory=dict)
+    attachments: dict[Node, tuple[Body, Frame]] = field(default_factory=dict)
     outer_frames: dict[Node, Frame] = field(default_factory=dict)
     parents: dict[Node, Node] = field(default_factory=dict)
     visuals: list[Visual] = field(default_factory=list)
@@ -212,6 +212,8 @@ class Scene:
     radar_targets: list[Node] = field(default_factory=list)
     """The solids that radars see."""
 
-    def contact(self, one: str, other: str) -> Contact:
+    def contact(self, first: str, second: str) -> Contact:
         """Return how two materials touch."""
-        return self.contacts.get((one, other)) or self.contacts.get((other, one)) or self.contacts["", ""]
+        return (
+            self.contacts.get((first, second)) or self.contacts.get((second, first)) or self.contacts["", ""]
+        )

@@ -117,15 +117,15 @@ class _Builder:
 
     def add(self, node: Node, site: _Site) -> None:
         """Add a node and what is in it."""
-        shown, node = node, real(node)
+        written, node = node, real(node)
         if is_a(node, "Solid"):
-            self._add_solid(shown, node, site)
+            self._add_solid(written, node, site)
         elif is_a(node, "Pose"):
             frame = compose(site.frame, _frame_of(node), site.scale)
             scale = _scaled(site.scale, node) if node.type == "Transform" else site.scale
             inner = _Site(site.body, frame, scale, site.robot, site.solid)
             if site.body is not None:
-                self.scene.places[node] = site.body, frame
+                self.scene.attachments[node] = site.body, frame
             else:
                 self.scene.outer_frames[node] = frame
             self._add_children(node, inner)
@@ -155,12 +155,12 @@ class _Builder:
         if inner.body is not None:
             self.scene.parents.setdefault(real(inner), outer)
 
-    def _add_solid(self, shown: Node, node: Node, site: _Site) -> None:
+    def _add_solid(self, written: Node, node: Node, site: _Site) -> None:
         if node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
         frame = compose(site.frame, _frame_of(node), site.scale)
         scale = _scaled(site.scale, node)
-        robot = self._robot(shown, node, site)
+        robot = self._robot(written, node, site)
         body = site.body
         if body is None:
             body = self._body(node, None, frame, robot)
@@ -169,13 +169,13 @@ class _Builder:
             frame = ORIGIN
         self._fill(node, body, frame, scale, robot)
 
-    def _robot(self, shown: Node, node: Node, site: _Site) -> Robot | None:
+    def _robot(self, written: Node, node: Node, site: _Site) -> Robot | None:
         if node.type != "Robot":
             return site.robot
         if site.robot is not None:
             self.findings.warning(node.span, "a robot in another robot: its devices belong to the outer one")
             return site.robot
-        robot = Robot(shown, node, len(self.scene.robots))
+        robot = Robot(written, node, len(self.scene.robots))
         self.scene.robots.append(robot)
         return robot
 
@@ -189,7 +189,7 @@ class _Builder:
 
     def _fill(self, node: Node, body: Body, frame: Frame, scale: Triple, robot: Robot | None) -> None:
         """Add the bounding object, the physics, the device and the children of a solid to its body."""
-        self.scene.places[node] = body, frame
+        self.scene.attachments[node] = body, frame
         if node.type in DEVICES:
             self._add_device(node, body, frame, robot)
         if number(node, "radarCrossSection") > 0:
@@ -210,12 +210,12 @@ class _Builder:
         node = real(node)
         if is_a(node, "Pose") and not is_a(node, "Solid"):
             inner = _scaled(scale, node) if node.type == "Transform" else scale
-            place = compose(frame, _frame_of(node), scale)
-            for part in children(node):
-                self._add_geometry(part, body, place, inner, owner)
+            inner_frame = compose(frame, _frame_of(node), scale)
+            for inner_node in children(node):
+                self._add_geometry(inner_node, body, inner_frame, inner, owner)
         elif node.type == "Group":
-            for part in children(node):
-                self._add_geometry(part, body, frame, scale, owner)
+            for inner_node in children(node):
+                self._add_geometry(inner_node, body, frame, scale, owner)
         elif node.type == "Shape":
             geometry = child(node, "geometry")
             if geometry is not None:
@@ -270,8 +270,8 @@ class _Builder:
         if not _is_inertia(matrix):
             self.findings.error(physics.span, "inertiaMatrix is none of a rigid body")
             return
-        place = compose(frame, (center, IDENTITY_ROTATION))
-        body.inertias.append(Inertia(mass, place, tuple(matrix)))
+        center_frame = compose(frame, (center, IDENTITY_ROTATION))
+        body.inertias.append(Inertia(mass, center_frame, tuple(matrix)))
 
     # Joints and devices
 
@@ -281,7 +281,7 @@ class _Builder:
             self.findings.warning(node.span, f"a {node.type} outside of a solid, or without an end point")
             return
         self._link(end, node)
-        shown, end = end, real(end)
+        written, end = end, real(end)
         if not is_a(end, "Solid"):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
@@ -290,33 +290,43 @@ class _Builder:
         body.is_dynamic = child(end, "physics") is not None
         inverse = frames.inverse(frame[1])
 
-        def inside(direction: Triple) -> Triple:
+        def turned_into_body(direction: Triple) -> Triple:
             return frames.rotate(inverse, frames.rotate(site.frame[1], direction))
 
-        def place(anchor: Triple) -> Triple:
+        def moved_into_body(anchor: Triple) -> Triple:
             in_body = compose(site.frame, (anchor, IDENTITY_ROTATION), site.scale)[0]
             return frames.rotate(inverse, frames.subtract(in_body, frame[0]))
 
-        self._add_axes(node, body, inside, place)
+        self._add_axes(node, body, turned_into_body, moved_into_body)
         self._add_joint_devices(node, body, site.robot)
-        if shown is not end and end.type == "Robot":
+        if written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, ORIGIN, _scaled(site.scale, end), site.robot)
 
-    def _add_axes(self, node: Node, body: Body, inside: _Turn, place: _Turn) -> None:
+    def _add_axes(self, node: Node, body: Body, turned_into_body: _Turn, moved_into_body: _Turn) -> None:
         first = child(node, "jointParameters")
         slides = node.type == "SliderJoint"
         anchor = (0.0, 0.0, 0.0) if slides or first is None else _vector_or(first, "anchor", (0.0, 0.0, 0.0))
         if node.type == "BallJoint":
-            self._add_ball(node, body, first, inside, place(anchor))
+            self._add_ball(node, body, first, turned_into_body, moved_into_body(anchor))
             return
         axis = _axis_of(first, (0.0, 0.0, 1.0) if slides else (1.0, 0.0, 0.0))
-        self._add_axis(node, body, first, axis, inside, place(anchor), 0)
+        self._add_axis(node, body, first, axis, turned_into_body, moved_into_body(anchor), 0)
         if node.type == "Hinge2Joint":
             second = child(node, "jointParameters2")
-            self._add_axis(node, body, second, _axis_of(second, (0.0, 0.0, 1.0)), inside, place(anchor), 1)
+            self._add_axis(
+                node,
+                body,
+                second,
+                _axis_of(second, (0.0, 0.0, 1.0)),
+                turned_into_body,
+                moved_into_body(anchor),
+                1,
+            )
 
-    def _add_ball(self, node: Node, body: Body, first: Node | None, inside: _Turn, anchor: Triple) -> None:
+    def _add_ball(
+        self, node: Node, body: Body, first: Node | None, turned_into_body: _Turn, anchor: Triple
+    ) -> None:
         """Add a ball joint: three axes in turn if it has devices, stops or parameters of single axes."""
         others = [child(node, f"jointParameters{number}") for number in (2, 3)]
         has_devices = any(children(node, slot) for slot in _DEVICE_SLOTS)
@@ -330,7 +340,7 @@ class _Builder:
             body.joints.append(joint)
             return
         for index, (parameters, axis) in enumerate(zip((first, *others), _ball_axes(*others), strict=True)):
-            self._add_axis(node, body, parameters, axis, inside, anchor, index)
+            self._add_axis(node, body, parameters, axis, turned_into_body, anchor, index)
             if parameters is None and first is not None:
                 joint = body.joints[-1]
                 joint.stiffness = max(0.0, number(first, "springConstant"))
@@ -343,7 +353,7 @@ class _Builder:
         body: Body,
         parameters: Node | None,
         axis: Triple,
-        inside: _Turn,
+        turned_into_body: _Turn,
         anchor: Triple,
         index: int,
     ) -> None:
@@ -352,7 +362,7 @@ class _Builder:
             self.findings.error(node.span, f"the axis of a {node.type} is zero")
             return
         unit = (axis[0] / length, axis[1] / length, axis[2] / length)
-        joint = Joint("slide" if node.type == "SliderJoint" else "hinge", inside(unit), anchor)
+        joint = Joint("slide" if node.type == "SliderJoint" else "hinge", turned_into_body(unit), anchor)
         joint.node, joint.parameters, joint.index = node, parameters, index
         if parameters is not None:
             self._read_axis(joint, parameters)
@@ -450,7 +460,7 @@ def _is_inertia(matrix: list[float]) -> bool:
 
 
 def _reflection(owner: Node) -> float:
-    """Return the share of infra-red light that a solid throws back, by its first appearance.
+    """Return the share of infra-red light that a solid reflects, by its first appearance.
 
     The formula is that of the reference of DistanceSensor: 0.2 + 0.8 * red * (1 - roughness / 2).
     """

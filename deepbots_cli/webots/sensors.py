@@ -117,10 +117,10 @@ class GPS(Sensor):
     def sample(self) -> None:
         spec, node = self._spec, self._spec.node
         accuracy, blur = number(node, "accuracy"), number(node, "speedNoise")
-        x, y, z = (self._rounded(part + self._noise(accuracy)) for part in self._frame()[0])
+        x, y, z = (self._rounded(coordinate + self._noise(accuracy)) for coordinate in self._frame()[0])
         self._values = x, y, z
         moving = self._simulation.physics.velocity(spec.body, spec.frame)[0]
-        u, v, w = (part + self._noise(blur) for part in moving)
+        u, v, w = (component + self._noise(blur) for component in moving)
         self._speed = u, v, w
 
 
@@ -136,7 +136,8 @@ class Altimeter(ScalarSensor):
 
 
 class DistanceSensor(ScalarSensor, HasLookupTable):
-    """The response of a lookup table to the distance along rays. The own robot stops no ray."""
+    """The response of a lookup table to the distance along rays. Rays pass through the robot of the
+    sensor."""
 
     GENERIC, INFRA_RED, SONAR, LASER = 0, 1, 2, 3
 
@@ -174,7 +175,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
         self._value = self._rounded(answer * (1.0 + self._noise(share)))
 
     def _distance(self) -> float:
-        """Return the distance that the table is asked for, m."""
+        """Return the distance that the lookup table gets, m."""
         start, rotation = self._frame()
         physics, robot = self._simulation.physics, self._spec.body.robot
         directions = [frames.rotate(rotation, direction) for direction in self._directions]

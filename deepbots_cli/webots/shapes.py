@@ -67,7 +67,7 @@ class Shape:
 
 def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> Shape | None:
     """Return the geometry of a node, scaled; None with a finding for one that cannot collide."""
-    sx, sy, sz = (abs(part) for part in scale)
+    sx, sy, sz = (abs(factor) for factor in scale)
     widest = max(sx, sy)
     match node.type:
         case "Box":
@@ -92,7 +92,7 @@ def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -
 
 
 def _positive(node: Node, shape: Shape, findings: WorldFindings) -> Shape | None:
-    if all(1e-7 < part < 1e6 for part in shape.size):
+    if all(1e-7 < length < 1e6 for length in shape.size):
         return shape
     findings.error(node.span, f"a {node.type} whose size is not positive, or is above 1000 km")
     return None
@@ -187,5 +187,5 @@ def _mesh_volume(vertices: Sequence[Triple], faces: Sequence[tuple[int, int, int
 def compose(outer: Frame, inner: Frame, scale: Triple = (1.0, 1.0, 1.0)) -> Frame:
     """Return a frame in the frame of `outer`; `scale` is that of the coordinates of `inner`."""
     (x, y, z), rotation = inner
-    place = frames.rotate(outer[1], (x * scale[0], y * scale[1], z * scale[2]))
-    return frames.add(outer[0], place), frames.multiply(outer[1], rotation)
+    offset = frames.rotate(outer[1], (x * scale[0], y * scale[1], z * scale[2]))
+    return frames.add(outer[0], offset), frames.multiply(outer[1], rotation)

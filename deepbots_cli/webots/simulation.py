@@ -1,12 +1,12 @@
 """Time, messages and sampling of a world that runs.
 
-The clock counts basic time steps. In one of them, the messages of before travel, the physics advances, the
-messages arrive, a reset that was asked for happens, and the sensors that are due measure. So a message needs
-one basic time step, a reset happens at the end of the step, and a sensor measures first when its first
-sampling period has passed, all as in Webots.
+The clock counts basic time steps. In each one, the messages that controllers sent before leave, the physics
+advances, these messages arrive, a reset that a supervisor asked for happens, and the sensors that are due
+measure. So a message needs one basic time step, a reset happens at the end of the step, and a sensor measures
+first when its first sampling period has passed, all as in Webots.
 
-Unlike in Webots, a reset empties the queues of messages: there, each reset makes the messages of a supervisor
-that reads one in each step one step older.
+Unlike in Webots, a reset empties the queues of messages. In Webots, the messages of a supervisor that reads
+one in each step are one step older after each reset.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Sampled(Protocol):
 class Packet:
     """A message on its way or in a queue.
 
-    `way` is that from the receiver to the emitter in the world (m), and `turned` the rotation of the
-    receiver, once it arrived; `noise` is the factor of its signal strength.
+    Once it arrived, `way` is the vector from the receiver to the emitter in the world (m), and `turned` is
+    the rotation of the receiver. `noise` is the factor of its signal strength.
     """
 
     data: bytes
@@ -104,7 +104,7 @@ class Simulation:
         self.physics = Physics(scene, span)
         self.basic_step = scene.basic_step
         self.ticks = self.time = 0
-        """The time since the begin, and since the last reset."""
+        """The time since the start, and since the last reset."""
         self.random = random.Random(scene.seed)
         self.current: Robot | None = None
         """The robot whose controller runs now."""
@@ -211,8 +211,8 @@ class Simulation:
                 continue
             if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
                 continue
-            place, rotation = physics.frame(device.body, device.frame)
-            arrived = replace(packet, way=frames.subtract(start, place), turned=rotation)
+            position, rotation = physics.frame(device.body, device.frame)
+            arrived = replace(packet, way=frames.subtract(start, position), turned=rotation)
             if 0 <= packet.range < arrived.distance:
                 continue
             if inbox.noise:

@@ -145,11 +145,13 @@ class Supervisor(Robot):
         return Node(self._webots_simulation, self._webots_robot.written)
 
     def getFromDef(self, name: str) -> Node | None:
-        """Return the node of a DEF name, or of several with dots between, each in the one before."""
+        """Return the node of a DEF name, or of a path of DEF names with dots between them."""
         nodes = self._webots_simulation.scene.nodes
         match: Written | None = None
-        for part in name.split("."):
-            match = next((node for node in _public(nodes) if node.name == part and node is not match), None)
+        for def_name in name.split("."):
+            match = next(
+                (node for node in _public(nodes) if node.name == def_name and node is not match), None
+            )
             if match is None:
                 return None
             nodes = [match]
@@ -165,11 +167,11 @@ class Supervisor(Robot):
         return Node(self._webots_simulation, device._spec.node)
 
     def simulationReset(self) -> None:
-        """Bring the world back to its begin, at the end of the next step."""
+        """Bring the world back to its start, at the end of the next step."""
         self._webots_simulation.ask_for_reset()
 
     def simulationResetPhysics(self) -> None:
-        """Take away all velocities."""
+        """Set all velocities to 0."""
         self._webots_simulation.physics.stop()
 
     def simulationQuit(self, status: int = 0) -> None:

@@ -191,24 +191,24 @@ class _Parser:
     def _span(self, token: _Token) -> Span:
         return Span(self.source, token.start, token.start + len(token.text))
 
-    def _error(self, place: int | _Token, headline: str, help: str = "") -> WorldSyntaxError:
-        if isinstance(place, _Token):
-            return WorldSyntaxError(self._span(place), headline, help)
-        return WorldSyntaxError(Span(self.source, place, place), headline, help)
+    def _error(self, location: int | _Token, headline: str, help: str = "") -> WorldSyntaxError:
+        if isinstance(location, _Token):
+            return WorldSyntaxError(self._span(location), headline, help)
+        return WorldSyntaxError(Span(self.source, location, location), headline, help)
 
     def _unexpected(self, expected: str) -> WorldSyntaxError:
         text = self.token.text
-        shown = f"'{text[:40]}'" if text else "the end of the file"
-        return self._error(self.token, f"{shown} in the place of {expected}")
+        actual = f"'{text[:40]}'" if text else "the end of the file"
+        return self._error(self.token, f"{actual} in the place of {expected}")
 
     def expect(self, text: str) -> _Token:
         if self.token.text != text or self.token.kind not in (2, 4):
             raise self._unexpected(f"'{text}'")
         return self.take()
 
-    def word(self, what: str) -> _Token:
+    def word(self, expected: str) -> _Token:
         if self.token.kind != 4 or not _NAME.match(self.token.text):
-            raise self._unexpected(what)
+            raise self._unexpected(expected)
         return self.take()
 
     # Files

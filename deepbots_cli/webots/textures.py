@@ -59,7 +59,7 @@ class Texture:
     @property
     def mean(self) -> Triple:
         """The mean color, from 0 to 1."""
-        red, green, blue = (float(part) / 255 for part in self.pixels.mean(axis=(0, 1)))
+        red, green, blue = (float(channel) / 255 for channel in self.pixels.mean(axis=(0, 1)))
         return red, green, blue
 
     def repeats_on(self, size: Sequence[float]) -> tuple[float, float]:

@@ -93,18 +93,18 @@ class Node(_NodeTypes):
 
     # Poses
 
-    def _place(self, function: str) -> tuple[Body, Frame]:
-        place = self._simulation.scene.places.get(self._real)
-        if place is None:
+    def _attachment(self, function: str) -> tuple[Body, Frame]:
+        attachment = self._simulation.scene.attachments.get(self._real)
+        if attachment is None:
             raise NotImplementedCallError(f"Node.{function} of a {self._node.type} is not implemented")
-        return place
+        return attachment
 
     def _frame(self, function: str) -> Frame:
-        body, inside = self._place(function)
+        body, inside = self._attachment(function)
         return self._simulation.physics.frame(body, inside)
 
     def getPosition(self) -> list[float]:
-        return list(self._simulation.physics.position(*self._place("getPosition")))
+        return list(self._simulation.physics.position(*self._attachment("getPosition")))
 
     def getOrientation(self) -> list[float]:
         """Return the rotation matrix, row by row."""
@@ -119,27 +119,27 @@ class Node(_NodeTypes):
         return [*rows[:3], x, *rows[3:6], y, *rows[6:], z, 0.0, 0.0, 0.0, 1.0]
 
     def getCenterOfMass(self) -> list[float]:
-        return list(self._simulation.physics.center_of_mass(self._place("getCenterOfMass")[0]))
+        return list(self._simulation.physics.center_of_mass(self._attachment("getCenterOfMass")[0]))
 
     def getVelocity(self) -> list[float]:
         """Return the linear (m/s) and angular velocity (rad/s) in the world."""
-        body, inside = self._place("getVelocity")
+        body, inside = self._attachment("getVelocity")
         linear, angular = self._simulation.physics.velocity(body, inside)
         return [*linear, *angular]
 
     def setVelocity(self, velocity: list[float]) -> None:
         x, y, z, u, v, w = map(float, velocity)
         self._free_body("setVelocity")
-        self._simulation.physics.set_velocity(self._place("setVelocity")[0], (x, y, z), (u, v, w))
+        self._simulation.physics.set_velocity(self._attachment("setVelocity")[0], (x, y, z), (u, v, w))
 
     def _free_body(self, function: str) -> Body:
-        body, _ = self._place(function)
+        body, _ = self._attachment(function)
         if body.node is not self._real or not self._simulation.physics.is_free(body):
             raise NotImplementedCallError(f"Node.{function} of a part of a body is not implemented")
         return body
 
     def resetPhysics(self) -> None:
-        self._simulation.physics.stop_body(self._place("resetPhysics")[0])
+        self._simulation.physics.stop_body(self._attachment("resetPhysics")[0])
 
     def restartController(self) -> None:
         raise NotImplementedCallError("Node.restartController is not implemented")
@@ -151,23 +151,23 @@ class Node(_NodeTypes):
         self._push("addTorque", (0.0, 0.0, 0.0), torque, relative)
 
     def addForceWithOffset(self, force: list[float], offset: list[float], relative: bool) -> None:
-        """Push at a place that is given in the frame of the node."""
+        """Push at a point that is given in the frame of the node."""
         x, y, z = map(float, offset)
         frame = self._frame("addForceWithOffset")
-        place = compose(frame, ((x, y, z), frames.IDENTITY_ROTATION))[0]
-        self._push("addForceWithOffset", force, (0.0, 0.0, 0.0), relative, place)
+        point = compose(frame, ((x, y, z), frames.IDENTITY_ROTATION))[0]
+        self._push("addForceWithOffset", force, (0.0, 0.0, 0.0), relative, point)
 
     def _push(
-        self, function: str, force: Any, torque: Any, relative: bool, place: Triple | None = None
+        self, function: str, force: Any, torque: Any, relative: bool, point: Triple | None = None
     ) -> None:
-        body, _ = self._place(function)
+        body, _ = self._attachment(function)
         rotation = self._frame(function)[1]
         fx, fy, fz = map(float, force)
         tx, ty, tz = map(float, torque)
         pushed, twisted = (fx, fy, fz), (tx, ty, tz)
         if relative:
             pushed, twisted = frames.rotate(rotation, pushed), frames.rotate(rotation, twisted)
-        self._simulation.physics.push(body, pushed, twisted, place)
+        self._simulation.physics.push(body, pushed, twisted, point)
 
     def setJointPosition(self, position: float, index: int = 1) -> None:
         """Set the position of the joint that this node is, rad or m."""
@@ -188,10 +188,10 @@ class Node(_NodeTypes):
         physics = self._simulation.physics
         owners = self._owners(include=includeDescendants)
         points = []
-        for first, second, place, _ in physics.contacts():
+        for first, second, point, _ in physics.contacts():
             for geom in (first, second):
                 if physics.geoms[geom][1].owner in owners:
-                    points.append(ContactPoint(place, number_of(self._simulation, self._node)))
+                    points.append(ContactPoint(point, number_of(self._simulation, self._node)))
         return points
 
     def _owners(self, *, include: bool) -> set[Written]:
@@ -208,7 +208,7 @@ class Node(_NodeTypes):
     # States
 
     def saveState(self, stateName: str) -> None:
-        """Keep the state of the world under a name, that of Webots' node together with all others."""
+        """Save the state of the whole world under a name; Webots saves only that of the node."""
         self._simulation.states[stateName] = self._simulation.physics.snapshot()
 
     def loadState(self, stateName: str) -> None:
@@ -226,7 +226,7 @@ _TYPE_NUMBERS = {
 
 
 class ContactPoint:
-    """A contact: its place in the world (m) and the id of its node."""
+    """A contact: its point in the world (m) and the id of its node."""
 
     def __init__(self, point: Triple, node_id: int) -> None:
         self.point, self.node_id = list(point), node_id
@@ -239,7 +239,8 @@ class ContactPoint:
 
 
 class Field:
-    """A field of a node. Poses and joint positions are those of now; other fields are as the world says."""
+    """A field of a node. Poses and joint positions are the present ones; other fields have the values in the
+    world file."""
 
     NO_FIELD, MF = 0x00, 0x10
     SF_BOOL, SF_INT32, SF_FLOAT, SF_VEC2F, SF_VEC3F, SF_ROTATION, SF_COLOR, SF_STRING, SF_NODE = range(
@@ -374,20 +375,20 @@ class Field:
         return None
 
     def _local_frame(self) -> Frame | None:
-        """Return the frame of the node in that of the node above it, as its fields say it."""
+        """Return the frame of the node in the frame of the node above it, as its fields have it."""
         scene, physics = self._simulation.scene, self._simulation.physics
-        place = scene.places.get(self._real)
-        if place is None:
+        attachment = scene.attachments.get(self._real)
+        if attachment is None:
             return None
-        frame, outer = physics.frame(*place), self._outer_frame()
+        frame, outer = physics.frame(*attachment), self._outer_frame()
         return frame if outer is None else compose(_inverse(outer), frame)
 
     # Set
 
     def setSFVec3f(self, values: Sequence[float]) -> None:
         x, y, z = map(float, values)
-        place = self._simulation.scene.places.get(self._real)
-        if self._name == "translation" and place is not None:
+        attachment = self._simulation.scene.attachments.get(self._real)
+        if self._name == "translation" and attachment is not None:
             self._move("setSFVec3f", (x, y, z), None)
         else:
             self._set("setSFVec3f", [x, y, z])
@@ -395,7 +396,7 @@ class Field:
     def setSFRotation(self, values: Sequence[float]) -> None:
         x, y, z, angle = map(float, values)
         length = math.hypot(x, y, z)
-        if self._name != "rotation" or self._real not in self._simulation.scene.places:
+        if self._name != "rotation" or self._real not in self._simulation.scene.attachments:
             self._set("setSFRotation", [x, y, z, angle])
             return
         if length == 0:
@@ -403,14 +404,14 @@ class Field:
         rotation = frames.from_axis_angle((x / length, y / length, z / length), angle)
         self._move("setSFRotation", None, rotation)
 
-    def _move(self, function: str, place: Triple | None, rotation: Quaternion | None) -> None:
+    def _move(self, function: str, position: Triple | None, rotation: Quaternion | None) -> None:
         """Move a solid that stands alone in the world."""
         scene, physics = self._simulation.scene, self._simulation.physics
-        body, _ = scene.places[self._real]
+        body, _ = scene.attachments[self._real]
         local = self._local_frame()
         if body.node is not self._real or body.parent is not None or local is None:
             raise self._unset(function)
-        frame = place or local[0], rotation or local[1]
+        frame = position or local[0], rotation or local[1]
         outer = self._outer_frame()
         physics.place(body, frame if outer is None else compose(outer, frame))
 
@@ -419,8 +420,8 @@ class Field:
         scene, physics = self._simulation.scene, self._simulation.physics
         above = scene.parents.get(self._real)
         while above is not None:
-            if real(above) in scene.places:
-                return physics.frame(*scene.places[real(above)])
+            if real(above) in scene.attachments:
+                return physics.frame(*scene.attachments[real(above)])
             if real(above) in scene.outer_frames:
                 return scene.outer_frames[real(above)]
             above = scene.parents.get(above)
@@ -524,7 +525,7 @@ _LABELS = frozenset({"model", "description", "recognitionColors", "info", "title
 
 
 def _padded(values: Sequence[float], size: int) -> list[float]:
-    """Return numbers with zeros at the end, as Webots takes too few of them."""
+    """Return numbers padded with zeros, because Webots accepts too few of them."""
     return [*map(float, values), *([0.0] * size)][:size]
 
 

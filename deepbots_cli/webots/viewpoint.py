@@ -19,34 +19,34 @@ class Viewpoint:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         nodes = simulation.scene.nodes
-        node = next((real(one) for one in nodes if real(one).type == "Viewpoint"), None)
+        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
         self.fov, self.frame, self._followed = 0.785, _overview(), None
-        """The horizontal field of view (rad), and the frame at the begin."""
+        """The horizontal field of view (rad), and the frame at the start."""
         if node is not None:
             self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
             self.frame = vector(node, "position"), rotation(node, "orientation")
             self._followed = _solid(simulation, text(node, "follow"))
-        self._begin = self._place()
+        self._start_position = self._followed_position()
 
     def now(self) -> Frame:
         """Return the frame of the picture, which looks along x."""
         return frames.add(self.frame[0], self.moved()), self.frame[1]
 
     def moved(self) -> frames.Triple:
-        """Return how far the solid that the viewpoint follows has moved since the begin, m."""
-        return frames.subtract(self._place(), self._begin)
+        """Return how far the solid that the viewpoint follows has moved since the start, m."""
+        return frames.subtract(self._followed_position(), self._start_position)
 
-    def _place(self) -> frames.Triple:
+    def _followed_position(self) -> frames.Triple:
         if self._followed is None:
             return 0.0, 0.0, 0.0
-        return self._simulation.physics.position(*self._simulation.scene.places[self._followed])
+        return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
 
 
 def _solid(simulation: Simulation, name: str) -> Node | None:
     """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
     wanted = name.rpartition(":")[2]
     for node in walk(simulation.scene.nodes):
-        if wanted and node in simulation.scene.places and _name(node) == wanted:
+        if wanted and node in simulation.scene.attachments and _name(node) == wanted:
             return node
     return None
 

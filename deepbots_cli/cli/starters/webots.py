@@ -233,7 +233,7 @@ def _comments(items: Sequence[Item], indent: str) -> list[str]:
     for item in items:
         if not isinstance(item, Entry):
             about = f"{item.about}, " if item.about else ""
-            where = f"from {item.place}" if item.place.line else f"of {item.place.python}"
+            where = f"from {item.location}" if item.location.line else f"of {item.location.python}"
             lines.append(f"{indent}{FILL_IN}: {about}{_one_line(where)}")
             lines += [f"{indent}#     {_visible(line)}" for line in item.python]
             lines += [f"{indent}#   Write {_visible(hint)}" for hint in item.hints]

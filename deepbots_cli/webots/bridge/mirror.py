@@ -1,8 +1,8 @@
 """An engine that follows a world of Webots.
 
-The world moves there. After each timestep, the engine is set to its poses and velocities, and so every
-reading that these determine is that of the engine: poses, rays, clearances. Contacts are those of Webots.
-Motors are those of the robots, whose controllers drive them.
+The world moves in Webots. After each timestep, deepbots sets the engine to the poses and velocities of
+Webots. So the engine computes every reading that these determine: poses, rays, clearances. Contacts come from
+Webots, and the controllers of the robots drive the motors.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class MirrorEngine(EngineProxy):
         self.plant = plant
         self.timestep_ms = round(world.timestep * 1000)
         self._substeps = world.substeps
-        self._others = [robot.name for robot in world.robots] + [thing.name for thing in world.objects]
+        self._others = [robot.name for robot in world.robots] + [body.name for body in world.objects]
         if world.arena is not None:
             self._others += ARENA_WALLS
         self.let_timestep_pass: Callable[[], None] = lambda: plant.wait(self.timestep_ms)
@@ -65,9 +65,9 @@ class MirrorEngine(EngineProxy):
 
     def follow(self) -> None:
         """Take over the state of the world."""
-        place, set_joint = self.engine.place, self.engine.set_joint
+        place_body, set_joint = self.engine.place, self.engine.set_joint
         for body in self.plant.moving_bodies:
-            place(body, *self.plant.motion(body))
+            place_body(body, *self.plant.motion(body))
         for robot, joint in self.plant.joints:
             set_joint(robot, joint.name, *joint())
 
@@ -87,7 +87,7 @@ class MirrorEngine(EngineProxy):
         self.plant.set_joint(robot, joint, position)
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
-        """Set a parameter of the engine, and gravity in the world: Webots takes no other in an episode."""
+        """Set a parameter of the engine; gravity also in the world. Webots changes no other in an episode."""
         self.engine.set_parameter(parameter, owner, *values)
         if parameter == "gravity":
             self.plant.set_gravity(values)

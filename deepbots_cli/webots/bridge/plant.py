@@ -37,15 +37,15 @@ class Plant:
         """Take the nodes of the world.
 
         Args:
-            supervisor: The `controller.Supervisor` of the world.
-            world: The world of the scenario, which the world of Webots has the names of.
+            supervisor: The `controller.Supervisor` of the world. world: The world of the scenario; the world
+            of Webots has the same names.
         """
         self.supervisor = supervisor
         self._nodes: dict[str, Any] = {}
         robots = {robot.name: robot for robot in world.robots}
         self.moving_bodies = [
             *(name for name, robot in robots.items() if not robot.fixed_base),
-            *(thing.name for thing in world.objects if is_movable(thing)),
+            *(body.name for body in world.objects if is_movable(body)),
         ]
         self.joints = [
             (robot.name, _JointReader(self, robot.name, joint))
@@ -69,7 +69,7 @@ class Plant:
         return self._nodes[name]
 
     def reset(self, timestep: int) -> None:
-        """Bring the world back to its begin, at rest; this takes a step of `timestep` ms."""
+        """Bring the world back to its start, at rest; this takes a step of `timestep` ms."""
         self.supervisor.simulationReset()
         self.wait(timestep)
         self.supervisor.simulationResetPhysics()

@@ -69,8 +69,8 @@ class RobotDevices:
         """Begin an episode with the readings of its start."""
         self.first = readings
         for joint in self._joints.values():
-            reader, place = joint.reading
-            position, velocity = readings[reader][place]
+            reader, index = joint.reading
+            position, velocity = readings[reader][index]
             joint.state = (position, velocity)
 
     def _bound(self, read: Reader) -> Reader:
@@ -82,8 +82,8 @@ class RobotDevices:
 
     def joint_states(self, _robot: str, joints: Sequence[str]) -> Reader:
         sensors = [self._joint(joint) for joint in joints]
-        for place, sensor in enumerate(sensors):
-            sensor.reading = (self._count, place)
+        for index, sensor in enumerate(sensors):
+            sensor.reading = (self._count, index)
         return self._bound(lambda: [sensor.state for sensor in sensors])
 
     def joint_torques(self, _robot: str, joints: Sequence[str]) -> Reader:
@@ -105,7 +105,7 @@ class RobotDevices:
         return self._bound(lambda: ((sensors.position(), sensors.orientation()), sensors.velocity()))
 
     def rays(self, _part: Part, rays: Sequence[Frame], _reach: float, *, upright: bool = False) -> Reader:
-        sensors = [self.device(names.distance_sensor(self._rays + place)) for place in range(len(rays))]
+        sensors = [self.device(names.distance_sensor(self._rays + index)) for index in range(len(rays))]
         self._rays += len(rays)
         for sensor in sensors:
             sensor.enable(self._period)
@@ -196,7 +196,7 @@ class _Joint:
     def __init__(self, sensor: Any, timestep: float) -> None:
         self._sensor, self._timestep = sensor, timestep
         self.reading = (0, 0)
-        """A reader that has it, and its place in the readings."""
+        """The index of the reader that has it, and its index in the readings of this reader."""
         self.state = (0.0, 0.0)
 
     def sample(self) -> None:

@@ -1,11 +1,11 @@
 """The generated supervisor of a scenario in a world of Webots, whose robots are controllers of their own.
 
 The supervisor and each robot have a controller with the generated code; messages go through emitters and
-receivers. What the supervisor sends in a timestep acts in the next one, and it has the message that a robot
-made a timestep ago: `timing: delayed` of a scenario.
+receivers. A message of the supervisor acts in the next timestep, and the supervisor gets the message that a
+robot made one timestep ago, as with `timing: delayed` of a scenario.
 
-At the start of an episode a message of its own goes to each robot: the seed of its random streams, and its
-first readings, which the engine of the supervisor has. So robot and supervisor begin with the same values.
+At the start of an episode, the supervisor sends each robot a first message: the seed of its random streams,
+and its first readings by the engine of the supervisor. So robot and supervisor begin with the same values.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class ReaderLog(EngineProxy):
 
 
 def _plain(value: Any) -> Any:
-    """Return a reading as JSON has it."""
+    """Return a reading as a value of JSON."""
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [_plain(item) for item in value]
     return bool(value) if isinstance(value, bool) else float(value)
 
 
@@ -222,7 +222,7 @@ def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable
             newest = None
             while (cells := host.receive_from(robot)) is not None:
                 newest = cells
-            # What arrives in the first timestep was sent before the world was placed.
+            # Messages that arrive in the first timestep were sent before the world was placed.
             inward.take(None if newest is None or robot in starting else ",".join(newest))
 
     return advance

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.bridge.task import RemoteRobot
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
-"""What a scenario is in Webots: messages there take a timestep, and those of deepbots are texts."""
+"""The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
 _LEARNERS = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
 _SETTINGS = (
     *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "learning_rate", "ent_coef"),

@@ -1,4 +1,4 @@
-"""What of a scenario Webots cannot hold, and what differs there: a sentence each."""
+"""The properties of a scenario that Webots does not support, and those that differ: a sentence each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
 
 SEEDS = range(3)
-"""The seeds of the episodes that are begun to see what they vary."""
+"""The seeds of the episodes that deepbots begins to see what varies between them."""
 _OF_ROBOTS = frozenset(
     (
         *("joint_states", "joint_torques", "pose", "velocity", "motion", "rays"),
@@ -62,7 +62,7 @@ class Gaps:
 
 
 class Recorder(EngineProxy):
-    """An engine that notes what a scenario asks of it."""
+    """An engine that records the calls of a scenario."""
 
     def __init__(self, engine: Any) -> None:
         super().__init__(engine)
@@ -104,11 +104,9 @@ def static_gaps(program: Program) -> Gaps:
         gaps.miss(f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.")
     if any(program.world.gravity[:2]):
         gaps.miss("Gravity that is not vertical cannot be exported.")
-    for thing in program.world.objects:
-        if thing.pooled or thing.variants:
-            gaps.miss(
-                f"The object {thing.name}, which some episodes leave out or change, cannot be exported."
-            )
+    for body in program.world.objects:
+        if body.pooled or body.variants:
+            gaps.miss(f"The object {body.name}, which some episodes leave out or change, cannot be exported.")
     if program.world.lines:
         gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
     for robot in program.robots:

@@ -31,9 +31,9 @@ class NodeText:
             return
         yield f"{head} {{"
         for name, value in fields.items():
-            first, *rest = _value_lines(value, inside)
+            first, *later_lines = _value_lines(value, inside)
             yield f"{inside}{name} {first}"
-            yield from rest
+            yield from later_lines
         yield f"{indent}}}"
 
 
@@ -48,8 +48,8 @@ def _value_lines(value: Any, indent: str) -> list[str]:
         inside = indent + "  "
         lines = ["["]
         for item in value:
-            first, *rest = _value_lines(item, inside)
-            lines += [inside + first, *rest]
+            first, *later_lines = _value_lines(item, inside)
+            lines += [inside + first, *later_lines]
         return [*lines, f"{indent}]"]
     return [_scalar(value)]
 

@@ -114,8 +114,8 @@ class WorldWriter:
     def _bodies(self) -> Iterator[NodeText]:
         yield from self._ground()
         walls = arena_walls(self._world.arena) if self._world.arena is not None else ()
-        for thing in (*walls, *self._world.objects):
-            yield self._object(thing)
+        for object_body in (*walls, *self._world.objects):
+            yield self._object(object_body)
         for index, (name, spec) in enumerate(self._robots.items()):
             body = next(robot for robot in self._world.robots if robot.name == name)
             yield self._robot(body, spec, index)
@@ -231,17 +231,17 @@ class WorldWriter:
 
     # Bodies
 
-    def _object(self, thing: ObjectBody) -> NodeText:
-        (link,) = as_robot(thing).links
+    def _object(self, body: ObjectBody) -> NodeText:
+        (link,) = as_robot(body).links
         return node(
             "Solid",
-            names.def_name(thing.name),
-            **self._start(thing),
-            name=thing.name,
+            names.def_name(body.name),
+            **self._start(body),
+            name=body.name,
             contactMaterial=self.material(link.friction),
             children=[_drawn(shape) for shape in link.visuals],
             boundingObject=_bounding(link.collisions),
-            physics=_physics(link) if is_movable(thing) else None,
+            physics=_physics(link) if is_movable(body) else None,
         )
 
     def _robot(self, body: RobotBody, spec: Robot, index: int) -> NodeText:
@@ -262,8 +262,8 @@ class WorldWriter:
         return NodeText("Robot", names.def_name(body.name), self._start(body) | fields)
 
     def _start(self, body: ObjectBody | RobotBody) -> dict[str, Any]:
-        """Return the place of a body at the start of an episode; walls have no other one."""
-        return _placed(self._starts.get(body.name) or frames.frame(body.pose))
+        """Return the pose of a body at the start of an episode, as fields; a wall never moves."""
+        return _pose_fields(self._starts.get(body.name) or frames.frame(body.pose))
 
 
 class _RobotWriter:
@@ -286,7 +286,7 @@ class _RobotWriter:
         }
 
     def solid_fields(self, name: str) -> dict[str, Any]:
-        """Return the fields of the node of a link, without its place."""
+        """Return the fields of the node of a link, without its pose."""
         link = self._model.link(name)
         children = [_drawn(shape) for shape in link.visuals]
         children += self._sensors(name)
@@ -303,9 +303,9 @@ class _RobotWriter:
 
     def _solid(self, joint: Joint) -> NodeText:
         """Return the node of the child link of a joint."""
-        place = _placed(frames.frame(joint.origin))
+        fields = _pose_fields(frames.frame(joint.origin))
         name = names.def_name(self._robot, joint.child)
-        return NodeText("Solid", name, place | self.solid_fields(joint.child))
+        return NodeText("Solid", name, fields | self.solid_fields(joint.child))
 
     def _joint(self, joint: Joint) -> NodeText:
         slides = joint.type == "prismatic"
@@ -358,7 +358,7 @@ class _RobotWriter:
                 sensors.append(
                     node(
                         "DistanceSensor",
-                        **_placed(ray),
+                        **_pose_fields(ray),
                         name=names.distance_sensor(number),
                         lookupTable=[(0.0, 0.0, 0.0), (reach, reach, 0.0)],
                         numberOfRays=1,
@@ -373,14 +373,16 @@ class _RobotWriter:
 
 def _divisor(period: int, step: float) -> int:
     """Return the largest divisor of a timestep (ms) that is no longer than a physics step, at least 1 ms."""
-    return max((part for part in range(1, period + 1) if period % part == 0 and part <= step), default=1)
+    return max(
+        (divisor for divisor in range(1, period + 1) if period % divisor == 0 and divisor <= step), default=1
+    )
 
 
-def _placed(frame: Frame) -> dict[str, Any]:
+def _pose_fields(frame: Frame) -> dict[str, Any]:
     """Return the fields of a frame; those of no shift and no rotation are left out."""
-    place, orientation = frame
+    position, orientation = frame
     return {
-        "translation": place if any(place) else None,
+        "translation": position if any(position) else None,
         "rotation": tuple(axis_angle(orientation)) if orientation != IDENTITY_ROTATION else None,
     }
 
@@ -402,21 +404,21 @@ def _physics(link: Link) -> NodeText | None:
 
 
 def _bounding(shapes: Sequence[Geometry]) -> NodeText | None:
-    nodes = [_in_place(_geometry(shape.shape), shape) for shape in shapes]
+    nodes = [_posed(_geometry(shape.shape), shape) for shape in shapes]
     if len(nodes) < 2:
         return nodes[0] if nodes else None
     return node("Group", children=nodes)
 
 
-def _in_place(shape: NodeText, geometry: Geometry) -> NodeText:
-    place = _placed(frames.frame(geometry.origin))
-    if not any(place.values()):
+def _posed(shape: NodeText, geometry: Geometry) -> NodeText:
+    fields = _pose_fields(frames.frame(geometry.origin))
+    if not any(fields.values()):
         return shape
-    return NodeText("Pose", "", place | {"children": [shape]})
+    return NodeText("Pose", "", fields | {"children": [shape]})
 
 
 def _drawn(geometry: Geometry) -> NodeText:
-    return _in_place(_shape(_geometry(geometry.shape), geometry.color or LINK_COLOR), geometry)
+    return _posed(_shape(_geometry(geometry.shape), geometry.color or LINK_COLOR), geometry)
 
 
 def _shape(geometry: NodeText, color: Sequence[float]) -> NodeText:

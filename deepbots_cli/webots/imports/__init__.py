@@ -16,5 +16,6 @@ overrides.py   methods of deepbots that a project writes anew
 hints.py       words of the language for places that are left to a person
 draft.py       all of it as one record, which the starters of `new` write as YAML
 
-No code of the project runs. What has no counterpart in the language keeps its place in the Python file.
+No code of the project runs. Python without a counterpart in the language becomes a `Todo` with its location
+in the file.
 """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots.imports.values import Place
+from deepbots_cli.webots.imports.values import CodeLocation
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.findings import WorldFindings
@@ -46,16 +46,16 @@ class ModuleCode:
     imported: dict[str, str] = field(default_factory=dict)
     """Local names by what they name: `np` is `numpy`, `mean` is `numpy.mean`."""
 
-    def place(self, node: ast.AST) -> Place:
-        """Return where a node is, with its Python on one line."""
+    def location(self, node: ast.AST) -> CodeLocation:
+        """Return the location of a node, with its Python on one line."""
         try:
             python = " ".join(ast.unparse(node).split())
         except (RecursionError, ValueError):
             python = "..."
         if len(python) > _SHOWN:
             python = f"{python[:_SHOWN]} ..."
-        shown = "".join(letter if letter.isprintable() else "?" for letter in python)
-        return Place(self.file, getattr(node, "lineno", 1), shown)
+        printable = "".join(letter if letter.isprintable() else "?" for letter in python)
+        return CodeLocation(self.file, getattr(node, "lineno", 1), printable)
 
 
 @dataclass(eq=False)
@@ -151,34 +151,34 @@ def _python_files(folder: Path) -> list[Path]:
 
 
 def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFindings) -> ModuleCode | None:
-    shown = str(path.relative_to(folder))
+    relative_path = str(path.relative_to(folder))
     try:
         source = files.read(path)
     except UsageError as error:
         findings.warning(span, str(error))
         return None
-    return module_of(source.text, path.stem, shown, span, findings)
+    return module_of(source.text, path.stem, relative_path, span, findings)
 
 
-def module_of(text: str, name: str, shown: str, span: Span, findings: WorldFindings) -> ModuleCode | None:
+def module_of(text: str, name: str, file: str, span: Span, findings: WorldFindings) -> ModuleCode | None:
     """Return a Python file as a module; None with a finding for a text that is no Python, or too large."""
     if len(text) > MAX_CHARACTERS:
-        findings.warning(span, f"{shown} has more than {MAX_CHARACTERS:,} characters; it is not read")
+        findings.warning(span, f"{file} has more than {MAX_CHARACTERS:,} characters; it is not read")
         return None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # such as of an escape in a text that Python does not know
+            warnings.simplefilter("ignore")  # such as one about an unknown escape in a text
             tree = ast.parse(text)
         deepest = _depth(tree)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else "it is nested too deeply, or is no text"
         line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
-        findings.warning(span, f"{shown}{line} is not read: {reason}")
+        findings.warning(span, f"{file}{line} is not read: {reason}")
         return None
     if deepest > MAX_DEPTH:
-        findings.warning(span, f"{shown} is not read: it is nested more than {MAX_DEPTH} deep")
+        findings.warning(span, f"{file} is not read: it is nested more than {MAX_DEPTH} deep")
         return None
-    module = ModuleCode(name, shown, tree)
+    module = ModuleCode(name, file, tree)
     _fill(module, tree.body)
     return module
 

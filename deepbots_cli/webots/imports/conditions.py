@@ -8,9 +8,9 @@ from typing import Any
 
 from deepbots_cli.webots.imports.values import (
     MAX_TEXT,
+    CodeLocation,
     Condition,
     Part,
-    Place,
     Quantity,
     Unknown,
     Value,
@@ -28,47 +28,48 @@ _COMPARISONS: dict[type, str] = {
 }
 
 
-def merged(condition: Condition | Unknown, one: Value, other: Value, place: Place) -> Value:
-    """Return `one if condition else other`."""
-    if _is_same(one, other):
-        return one
+def merged(condition: Condition | Unknown, then: Value, otherwise: Value, location: CodeLocation) -> Value:
+    """Return `then if condition else otherwise`."""
+    if _is_same(then, otherwise):
+        return then
     if isinstance(condition, Condition) and condition.unknown is not None:
-        condition = Unknown(condition.unknown.place)
+        condition = Unknown(condition.unknown.location)
     if isinstance(condition, Unknown):
-        return _merged_unknown(condition, one, other)
-    if isinstance(one, Unknown) or isinstance(other, Unknown):
-        return one if isinstance(one, Unknown) else other
-    if isinstance(one, bool | Condition) and isinstance(other, bool | Condition):
-        return _merged_truth(condition, one, other, place)
-    first, second = amount(one, other), amount(other, one)
+        return _merged_unknown(condition, then, otherwise)
+    if isinstance(then, Unknown) or isinstance(otherwise, Unknown):
+        return then if isinstance(then, Unknown) else otherwise
+    if isinstance(then, bool | Condition) and isinstance(otherwise, bool | Condition):
+        return _merged_truth(condition, then, otherwise, location)
+    first, second = amount(then, otherwise), amount(otherwise, then)
     if first is None or second is None or first.unit != second.unit:
-        return Unknown(place)
+        return Unknown(location)
     return short(
-        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), place
+        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), location
     )
 
 
 def _merged_unknown(condition: Unknown, then: Value, otherwise: Value) -> Value:
     """Return the value after a branch whose condition has no plain form: an ending before it stays one."""
     if then is True and isinstance(otherwise, Condition):
-        return Condition((*otherwise.parts, Part("", condition.place)))
+        return Condition((*otherwise.parts, Part("", condition.location)))
     if then is True and otherwise is False:
-        return Condition((Part("", condition.place),))
+        return Condition((Part("", condition.location),))
     return condition
 
 
-def _merged_truth(condition: Condition, then: Value, otherwise: Value, place: Place) -> Value:
+def _merged_truth(condition: Condition, then: Value, otherwise: Value, location: CodeLocation) -> Value:
     """Return the same for truth values and conditions."""
     if then is True:
-        return condition if otherwise is False else several([condition, otherwise], place, is_or=True)
+        return condition if otherwise is False else several([condition, otherwise], location, is_or=True)
     if then is False:
-        opposite = negated(condition, place)
-        return opposite if otherwise is True else several([opposite, otherwise], place, is_or=False)
-    first_case = several([condition, then], place, is_or=False)
+        opposite = negated(condition, location)
+        return opposite if otherwise is True else several([opposite, otherwise], location, is_or=False)
+    first_case = several([condition, then], location, is_or=False)
     if otherwise is False:
         return first_case
-    second_case = [negated(condition, place)] if otherwise is True else [negated(condition, place), otherwise]
-    return several([first_case, several(second_case, place, is_or=False)], place, is_or=True)
+    opposite = negated(condition, location)
+    second_case = [opposite] if otherwise is True else [opposite, otherwise]
+    return several([first_case, several(second_case, location, is_or=False)], location, is_or=True)
 
 
 def amount(value: Value, beside: Value) -> Quantity | None:
@@ -90,87 +91,91 @@ def _is_same(first: Value, second: Value) -> bool:
 
 
 def merged_names(
-    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], place: Place
+    condition: Condition | Unknown, ours: dict[Any, Value], others: dict[Any, Value], location: CodeLocation
 ) -> dict[Any, Value]:
     result = {}
     for name in [*ours, *(name for name in others if name not in ours)]:
         if name in ours and name in others:
-            result[name] = merged(condition, ours[name], others[name], place)
+            result[name] = merged(condition, ours[name], others[name], location)
         else:
-            result[name] = Unknown(place)
+            result[name] = Unknown(location)
     return result
 
 
 # Conditions
 
 
-def negated(condition: Condition | Unknown, place: Place) -> Condition | Unknown:
+def negated(condition: Condition | Unknown, location: CodeLocation) -> Condition | Unknown:
     if isinstance(condition, Unknown):
         return condition
     if condition.unknown is not None:
-        return Unknown(condition.unknown.place)
-    return _checked(Condition((Part(f"not ({condition.text})", place),)), place)
+        return Unknown(condition.unknown.location)
+    return _checked(Condition((Part(f"not ({condition.text})", location),)), location)
 
 
-def several(conditions: list[Condition | Unknown], place: Place, *, is_or: bool) -> Condition | Unknown:
+def several(
+    conditions: list[Condition | Unknown], location: CodeLocation, *, is_or: bool
+) -> Condition | Unknown:
     """Return conditions joined by `or` or `and`; the parts of `or` stay apart."""
     if len(conditions) == 1:
         return conditions[0]
     stated = [condition for condition in conditions if isinstance(condition, Condition)]
     if len(stated) < len(conditions):
-        return Unknown(place)
+        return Unknown(location)
     if is_or:
-        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), place)
+        return _checked(Condition(tuple(part for condition in stated for part in condition.parts)), location)
     if any(condition.unknown for condition in stated):
-        return Unknown(place)
+        return Unknown(location)
     text = " and ".join(f"({condition.text})" for condition in stated)
     notes = [part.note for condition in stated for part in condition.parts if part.note]
-    return _checked(Condition((Part(text, place, notes[0] if notes else ""),)), place)
+    return _checked(Condition((Part(text, location, notes[0] if notes else ""),)), location)
 
 
-def _checked(condition: Condition, place: Place) -> Condition | Unknown:
-    return condition if len(condition.text) <= MAX_TEXT else Unknown(place)
+def _checked(condition: Condition, location: CodeLocation) -> Condition | Unknown:
+    return condition if len(condition.text) <= MAX_TEXT else Unknown(location)
 
 
-def short(value: Quantity, place: Place) -> Quantity | Unknown:
-    return value if len(value.text) <= MAX_TEXT else Unknown(place)
+def short(value: Quantity, location: CodeLocation) -> Quantity | Unknown:
+    return value if len(value.text) <= MAX_TEXT else Unknown(location)
 
 
-def compared(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Condition | Unknown:
+def compared(op: ast.cmpop, left: Value, right: Value, location: CodeLocation) -> bool | Condition | Unknown:
     """Return the result of a comparison."""
     if isinstance(op, ast.Is | ast.IsNot) or right is None or left is None:
-        return _compared_none(op, left, right, place)
+        return _compared_none(op, left, right, location)
     if isinstance(op, ast.In | ast.NotIn):
         plain = isinstance(right, list) and all(isinstance(item, bool | int | float | str) for item in right)
         if plain and isinstance(left, bool | int | float | str):
             return (left in right) is isinstance(op, ast.In)
-        return Unknown(place)
+        return Unknown(location)
     if isinstance(left, bool | int | float | str) and isinstance(right, bool | int | float | str):
-        return _compared_plain(op, left, right, place)
+        return _compared_plain(op, left, right, location)
     symbol = _COMPARISONS[type(op)]
     first, second = amount(left, right), amount(right, left)
     if first is None or second is None or first.unit != second.unit:
-        return Unknown(place)
+        return Unknown(location)
     note = first.note or second.note
-    return _checked(Condition((Part(f"{first.operand} {symbol} {second.operand}", place, note),)), place)
+    return _checked(
+        Condition((Part(f"{first.operand} {symbol} {second.operand}", location, note),)), location
+    )
 
 
-def _compared_none(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+def _compared_none(op: ast.cmpop, left: Value, right: Value, location: CodeLocation) -> bool | Unknown:
     if isinstance(left, Unknown) or isinstance(right, Unknown) or not (left is None or right is None):
-        return Unknown(place)
+        return Unknown(location)
     is_same = left is right
     if isinstance(op, ast.Is | ast.Eq):
         return is_same
-    return not is_same if isinstance(op, ast.IsNot | ast.NotEq) else Unknown(place)
+    return not is_same if isinstance(op, ast.IsNot | ast.NotEq) else Unknown(location)
 
 
-def _compared_plain(op: ast.cmpop, left: Value, right: Value, place: Place) -> bool | Unknown:
+def _compared_plain(op: ast.cmpop, left: Value, right: Value, location: CodeLocation) -> bool | Unknown:
     if isinstance(op, ast.Eq):
         return bool(left == right)
     if isinstance(op, ast.NotEq):
         return bool(left != right)
     if isinstance(left, str) is not isinstance(right, str):
-        return Unknown(place)
+        return Unknown(location)
     match op:
         case ast.Lt():
             return bool(left < right)

@@ -131,10 +131,11 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
         further = Controller(code, cls, calls)
         tasks[robot.index] = read_other(task, further, roles.space, controlled, labels)
     robots = []
-    for root_index, part in parts.items():
-        built = build(part, scene, [node for node in used if node in part.links], world.findings)
-        shown = scene.bodies[root_index].robot
-        robots.append(DraftRobot(part.name, part, shown, built, tasks.get(shown.index) if shown else None))
+    for root_index, model in parts.items():
+        built = build(model, scene, [node for node in used if node in model.links], world.findings)
+        root_robot = scene.bodies[root_index].robot
+        robot_task = tasks.get(root_robot.index) if root_robot else None
+        robots.append(DraftRobot(model.name, model, root_robot, built, robot_task))
     world.findings.require_none()
     agent = next(candidate for candidate in robots if candidate.robot is roles.robot)
     for draft_robot in robots:
@@ -218,9 +219,9 @@ def _named_objects(scene: Scene, names: Names) -> dict[int, str]:
 def _expressions(parts: dict[int, RobotParts], objects: dict[int, str], scene: Scene) -> dict[Node, str]:
     """Return how expressions name the nodes of the world."""
     result: dict[Node, str] = {}
-    for part in parts.values():
-        for node, link in part.links.items():
-            result[node] = part.name if node is part.root.node else f"{part.name}.{link}"
+    for model in parts.values():
+        for node, link in model.links.items():
+            result[node] = model.name if node is model.root.node else f"{model.name}.{link}"
     for index, name in objects.items():
         result[scene.bodies[index].node] = name
     return result

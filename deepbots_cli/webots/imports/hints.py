@@ -1,4 +1,5 @@
-"""Hints at the words of the language that say what the Python of a place does that is left to a person."""
+"""Hints for Python that is left to a person: the words of the scenario language for its calls and
+attributes."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ if TYPE_CHECKING:
 MAX_HINTS = 8
 _MAX_DEPTH = 3
 _SHOWN = 60
-"""The largest number of hints at one place, of calls that are followed, and of characters of Python."""
+"""The maximum number of hints of one `Todo`, of nested calls that are followed, and of characters of
+Python."""
 _ATTITUDE = "roll({0}), pitch({0}), yaw({0}) or tilt({0})"
 _OF_NODES: Mapping[str, str] = {
     "getPosition": "position({0})",
@@ -52,7 +54,7 @@ _RESET = ("__init__", "reset")
 
 
 def add_hints(task: Task, reader: Reader) -> None:
-    """Add hints to the places that are left of observation, reward and endings."""
+    """Add hints to each `Todo` of observation, reward and endings."""
     for section in ("observation", "reward", "success", "failure"):
         items: list[Item] = getattr(task, section)
         items[:] = [
@@ -60,38 +62,40 @@ def add_hints(task: Task, reader: Reader) -> None:
         ]
 
 
-def _hints(place: Todo, reader: Reader) -> tuple[str, ...]:
+def _hints(todo: Todo, reader: Reader) -> tuple[str, ...]:
     for module in reader.code.modules.values():
-        function = _function_at(module, place) if module.file == place.place.file else None
+        function = _function_at(module, todo) if module.file == todo.location.file else None
         if function is not None:
             finder = _Finder(reader)
             try:
-                finder.search(module, _part(function, place, reader), function, finder.arguments(function))
+                finder.search(
+                    module, _nodes_to_search(function, todo, reader), function, finder.arguments(function)
+                )
             except (TooLongError, RecursionError):
                 return ()
             return tuple(finder.hints)[:MAX_HINTS]
     return ()
 
 
-def _function_at(module: ModuleCode, place: Todo) -> ast.FunctionDef | None:
-    """Return the innermost function around a place."""
+def _function_at(module: ModuleCode, todo: Todo) -> ast.FunctionDef | None:
+    """Return the innermost function around the Python of a `Todo`."""
     around = [
         node
         for node in ast.walk(module.tree)
-        if isinstance(node, ast.FunctionDef) and node.lineno <= place.place.line <= (node.end_lineno or 0)
+        if isinstance(node, ast.FunctionDef) and node.lineno <= todo.location.line <= (node.end_lineno or 0)
     ]
     return around[-1] if around else None
 
 
-def _part(function: ast.FunctionDef, place: Todo, reader: Reader) -> list[ast.AST]:
-    """Return what to search: a statement of a method that deepbots reads, or else the whole function."""
+def _nodes_to_search(function: ast.FunctionDef, todo: Todo, reader: Reader) -> list[ast.AST]:
+    """Return the nodes to search: one line of a method that deepbots reads, or else the whole function."""
     is_read = any(function is method for _, method in reader.cls.methods.values())
-    if not is_read or place.place.line == function.lineno:
+    if not is_read or todo.location.line == function.lineno:
         return list(function.body)
     return [
         node
         for node in ast.walk(function)
-        if isinstance(node, ast.expr) and getattr(node, "lineno", 0) == place.place.line
+        if isinstance(node, ast.expr) and getattr(node, "lineno", 0) == todo.location.line
     ]
 
 
@@ -106,7 +110,7 @@ class _Finder:
     def search(
         self,
         module: ModuleCode,
-        part: list[ast.AST],
+        roots: list[ast.AST],
         function: ast.FunctionDef,
         local: dict[str, Value],
         depth: int = 0,
@@ -116,26 +120,26 @@ class _Finder:
         self._searched.add(id(function))
         frame = self._frame(module, local)
         self._assign(frame, function)
-        inside = [node for top in part for node in ast.walk(top)]
+        inside = [node for root in roots for node in ast.walk(root)]
         for node in inside:
             if isinstance(node, ast.Call):
                 self._call(frame, node, depth)
         self._attributes({*_loaded(inside)})
 
     def _attributes(self, names: set[str]) -> None:
-        """Hint at the numbers of attributes, and at those that keep something for later steps."""
-        kept = sorted(names & {*self._kept()})
-        for name in sorted(names - {*kept}):
+        """Add hints for attributes that are numbers, and for attributes that store values for later steps."""
+        memory_names = sorted(names & {*self._kept()})
+        for name in sorted(names - {*memory_names}):
             value: Value = self._reader.attributes.get(name)
             if is_number(value):
                 self.hints[f"{number_text(value)} for self.{name}"] = None
-        if kept:
+        if memory_names:
             words = "previous(x), delta(x) or running_max(x)"
-            attributes = ", ".join(f"self.{name}" for name in kept)
+            attributes = ", ".join(f"self.{name}" for name in memory_names)
             self.hints[f"{words} for values of earlier steps: {attributes}"] = None
 
     def arguments(self, function: ast.FunctionDef) -> dict[str, Value]:
-        """Return what a method of the class calls a function with; nothing for a method."""
+        """Return the arguments with which a method of the class calls a function; {} for a method."""
         for module, method in self._reader.cls.methods.values():
             frame = self._frame(module, {})
             self._assign(frame, method)
@@ -208,13 +212,13 @@ class _Finder:
 
     def _add(self, node: ast.Call, words: str, owner: Value) -> None:
         calls = self._reader.calls
-        written = real(owner.node) if isinstance(owner, WorldNode | WorldField) else None
-        body = calls.names.get(written) if written is not None else None
-        if written is not None and body is not None:
-            calls.used.add(written)  # so that the link or marker is in the scenario
+        world_node = real(owner.node) if isinstance(owner, WorldNode | WorldField) else None
+        body = calls.names.get(world_node) if world_node is not None else None
+        if world_node is not None and body is not None:
+            calls.used.add(world_node)  # so that the link or marker is in the scenario
         python = " ".join(ast.unparse(node).split())
-        shown = "".join(letter if letter.isprintable() else "?" for letter in python)[:_SHOWN]
-        self.hints[f"{words.format(body or 'BODY')} for {shown}"] = None
+        call_text = "".join(letter if letter.isprintable() else "?" for letter in python)[:_SHOWN]
+        self.hints[f"{words.format(body or 'BODY')} for {call_text}"] = None
 
     def _kept(self) -> Iterator[str]:
         """Yield the attributes that methods of the class set after the start."""

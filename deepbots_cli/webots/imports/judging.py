@@ -13,11 +13,11 @@ from deepbots_cli.webots.imports.names import Names
 from deepbots_cli.webots.imports.reader import Frame, Reader
 from deepbots_cli.webots.imports.task import Entry, Item, Task, Todo, whole
 from deepbots_cli.webots.imports.values import (
+    CodeLocation,
     Condition,
     Normalized,
     Otherwise,
     Part,
-    Place,
     Quantity,
     Space,
     Unknown,
@@ -50,11 +50,11 @@ def read_observation(task: Task, reader: Reader, space: Value, names: Names) -> 
         return
     returned, value = result
     if not isinstance(value, list):
-        places = [outcome.place for outcome in returned]
+        locations = [outcome.location for outcome in returned]
         if isinstance(value, Unknown):
-            places.append(value.place)
-        if places:
-            task.observation.append(Todo(places[-1], "the observation"))
+            locations.append(value.location)
+        if locations:
+            task.observation.append(Todo(locations[-1], "the observation"))
         return
     labels = _labels(reader)
     keys: set[str] = set()
@@ -90,17 +90,17 @@ def _observe(
             value, ends = item, (space.low[position], space.high[position])
             note = "the project does not scale it"
             if not all(map(isfinite, ends)) or ends[0] >= ends[1]:
-                task.observation.append(Todo(_text_place(item), "its range"))
+                task.observation.append(Todo(_text_location(item), "its range"))
                 return
         case Quantity():
-            task.observation.append(Todo(_text_place(item), "its range"))
+            task.observation.append(Todo(_text_location(item), "its range"))
             return
-        case Unknown(place):
-            task.observation.append(Todo(place, f"value {position} of the observation"))
+        case Unknown(location):
+            task.observation.append(Todo(location, f"value {position} of the observation"))
             return
         case _:
             about = f"value {position} of the observation, which does not change"
-            task.observation.append(Todo(Place("get_observations", 0, f"`{str(item)[:20]}`"), about))
+            task.observation.append(Todo(CodeLocation("get_observations", 0, f"`{str(item)[:20]}`"), about))
             return
     ends_text = f"{number_text(ends[0])} .. {number_text(ends[1], value.unit)}"
     key = value.text
@@ -115,12 +115,12 @@ def _observe(
 
 def _argument_name(item: Value) -> str:
     """Return the name of the variable that the project normalizes, or ""."""
-    match = re.search(r"\((\w+),", item.place.python) if isinstance(item, Normalized) else None
+    match = re.search(r"\((\w+),", item.location.python) if isinstance(item, Normalized) else None
     return match.group(1) if match and not match.group(1).isdigit() else ""
 
 
-def _text_place(value: Quantity) -> Place:
-    return Place("observation", 0, value.text)
+def _text_location(value: Quantity) -> CodeLocation:
+    return CodeLocation("observation", 0, value.text)
 
 
 def _is_reading(value: Quantity) -> bool:
@@ -151,7 +151,7 @@ def _joined_vectors(items: list[Item]) -> list[Item]:
 
 def read_reward(task: Task, reader: Reader) -> None:
     """Read `get_reward` into `reward`."""
-    result = reader.call("get_reward", [Unknown(Place("get_reward", 0, "action"))])
+    result = reader.call("get_reward", [Unknown(CodeLocation("get_reward", 0, "action"))])
     if result is None:
         return
     _, value = result
@@ -180,36 +180,38 @@ def read_endings(task: Task, reader: Reader, names: Names) -> None:
     for outcome in returned:
         if outcome.value is False or outcome.value is None:
             if conditions := _stated(outcome.path):
-                barred.append(conditions[0] if len(conditions) == 1 else Unknown(outcome.place))
+                barred.append(conditions[0] if len(conditions) == 1 else Unknown(outcome.location))
             continue
         for condition in _ending_conditions(
-            [*_opposites(barred), *outcome.path], outcome.value, outcome.place
+            [*_opposites(barred), *outcome.path], outcome.value, outcome.location
         ):
             if isinstance(condition, Unknown):
-                task.failure.append(Todo(condition.place, "an ending"))
+                task.failure.append(Todo(condition.location, "an ending"))
                 continue
             for part in condition.parts:
                 if part.text:
-                    _end(task, part, names, is_success=_names_success(reader, part.place))
+                    _end(task, part, names, is_success=_names_success(reader, part.location))
                 else:
-                    task.failure.append(Todo(part.place, "an ending"))
+                    task.failure.append(Todo(part.location, "an ending"))
 
 
 def _stated(path: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
-    """Return the conditions of a path but those that an earlier `return` covers."""
+    """Return the conditions of a path, except those that an earlier `return` covers."""
     return [condition for condition in path if not isinstance(condition, Otherwise)]
 
 
 def _opposites(conditions: Sequence[Condition | Unknown]) -> list[Condition | Unknown]:
-    """Return the opposites of conditions under which `is_done` returns False before."""
+    """Return the opposites of conditions under which an earlier `return` of `is_done` returns False."""
     return [
-        negated(condition, condition.place if isinstance(condition, Unknown) else condition.parts[0].place)
+        negated(
+            condition, condition.location if isinstance(condition, Unknown) else condition.parts[0].location
+        )
         for condition in conditions
     ]
 
 
 def _ending_conditions(
-    path: Sequence[Condition | Unknown], value: Value, place: Place
+    path: Sequence[Condition | Unknown], value: Value, location: CodeLocation
 ) -> list[Condition | Unknown]:
     """Return the conditions under which a `return` ends the episode."""
     if isinstance(value, Unknown):
@@ -218,26 +220,28 @@ def _ending_conditions(
     if isinstance(value, Condition):
         conditions.append(value)
     elif value is not True:
-        return [Unknown(place)]
+        return [Unknown(location)]
     for condition in conditions:
         if isinstance(condition, Unknown):
             return [condition]
         if condition.unknown is not None and len(conditions) > 1:
-            return [Unknown(condition.unknown.place)]
+            return [Unknown(condition.unknown.location)]
     if len(conditions) < 2:
         return conditions
     joined_text = " and ".join(
         f"({condition.text})" for condition in conditions if isinstance(condition, Condition)
     )
     last = conditions[-1]
-    return [Condition((Part(joined_text, last.parts[0].place if isinstance(last, Condition) else place),))]
+    return [
+        Condition((Part(joined_text, last.parts[0].location if isinstance(last, Condition) else location),))
+    ]
 
 
-def _names_success(reader: Reader, place: Place) -> bool:
-    """Return whether the branch of an ending speaks of success, as in `self.is_solved = True`."""
+def _names_success(reader: Reader, location: CodeLocation) -> bool:
+    """Return whether the branch of an ending mentions success, as in `self.is_solved = True`."""
     for module in reader.code.modules.values():
-        for node in ast.walk(module.tree) if module.file == place.file else ():
-            if isinstance(node, ast.If) and node.test.lineno == place.line:
+        for node in ast.walk(module.tree) if module.file == location.file else ():
+            if isinstance(node, ast.If) and node.test.lineno == location.line:
                 return _SUCCESS.search(" ".join(map(ast.unparse, node.body))) is not None
     return False
 
@@ -250,7 +254,7 @@ def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
     elif _RETURN.fullmatch(part.text):
         task.success.append(Entry(names.new("enough", "ending"), part.text, part.note))
     else:
-        words = [word for word in _IDENTIFIER.findall(part.place.python) if word not in _NO_NAMES]
+        words = [word for word in _IDENTIFIER.findall(part.location.python) if word not in _NO_NAMES]
         key = names.new(f"{words[0] if words else 'ending'}_limit", "ending")
         (task.success if is_success else task.failure).append(Entry(key, part.text, part.note))
 
@@ -286,7 +290,7 @@ def read_solved(task: Task, cls: ClassCode, reader: Reader) -> None:
         if is_number(bar) and isfinite(bar) and isinstance(count, int) and 1 <= -count <= 10_000:
             task.solved.append(Entry("", f"mean_return >= {number_text(bar)} over {-count} episodes"))
             return
-    task.solved.append(Todo(module.place(function.body[-1]), "when the task is solved"))
+    task.solved.append(Todo(module.location(function.body[-1]), "when the task is solved"))
 
 
 def read_limits(task: Task, code: Code, reader: Reader) -> None:

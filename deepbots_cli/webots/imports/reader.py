@@ -2,7 +2,7 @@
 
 Numbers are computed, quantities of the world become expressions of the scenario language, and both branches
 of an `if` on a quantity are followed: what differs between them becomes `a if condition else b`. A value
-without a plain form is `Unknown`, and keeps its place. Statements, calls and loops have limits.
+without a plain form is `Unknown`, and has its location. Statements, calls and loops have limits.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from deepbots_cli.webots.imports.conditions import (
     several,
 )
 from deepbots_cli.webots.imports.values import (
+    CodeLocation,
     Condition,
     External,
     Instance,
@@ -27,7 +28,6 @@ from deepbots_cli.webots.imports.values import (
     Otherwise,
     Parent,
     Part,
-    Place,
     ProjectFunction,
     ProjectModule,
     Quantity,
@@ -61,7 +61,7 @@ class Returned:
 
     path: tuple[Condition | Unknown, ...]
     value: Value
-    place: Place
+    location: CodeLocation
 
 
 @dataclass
@@ -102,8 +102,8 @@ class Reader:
         try:
             self._block(frame, function.body)
         except (TooLongError, RecursionError):
-            frame.returned.append(Returned((), Unknown(module.place(function)), module.place(function)))
-        return frame.returned, self._result(frame, module.place(function))
+            frame.returned.append(Returned((), Unknown(module.location(function)), module.location(function)))
+        return frame.returned, self._result(frame, module.location(function))
 
     def _enter(
         self, called: ProjectFunction, arguments: list[Value], keywords: dict[str, Value], depth: int
@@ -124,34 +124,38 @@ class Reader:
             elif position >= first:
                 frame.local[parameter.arg] = self.evaluate(frame, defaults[position - first])
             else:
-                frame.local[parameter.arg] = Unknown(called.module.place(parameter))
+                frame.local[parameter.arg] = Unknown(called.module.location(parameter))
         return frame
 
     def follow(
         self, frame: Frame, called: ProjectFunction, arguments: list[Value], named: dict[str, Value]
     ) -> Value:
         """Return what a function of the project returns."""
-        place = called.module.place(called.function)
+        location = called.module.location(called.function)
         if frame.depth >= MAX_CALLS:
-            return Unknown(place)
+            return Unknown(location)
         inner = self._enter(called, arguments, named, frame.depth + 1)
         self._block(inner, called.function.body)
-        return self._result(inner, place)
+        return self._result(inner, location)
 
-    def _result(self, frame: Frame, place: Place) -> Value:
+    def _result(self, frame: Frame, location: CodeLocation) -> Value:
         """Return the value of a call: of one `return`, or of several under their conditions."""
         if not frame.returned:
             return None
         value: Value = None
         for returned in reversed(frame.returned):
-            value = self._under(returned.path, returned.value, value, returned.place)
+            value = self._under(returned.path, returned.value, value, returned.location)
         return value
 
     def _under(
-        self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, place: Place
+        self, path: tuple[Condition | Unknown, ...], value: Value, other: Value, location: CodeLocation
     ) -> Value:
         conditions = [condition for condition in path if not isinstance(condition, Otherwise)]
-        return merged(several(conditions, place, is_or=False), value, other, place) if conditions else value
+        return (
+            merged(several(conditions, location, is_or=False), value, other, location)
+            if conditions
+            else value
+        )
 
     # Statements
 
@@ -172,7 +176,7 @@ class Reader:
         match statement:
             case ast.Return(value=value):
                 result = self.evaluate(frame, value) if value is not None else None
-                frame.returned.append(Returned(frame.path, result, frame.module.place(statement)))
+                frame.returned.append(Returned(frame.path, result, frame.module.location(statement)))
                 return "return"
             case ast.Raise() | ast.Break() | ast.Continue():
                 return _LEAVES[type(statement)]
@@ -185,7 +189,7 @@ class Reader:
             case ast.For(target=target, iter=iterated, body=body):
                 return self._for(frame, target, iterated, body, statement)
             case ast.While(body=body):
-                self._forget(frame, body, Unknown(frame.module.place(statement)))
+                self._forget(frame, body, Unknown(frame.module.location(statement)))
             case ast.With(body=body):
                 return self._block(frame, body)
             case ast.Try(body=body, orelse=orelse, finalbody=final):
@@ -195,7 +199,7 @@ class Reader:
             case ast.Pass() | ast.Assert() | ast.Delete() | ast.Global() | ast.Import() | ast.ImportFrom():
                 pass
             case _:
-                self._forget(frame, [statement], Unknown(frame.module.place(statement)))
+                self._forget(frame, [statement], Unknown(frame.module.location(statement)))
         return ""
 
     def _assignment(self, frame: Frame, statement: ast.stmt) -> None:
@@ -210,34 +214,34 @@ class Reader:
                 before = self.evaluate(frame, _loaded(target))
                 if isinstance(before, Quantity) and before.text in ("step", "episode_return"):
                     return  # the counter of the project, which the language counts itself
-                result = operated(op, before, self.evaluate(frame, value), frame.module.place(statement))
+                result = operated(op, before, self.evaluate(frame, value), frame.module.location(statement))
                 self._assign(frame, target, result)
 
     def _if(self, frame: Frame, test: ast.expr, body: list[ast.stmt], orelse: list[ast.stmt]) -> str:
         condition = self.truth(self.evaluate(frame, test), frame, test)
         if isinstance(condition, bool):
             return self._block(frame, body if condition else orelse)
-        place = frame.module.place(test)
+        location = frame.module.location(test)
         if _jumps([*body, *orelse]):
-            self._forget(frame, [*body, *orelse], Unknown(place))
-            frame.returned.append(Returned((Unknown(place),), Unknown(place), place))
+            self._forget(frame, [*body, *orelse], Unknown(location))
+            frame.returned.append(Returned((Unknown(location),), Unknown(location), location))
             return ""
         path = frame.path
         before = (frame.local, self.attributes, self.outputs)
         frame.path = (*path, condition)
         leaves, ours = self._branch(frame, body, before)
-        opposite = negated(condition, place)
+        opposite = negated(condition, location)
         if leaves:
-            opposite = Otherwise(opposite.parts if isinstance(opposite, Condition) else (Part("", place),))
+            opposite = Otherwise(opposite.parts if isinstance(opposite, Condition) else (Part("", location),))
         frame.path = (*path, opposite)
         else_leaves, others = self._branch(frame, orelse, before)
         frame.path = path
         if leaves or else_leaves:
             frame.local, self.attributes, self.outputs = others if leaves else ours
             return "return" if leaves and else_leaves else ""
-        frame.local = merged_names(condition, ours[0], others[0], place)
-        self.attributes = merged_names(condition, ours[1], others[1], place)
-        self.outputs = merged_names(condition, ours[2], others[2], place)
+        frame.local = merged_names(condition, ours[0], others[0], location)
+        self.attributes = merged_names(condition, ours[1], others[1], location)
+        self.outputs = merged_names(condition, ours[2], others[2], location)
         return ""
 
     def _branch(self, frame: Frame, body: list[ast.stmt], before: State) -> tuple[str, State]:
@@ -251,7 +255,7 @@ class Reader:
     ) -> str:
         items = self.evaluate(frame, iterated)
         if not isinstance(items, list) or len(items) > MAX_ITEMS:
-            self._forget(frame, body, Unknown(frame.module.place(node)))
+            self._forget(frame, body, Unknown(frame.module.location(node)))
             return ""
         for item in items:
             self._assign(frame, target, item)
@@ -261,13 +265,13 @@ class Reader:
         return ""
 
     def _forget(self, frame: Frame, body: list[ast.stmt], value: Unknown) -> None:
-        """Let what a loop changes be unknown."""
+        """Set the names and attributes that statements change to an unknown value."""
         for statement in body:
             for node in ast.walk(statement):
                 if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
                     self._assign(frame, node, value)
                 elif isinstance(node, ast.Return):
-                    frame.returned.append(Returned((value,), value, value.place))
+                    frame.returned.append(Returned((value,), value, value.location))
 
     def _assign(self, frame: Frame, target: ast.expr, value: Value) -> None:
         match target:
@@ -281,7 +285,7 @@ class Reader:
             case ast.Tuple(elts=elements) | ast.List(elts=elements):
                 values = value if isinstance(value, list) and len(value) == len(elements) else None
                 for position, element in enumerate(elements):
-                    unknown = Unknown(frame.module.place(target))
+                    unknown = Unknown(frame.module.location(target))
                     self._assign(frame, element, unknown if values is None else values[position])
 
     def _assign_item(self, frame: Frame, owner: ast.expr, key: ast.expr, value: Value) -> None:
@@ -296,7 +300,7 @@ class Reader:
         if isinstance(container, dict) and isinstance(index, str | int):
             container[index] = value
         elif isinstance(container, list | dict):
-            self._assign(frame, owner, Unknown(frame.module.place(owner)))
+            self._assign(frame, owner, Unknown(frame.module.location(owner)))
 
     # Expressions
 
@@ -306,7 +310,7 @@ class Reader:
         match node:
             case ast.Constant(value=value):
                 ok = isinstance(value, bool | int | float | str | None)
-                return value if ok else Unknown(frame.module.place(node))
+                return value if ok else Unknown(frame.module.location(node))
             case ast.Name(id=name):
                 is_local = name in frame.local
                 return frame.local[name] if is_local else self.constant(frame.module, name, node)
@@ -322,12 +326,13 @@ class Reader:
                 condition = self.truth(self.evaluate(frame, test), frame, test)
                 if isinstance(condition, bool):
                     return self.evaluate(frame, body if condition else orelse)
-                one, other = self.evaluate(frame, body), self.evaluate(frame, orelse)
-                return merged(condition, one, other, frame.module.place(node))
+                then, otherwise = self.evaluate(frame, body), self.evaluate(frame, orelse)
+                return merged(condition, then, otherwise, frame.module.location(node))
             case (
-                ast.ListComp(elt=element, generators=[one]) | ast.GeneratorExp(elt=element, generators=[one])
+                ast.ListComp(elt=element, generators=[generator])
+                | ast.GeneratorExp(elt=element, generators=[generator])
             ):
-                return self._comprehension(frame, element, one, node)
+                return self._comprehension(frame, element, generator, node)
             case ast.Call():
                 return self._call(frame, node)
         return self._operation(frame, node)
@@ -339,25 +344,24 @@ class Reader:
                 return self._unary(op, self.evaluate(frame, operand), frame, node)
             case ast.BinOp(left=left, op=op, right=right):
                 operands = self.evaluate(frame, left), self.evaluate(frame, right)
-                return operated(op, *operands, frame.module.place(node))
+                return operated(op, *operands, frame.module.location(node))
             case ast.BoolOp(op=op, values=values):
                 return self._boolean(frame, values, node, is_or=isinstance(op, ast.Or))
             case ast.Compare(left=left, ops=ops, comparators=others):
                 return self._compare(frame, [left, *others], ops, node)
-        return Unknown(frame.module.place(node))
+        return Unknown(frame.module.location(node))
 
     def constant(self, module: ModuleCode, name: str, node: ast.AST) -> Value:
-        """Return a name at the top of a module."""
+        """Return the value of a name at the top of a module."""
         key = module.name, name
         if key in self._constants:
             return self._constants[key]
         if name in module.functions:
             return ProjectFunction(module, module.functions[name])
         if name in module.assigned:
-            self._constants[key] = Unknown(
-                module.place(module.assigned[name])
-            )  # for a name that names itself
-            self._constants[key] = self.evaluate(Frame(module, {}), module.assigned[name])
+            node_of_value = module.assigned[name]
+            self._constants[key] = Unknown(module.location(node_of_value))  # for a name that refers to itself
+            self._constants[key] = self.evaluate(Frame(module, {}), node_of_value)
             return self._constants[key]
         target = module.imported.get(name)
         if target is None:
@@ -389,7 +393,7 @@ class Reader:
             case External(full):
                 return self.calls.external_constant(f"{full}.{name}")
             case Unknown():
-                return Unknown(frame.module.place(node))
+                return Unknown(frame.module.location(node))
         return Method(owner, name)
 
     def _item(self, frame: Frame, owner: ast.expr, key: ast.expr, node: ast.expr) -> Value:
@@ -405,21 +409,21 @@ class Reader:
             return container[index]
         if isinstance(container, dict) and isinstance(index, str | int) and index in container:
             return container[index]
-        return Unknown(frame.module.place(node))
+        return Unknown(frame.module.location(node))
 
     def _slice(self, frame: Frame, container: Value, key: ast.Slice, node: ast.expr) -> Value:
-        bounds = [None if part is None else self.evaluate(frame, part) for part in (key.lower, key.upper)]
+        bounds = [None if end is None else self.evaluate(frame, end) for end in (key.lower, key.upper)]
         plain = all(bound is None or isinstance(bound, int) for bound in bounds)
         if isinstance(container, list) and plain and key.step is None:
             return container[slice(*bounds)]
-        return Unknown(frame.module.place(node))
+        return Unknown(frame.module.location(node))
 
     def _dict(
         self, frame: Frame, keys: list[ast.expr | None], values: list[ast.expr], node: ast.expr
     ) -> Value:
         names = [None if key is None else self.evaluate(frame, key) for key in keys]
         if not all(isinstance(name, str | int) for name in names):
-            return Unknown(frame.module.place(node))
+            return Unknown(frame.module.location(node))
         return dict(zip(names, (self.evaluate(frame, value) for value in values), strict=True))
 
     def _comprehension(
@@ -427,7 +431,7 @@ class Reader:
     ) -> Value:
         items = self.evaluate(frame, generator.iter)
         if not isinstance(items, list) or len(items) > MAX_ITEMS or generator.ifs:
-            return Unknown(frame.module.place(node))
+            return Unknown(frame.module.location(node))
         inner = Frame(frame.module, dict(frame.local), frame.self_, frame.path, depth=frame.depth)
         values = []
         for item in items:
@@ -441,7 +445,7 @@ class Reader:
         for argument in node.args:
             if isinstance(argument, ast.Starred):
                 inner = self.evaluate(frame, argument.value)
-                arguments += inner if isinstance(inner, list) else [Unknown(frame.module.place(argument))]
+                arguments += inner if isinstance(inner, list) else [Unknown(frame.module.location(argument))]
             else:
                 arguments.append(self.evaluate(frame, argument))
         keywords = {
@@ -452,19 +456,20 @@ class Reader:
     # Operators
 
     def _unary(self, op: ast.unaryop, value: Value, frame: Frame, node: ast.AST) -> Value:
-        place = frame.module.place(node)
+        location = frame.module.location(node)
         if isinstance(op, ast.Not):
             condition = self.truth(value, frame, node)
-            return (not condition) if isinstance(condition, bool) else negated(condition, place)
+            return (not condition) if isinstance(condition, bool) else negated(condition, location)
         if is_number(value):
             return -value if isinstance(op, ast.USub) else value
         if isinstance(value, Quantity) and isinstance(op, ast.USub):
             return Quantity(f"-{value.operand}", value.unit, False, value.note)
-        return Unknown(place)
+        return Unknown(location)
 
     def _boolean(self, frame: Frame, values: list[ast.expr], node: ast.expr, *, is_or: bool) -> Value:
-        """Return `or` or `and` of conditions; a value that decides alone ends them, as in Python."""
-        place = frame.module.place(node)
+        """Return `or` or `and` of conditions; a value that alone determines the result ends it, as in
+        Python."""
+        location = frame.module.location(node)
         conditions: list[Condition | Unknown] = []
         for value in values:
             condition = self.truth(self.evaluate(frame, value), frame, value)
@@ -474,19 +479,19 @@ class Reader:
                 conditions.append(condition)
         if not conditions:
             return not is_or
-        return several(conditions, place, is_or=is_or)
+        return several(conditions, location, is_or=is_or)
 
     def _compare(self, frame: Frame, nodes: list[ast.expr], ops: list[ast.cmpop], node: ast.expr) -> Value:
         values = [self.evaluate(frame, operand) for operand in nodes]
-        place = frame.module.place(node)
+        location = frame.module.location(node)
         results: list[Condition | Unknown] = []
         for position, op in enumerate(ops):
-            result = compared(op, values[position], values[position + 1], place)
+            result = compared(op, values[position], values[position + 1], location)
             if result is False:
                 return False
             if result is not True:
                 results.append(result)
-        return several(results, place, is_or=False) if results else True
+        return several(results, location, is_or=False) if results else True
 
     def truth(self, value: Value, frame: Frame, node: ast.AST) -> bool | Condition | Unknown:
         """Return whether a value counts as true in Python."""
@@ -497,7 +502,7 @@ class Reader:
                 return bool(value)
             case WorldNode() | Instance() | ProjectFunction() | Parent():
                 return True
-        return Unknown(frame.module.place(node))
+        return Unknown(frame.module.location(node))
 
 
 def _jumps(body: list[ast.stmt]) -> bool:

@@ -86,7 +86,7 @@ def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
         links[body.node] = names.new(labels.get(body.node) or text(body.node, "name"), "link")
         for joint in body.joints:
             joints[id(joint)] = names.new(_joint_label(joint, links[body.node]), "joint")
-    fixed = [(node, body) for node, (body, _) in scene.places.items() if body.index in members]
+    fixed = [(node, body) for node, (body, _) in scene.attachments.items() if body.index in members]
     for node, _ in fixed:
         if node not in links and is_a(node, "Solid") and labels.get(node):
             links[node] = names.new(labels[node], "link")
@@ -109,19 +109,19 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
             middle, more = _joints(parts, body, built, findings)
             links += middle
             joints += more
-        apart = [node for node in split if node in parts.links and scene.places[node][0] is body]
+        apart = [node for node in split if node in parts.links and scene.attachments[node][0] is body]
         apart = [node for node in apart if node is not body.node]
         links.append(_link(parts, body, apart, scene, built, findings))
         for node in apart:
             links.append(_fixed_link(parts, body, node, scene, built, findings))
-            place = parts.frame_in_link(body, scene.places[node][1])
+            frame = parts.frame_in_link(body, scene.attachments[node][1])
             joints.append(
                 urdf.Joint(
                     f"{parts.links[node]}_fixed",
                     "fixed",
                     parts.link_of(body),
                     parts.links[node],
-                    _pose(place),
+                    _pose(frame),
                 )
             )
     built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
@@ -150,7 +150,7 @@ def _fixed_link(
     parts: RobotParts, body: Body, node: Node, scene: Scene, built: Built, findings: WorldFindings
 ) -> urdf.Link:
     geometries = [geometry for geometry in body.geometries if geometry.owner is node]
-    origin = _inverse(scene.places[node][1])
+    origin = _inverse(scene.attachments[node][1])
     inside = list(walk([node]))
     visuals = [visual for visual in _visuals(scene, body) if visual.node in inside]
     link = _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
@@ -268,32 +268,34 @@ def _homogeneous(shape: Shape, urdf_shape: urdf.Shape, mass: float, pose: urdf.P
     high = tuple(max(point[axis] for point in shape.vertices) for axis in range(3))
     size = (high[0] - low[0], high[1] - low[1], high[2] - low[2])
     center = ((high[0] + low[0]) / 2, (high[1] + low[1]) / 2, (high[2] + low[2]) / 2)
-    place = frames.compose(frames.frame(pose), (center, frames.IDENTITY_ROTATION))
-    box = urdf.homogeneous_inertial(urdf.Box(size), mass, _pose(place))
+    frame = frames.compose(frames.frame(pose), (center, frames.IDENTITY_ROTATION))
+    box = urdf.homogeneous_inertial(urdf.Box(size), mass, _pose(frame))
     assert box is not None
     return box
 
 
-def _stated(mass: float, place: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
+def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
     xx, yy, zz, xy, xz, yz = matrix
-    return urdf.Inertial(mass, _pose(place), xx, xy, xz, yy, yz, zz)
+    return urdf.Inertial(mass, _pose(frame), xx, xy, xz, yy, yz, zz)
 
 
-def _sum(parts: list[urdf.Inertial]) -> urdf.Inertial | None:
+def _sum(inertials: list[urdf.Inertial]) -> urdf.Inertial | None:
     """Return masses as one, about their common center, by Steiner's theorem."""
-    if len(parts) < 2:
-        return parts[0] if parts else None
-    mass = sum(part.mass for part in parts)
-    center = tuple(sum(part.mass * part.origin.xyz[axis] for part in parts) / mass for axis in range(3))
+    if len(inertials) < 2:
+        return inertials[0] if inertials else None
+    mass = sum(inertial.mass for inertial in inertials)
+    center = tuple(
+        sum(inertial.mass * inertial.origin.xyz[axis] for inertial in inertials) / mass for axis in range(3)
+    )
     total = [[0.0] * 3 for _ in range(3)]
-    for part in parts:
-        rotation = frames.rotation_matrix(part.origin.rpy)
-        tensor = frames.rotate_tensor(part.matrix, rotation)
-        away = [part.origin.xyz[axis] - center[axis] for axis in range(3)]
+    for inertial in inertials:
+        rotation = frames.rotation_matrix(inertial.origin.rpy)
+        tensor = frames.rotate_tensor(inertial.matrix, rotation)
+        away = [inertial.origin.xyz[axis] - center[axis] for axis in range(3)]
         square = sum(value * value for value in away)
         for row in range(3):
             for column in range(3):
-                steiner = part.mass * ((square if row == column else 0.0) - away[row] * away[column])
+                steiner = inertial.mass * ((square if row == column else 0.0) - away[row] * away[column])
                 total[row][column] += tensor[row][column] + steiner
     return urdf.Inertial(
         mass,
@@ -316,7 +318,7 @@ def _joints(
     """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
     assert body.parent is not None
     above = parts.link_of(body.parent)
-    place = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
+    frame = frames.compose(_inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
     links: list[urdf.Link] = []
     joints: list[urdf.Joint] = []
     if body.joints and body.joints[0].kind == "ball":
@@ -331,21 +333,21 @@ def _joints(
         built.joints[id(joint)] = name
         if abs(joint.position) > 1e-6:
             built.starts[name] = joint.position
-        joints.append(_joint(name, joint, above, below, _at_zero(place, joint)))
-        above, place = below, ORIGIN
+        joints.append(_joint(name, joint, above, below, _at_zero(frame, joint)))
+        above, frame = below, ORIGIN
     return links, joints
 
 
-def _at_zero(place: Frame, joint: Joint) -> Frame:
+def _at_zero(frame: Frame, joint: Joint) -> Frame:
     """Return the frame of a joint at the position 0."""
     if joint.kind == "hinge":
         rotation = frames.from_axis_angle(joint.axis, -joint.position)
-        return frames.compose(place, ((0.0, 0.0, 0.0), rotation))
+        return frames.compose(frame, ((0.0, 0.0, 0.0), rotation))
     back = frames.scaled(joint.axis, -joint.position)
-    return frames.compose(place, (back, frames.IDENTITY_ROTATION))
+    return frames.compose(frame, (back, frames.IDENTITY_ROTATION))
 
 
-def _joint(name: str, joint: Joint, above: str, below: str, place: Frame) -> urdf.Joint:
+def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
     low, high = _limits(joint)
     velocity = effort = None
     if joint.motor is not None:
@@ -361,7 +363,7 @@ def _joint(name: str, joint: Joint, above: str, below: str, place: Frame) -> urd
         kind,
         above,
         below,
-        _pose(place),
+        _pose(frame),
         _axis(joint.axis),
         limit,
         damping=joint.damping,

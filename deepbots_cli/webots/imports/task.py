@@ -14,9 +14,9 @@ from deepbots_cli.webots.imports.code import last_name
 from deepbots_cli.webots.imports.names import Names, scenario_name
 from deepbots_cli.webots.imports.reader import Frame, Reader
 from deepbots_cli.webots.imports.values import (
+    CodeLocation,
     Condition,
     Part,
-    Place,
     Quantity,
     Space,
     Unknown,
@@ -50,9 +50,9 @@ class Entry:
 
 @dataclass(frozen=True)
 class Todo:
-    """A place that is left to a person; `about` says what is missing there."""
+    """Python that is left to a person, at a location; `about` names the entry that is missing."""
 
-    place: Place
+    location: CodeLocation
     about: str = ""
     python: tuple[str, ...] = ()
     """The lines of a method that is left whole."""
@@ -100,7 +100,7 @@ class Controller:
         return reader
 
     def _arguments(self, reader: Reader) -> list[Value]:
-        """Return what the code creates the object with, where it first does."""
+        """Return the arguments of the first call that creates the object."""
         for module in self.code.modules.values():
             for node in ast.walk(module.tree):
                 if isinstance(node, ast.Call) and last_name(node.func) == self.cls.name and node.args:
@@ -113,7 +113,7 @@ class Controller:
 
 
 def _forget_changes(reader: Reader, code: Code) -> None:
-    """Let attributes be unknown that change after `__init__`, but for counters of steps and of the return."""
+    """Set attributes that change after `__init__` to unknown, except counters of steps and of the return."""
     changes: dict[str, list[tuple[ModuleCode, ast.stmt]]] = {}
     for module in code.modules.values():
         for function in ast.walk(module.tree):
@@ -154,7 +154,7 @@ def _changed(before: Value, statements: list[tuple[ModuleCode, ast.stmt]]) -> Va
     if all(isinstance(node, ast.AugAssign) and _adds_reward(node) for _, node in others):
         return Quantity("episode_return")
     module, node = others[0]
-    unknown = Unknown(module.place(node))
+    unknown = Unknown(module.location(node))
     return [unknown] * len(before) if isinstance(before, list) else unknown
 
 
@@ -185,8 +185,8 @@ def read_messages(task: Task, robot: Controller, name: str, names: dict[str, str
         return []
     returned, value = result
     if not isinstance(value, list):
-        place = value.place if isinstance(value, Unknown) else returned[-1].place
-        task.emit.append(Todo(place, "the values of the message"))
+        location = value.location if isinstance(value, Unknown) else returned[-1].location
+        task.emit.append(Todo(location, "the values of the message"))
         return []
     received: list[Value] = []
     for position, item in enumerate(value):
@@ -205,10 +205,10 @@ def read_messages(task: Task, robot: Controller, name: str, names: dict[str, str
             task.emit.append(Entry(key, item.text))
             received.append(Quantity(f"{name}.{key}", item.unit))
         elif isinstance(item, Unknown):
-            task.emit.append(Todo(item.place, f"value {position} of the message"))
+            task.emit.append(Todo(item.location, f"value {position} of the message"))
             received.append(item)
         elif isinstance(item, Condition):
-            received.append(Condition((Part(f"{name}.{item.text}", item.parts[0].place),)))
+            received.append(Condition((Part(f"{name}.{item.text}", item.parts[0].location),)))
             task.emit.append(Entry(item.text, item.text))
         else:
             received.append(item)
@@ -281,7 +281,7 @@ def read_action(
 
 
 def whole(cls: ClassCode, method: str, about: str) -> Todo:
-    """Return a method as a place that is left to a person, with its lines."""
+    """Return a method as a `Todo`, with its lines."""
     module, function = cls.methods[method]
     body = [
         statement
@@ -291,11 +291,11 @@ def whole(cls: ClassCode, method: str, about: str) -> Todo:
     lines = [line for statement in body for line in ast.unparse(statement).splitlines()]
     if len(lines) > _SHOWN_LINES:
         lines = [*lines[:_SHOWN_LINES], "..."]
-    return Todo(Place(module.file, function.lineno, f"def {method}"), about, tuple(lines))
+    return Todo(CodeLocation(module.file, function.lineno, f"def {method}"), about, tuple(lines))
 
 
 def _outputs(controller: Controller, method: str, argument: Value) -> dict[tuple[str, str], Value] | None:
-    """Return what an action sets; None if the project has no such method."""
+    """Return the values that an action sets; None if the project has no such method."""
     reader = controller.reader()
     reader.outputs.clear()
     if reader.call(method, [argument]) is None:

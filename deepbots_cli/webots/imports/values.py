@@ -1,4 +1,4 @@
-"""What an expression of a controller stands for, as far as the scenario language can say it.
+"""The values of the expressions of a controller, as far as the scenario language can express them.
 
 Numbers, texts, None, lists and dicts of Python stand for themselves. Everything else is one of these classes.
 """
@@ -20,8 +20,9 @@ MAX_TEXT = 400
 
 
 @dataclass(frozen=True)
-class Place:
-    """A place in the Python of a project: the file, the line, and the Python there as one line."""
+class CodeLocation:
+    """A location in the Python of a project: the file, the line, and the Python of this line or
+    expression."""
 
     file: str
     line: int
@@ -35,7 +36,7 @@ class Place:
 class Unknown:
     """A value that has no plain form."""
 
-    place: Place
+    location: CodeLocation
 
 
 @dataclass(frozen=True)
@@ -58,17 +59,16 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Part:
-    """One condition of several, of which one must hold, and where it stands in the Python. The text of one
-    without a plain form is ""."""
+    """One of several conditions, with its location in the Python; its text is "" if it has no plain form."""
 
     text: str
-    place: Place
+    location: CodeLocation
     note: str = ""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition: it holds if one of its parts does."""
+    """A condition: it is true if one of its parts is true."""
 
     parts: tuple[Part, ...]
 
@@ -86,8 +86,8 @@ class Condition:
 
 @dataclass(frozen=True)
 class Otherwise(Condition):
-    """The opposite of a condition whose branch leaves the function. What an earlier `return` covers needs no
-    second mention."""
+    """The opposite of a condition whose branch leaves the function. An earlier `return` covers this case, so
+    the scenario does not repeat it."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Normalized:
     new_low: float
     new_high: float
     clips: bool
-    place: Place
+    location: CodeLocation
 
 
 @dataclass(frozen=True)
@@ -191,5 +191,5 @@ def is_number(value: Value) -> bool:
 
 def number_text(value: float, unit: str = "") -> str:
     """Return a number with its unit as the scenario language writes it."""
-    written = str(value) if isinstance(value, int) else f"{value:.10g}"
-    return f"{written} {unit}" if unit else written
+    number = str(value) if isinstance(value, int) else f"{value:.10g}"
+    return f"{number} {unit}" if unit else number

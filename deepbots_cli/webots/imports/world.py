@@ -36,7 +36,7 @@ class Surroundings:
     pictures: dict[str, bytes] = field(default_factory=dict)
     """PNG files that the entries name."""
     left_out: list[tuple[str, str]] = field(default_factory=list)
-    """Places and sentences about parts of the world without a counterpart."""
+    """Locations and sentences about parts of the world without a counterpart."""
 
 
 def surroundings(
@@ -52,10 +52,10 @@ def surroundings(
         entries.append(("substeps", str(substeps)))
     if scene.gravity != (0.0, 0.0, -9.81):
         entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
-    done = _arena(scene, result) | _terrain(world, scene, result)
+    nodes_in_result = _arena(scene, result) | _terrain(world, scene, result)
     needed = set(used)
     for body in scene.bodies:
-        if body.robot is None and body.node not in done and body.index in objects:
+        if body.robot is None and body.node not in nodes_in_result and body.index in objects:
             _object(body, scene, objects[body.index], body.node in needed, result)
     return result
 
@@ -174,8 +174,10 @@ def _color_text(body: Body, scene: Scene) -> str:
     visual = next((visual for visual in scene.visuals if visual.body is body), None)
     if visual is None:
         return ""
-    parts = (round(255 * min(max(part, 0.0), 1.0)) for part in color_of(visual.node, scene.files)[:3])
-    return "#" + "".join(f"{part:02x}" for part in parts)
+    channels = (
+        round(255 * min(max(channel, 0.0), 1.0)) for channel in color_of(visual.node, scene.files)[:3]
+    )
+    return "#" + "".join(f"{channel:02x}" for channel in channels)
 
 
 def _leave_out(body: Body, sentence: str, result: Surroundings) -> None:
@@ -186,8 +188,8 @@ def _is_ground(geometry: Geometry, body: Body) -> bool:
     """Return whether a plane is the ground of a scenario: level, at the height 0."""
     if geometry.shape.kind != "plane" or body.is_free:
         return False
-    place, orientation = frames.compose(body.frame, geometry.frame)
-    return abs(place[2]) < 1e-3 and frames.rotate(orientation, (0.0, 0.0, 1.0))[2] > 0.9999
+    position, orientation = frames.compose(body.frame, geometry.frame)
+    return abs(position[2]) < 1e-3 and frames.rotate(orientation, (0.0, 0.0, 1.0))[2] > 0.9999
 
 
 def _shape_text(shape: Shape) -> str | None:

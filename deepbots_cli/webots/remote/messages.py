@@ -1,4 +1,4 @@
-"""What the process of a controller and the server exchange, over a pipe."""
+"""The messages between the process of a controller and the server, over a pipe."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The side of the simulation: starts the processes of controllers, and does what they ask for."""
+"""The side of the simulation: starts the processes of controllers, and answers their requests."""
 
 from __future__ import annotations
 
@@ -160,14 +160,14 @@ class _Requests:
         if isinstance(request, Create):
             return {"Keyboard": Keyboard, "Robot": Robot, "Supervisor": Supervisor}[request.kind]()
         for number in request.unused:
-            thing = self._objects.pop(number)
-            del self._numbers[type(thing), thing]
+            instance = self._objects.pop(number)
+            del self._numbers[type(instance), instance]
         arguments = replaced(request.arguments, Reference, lambda reference: self._objects[reference.number])
         return getattr(self._objects[request.number], request.method)(*arguments, **request.options)
 
-    def _reference(self, thing: Any) -> Reference:
-        key = type(thing), thing
+    def _reference(self, instance: Any) -> Reference:
+        key = type(instance), instance
         if key not in self._numbers:
             self._last += 1
-            self._numbers[key], self._objects[self._last] = self._last, thing
-        return Reference(self._numbers[key], type(thing).__name__)
+            self._numbers[key], self._objects[self._last] = self._last, instance
+        return Reference(self._numbers[key], type(instance).__name__)
