@@ -53,15 +53,15 @@ def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
 def _change(value: ChangedValue, evidence: TrainingEvidence) -> dict[str, Any]:
     """Return a changed value as JSON; `place` is its file and line."""
     root = evidence.linted.root
-    _, node, rest = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
-    place = ""
-    if node is not None and not rest:
-        place = f"{display_path(Path(node.span.source.name))}:{node.span.start_position.line}"
+    _, node, unresolved = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
+    location = ""
+    if node is not None and not unresolved:
+        location = f"{display_path(Path(node.span.source.name))}:{node.span.start_position.line}"
     return {
         "path": value.path,
         "before": value.before,
         "after": value.after,
-        **({"place": place} if place else {}),
+        **({"place": location} if location else {}),
         "is_written": value.is_written,
     }
 

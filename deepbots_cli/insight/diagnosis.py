@@ -393,15 +393,15 @@ def not_finite(evidence: TrainingEvidence) -> Numbers | None:
     " joints that it drives.",
 )
 def action_without_effect(evidence: TrainingEvidence) -> Numbers | None:
-    places = [
-        place
-        for place, number in enumerate(evidence.program.agent.numbers)
+    indices = [
+        index
+        for index, number in enumerate(evidence.program.agent.numbers)
         if number.name != "previous_action"
     ]
     dead, steps = [], 0
     for part, traces in evidence.constant_actions.items():
         pairs = list(combinations(traces.values(), 2))
-        if pairs and max(_difference(first, second, places) for first, second in pairs) < SAME_OBSERVATION:
+        if pairs and max(_difference(first, second, indices) for first, second in pairs) < SAME_OBSERVATION:
             dead.append(part)
             steps = min(trace.steps for trace in traces.values())
     if not dead or not steps:
@@ -479,8 +479,11 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
     findings = sorted(concerned, key=lambda finding: finding.code not in meanings)
     if not findings:
         return None
-    first, rest = findings[0], findings[1:]
-    further = list_text([f"{finding.headline} ({finding.code})" for finding in rest], 2) if rest else ""
+    first, *other_findings = findings
+    others = ""
+    if other_findings:
+        reported = list_text([f"{finding.headline} ({finding.code})" for finding in other_findings], 2)
+        others = f" Lint also reports: {reported}."
     meaning = meanings.get(first.code) or f"Lint warns about {RULES[first.code].summary}"
     changed = linted.changed_source
     copy = f" It is the copy that the training read: {changed} was changed since then." if changed else ""
@@ -490,7 +493,7 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
         "finding": first.headline,
         "code": first.code,
         "count": len(findings),
-        "others": f" Lint also reports: {further}." if rest else "",
+        "others": others,
         "help": _sentence(first.help or "Change what the finding names"),
         "codes": [finding.code for finding in findings],
         "path": linted.arguments,
@@ -502,7 +505,7 @@ def _is_of_foreign_robot(finding: Finding) -> bool:
     """Return whether a finding is in the copy of a robot file outside the project, such as one of a package.
     Lint leaves out warnings about files of packages, which a copy no longer names."""
     path = PurePath(finding.span.source.name)
-    return path.suffix == ".urdf" and any(part.startswith(ELSEWHERE) for part in path.parts)
+    return path.suffix == ".urdf" and any(name.startswith(ELSEWHERE) for name in path.parts)
 
 
 # Learning
@@ -720,22 +723,22 @@ def success_needs_exploration(evidence: TrainingEvidence) -> Numbers | None:
 )
 def exploration_delays_stage(evidence: TrainingEvidence) -> Numbers | None:
     worst: dict[str, Any] = {}
-    for place, stage in enumerate(evidence.stages[: evidence.stage_index]):
-        until, after = stage.until, evidence.episodes_of(evidence.stages[place + 1].name)
+    for index, stage in enumerate(evidence.stages[: evidence.stage_index]):
+        until, after = stage.until, evidence.episodes_of(evidence.stages[index + 1].name)
         if until is None or until.metric == "steps" or until.episodes is None or not len(after):
             continue
         values = "successes" if until.metric == "success_rate" else "returns"
-        done = [
+        evaluations = [
             evaluation for evaluation in evidence.all_evaluations if evaluation.get("stage") == stage.name
         ]
         reached = [
             k
-            for k in range(len(done))
-            if all(fmean(evaluation[values]) >= until.threshold for evaluation in done[k:])
+            for k in range(len(evaluations))
+            if all(fmean(evaluation[values]) >= until.threshold for evaluation in evaluations[k:])
         ]
-        delay = int(after.steps[0] - done[reached[0]]["steps"]) if reached else 0
+        delay = int(after.steps[0] - evaluations[reached[0]]["steps"]) if reached else 0
         if delay > max(worst.get("delay", 0), 0.1 * evidence.planned):
-            rate = EvaluationRate([evaluation["successes"] for evaluation in done[reached[0] :]])
+            rate = EvaluationRate([evaluation["successes"] for evaluation in evaluations[reached[0] :]])
             worst = {
                 "likelihood": 0.5,
                 "stage": stage.name,
@@ -832,7 +835,7 @@ def exploration_too_large(evidence: TrainingEvidence) -> Numbers | None:
 def _random_entropy(evidence: TrainingEvidence) -> float | None:
     """Return the entropy of a random policy; None where not all parts of the action are choices."""
     agent = evidence.program.agent
-    return None if agent.ranges else float(np.log([len(part.options) for part in agent.choices]).sum())
+    return None if agent.ranges else float(np.log([len(choice.options) for choice in agent.choices]).sum())
 
 
 @statement(

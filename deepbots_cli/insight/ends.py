@@ -102,18 +102,20 @@ def kept_by_return(evidence: TrainingEvidence) -> Numbers | None:
         or not evidence.is_last_stage
     ):
         return None
-    done = [
+    evaluations = [
         evaluation
         for evaluation in evidence.evaluations
         if "steps" in evaluation and evaluation.get("stage", "") == evidence.stage
     ]
-    if len(done) < 2 or min(len(evaluation["successes"]) for evaluation in done) < MIN_EPISODES:
+    if len(evaluations) < 2 or min(len(evaluation["successes"]) for evaluation in evaluations) < MIN_EPISODES:
         return None
     saved = [
-        evaluation for evaluation in done if model.steps is not None and evaluation["steps"] == model.steps
+        evaluation
+        for evaluation in evaluations
+        if model.steps is not None and evaluation["steps"] == model.steps
     ]
-    kept_evaluation = saved[0] if saved else max(done, key=_mean_return)
-    best = max(done, key=lambda evaluation: (fmean(evaluation["successes"]), _mean_return(evaluation)))
+    kept_evaluation = saved[0] if saved else max(evaluations, key=_mean_return)
+    best = max(evaluations, key=lambda evaluation: (fmean(evaluation["successes"]), _mean_return(evaluation)))
     if fmean(best["successes"]) - fmean(kept_evaluation["successes"]) < _CLEARLY_MORE:
         return None
     remedy = "Train again: this version of deepbots keeps the model that succeeds most, by new starts."

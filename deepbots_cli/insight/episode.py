@@ -311,7 +311,7 @@ def critic(trace: Trace) -> Numbers | None:
     if trace.critic is None or len(trace.critic) < 2 or np.diff(trace.critic).min() >= 0:
         return None
     step = int(np.argmin(np.diff(trace.critic))) + 1
-    before, after = (float(trace.critic[place]) for place in (step - 1, step))
+    before, after = (float(trace.critic[index]) for index in (step - 1, step))
     return {
         "step": step,
         "at": trace.time_at(step),
@@ -340,7 +340,7 @@ def saturation(trace: Trace) -> Numbers | None:
     numbers = trace.program.agent.numbers
     at_end = (np.abs(trace.observations) >= 1.0).mean(axis=0)
     return _shares(
-        {n.full_name: float(at_end[place]) for place, n in enumerate(numbers) if n.clip and not n.is_truth}
+        {n.full_name: float(at_end[index]) for index, n in enumerate(numbers) if n.clip and not n.is_truth}
     )
 
 
@@ -349,8 +349,8 @@ def action_limits(trace: Trace) -> Numbers | None:
     at_limit = np.abs(trace.action_array("ranges")) >= 0.999
     return _shares(
         {
-            name: float(at_limit[:, place].mean())
-            for place, name in enumerate(trace.program.agent.range_names)
+            name: float(at_limit[:, index].mean())
+            for index, name in enumerate(trace.program.agent.range_names)
             if trace.steps
         }
     )

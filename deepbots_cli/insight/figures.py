@@ -116,9 +116,9 @@ def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
     rows, height = iter(panels[:, 0]), 0.0
     if agent.choices:
         panel = next(rows)
-        for part, column in zip(agent.choices, own_choices.T, strict=True):
-            shares = np.bincount(column.astype(int), minlength=len(part.options)) / len(column)
-            panel.bar([option.name for option in part.options], shares, label=part.name)
+        for choice, column in zip(agent.choices, own_choices.T, strict=True):
+            shares = np.bincount(column.astype(int), minlength=len(choice.options)) / len(column)
+            panel.bar([option.name for option in choice.options], shares, label=choice.name)
         height += style_panel(panel, "share of the steps with each option", theme, axes=("", ""))
     if agent.range_names:
         panel = next(rows)
@@ -189,13 +189,13 @@ def starts(
 
     The values that have an effect are shown; without one, those that `effects` lists first.
     """
-    shown = effects.effective[:_MAX_STARTS] or list(effects.values.values())[:_MAX_WITHOUT_EFFECT]
-    if not shown:
+    plotted = effects.effective[:_MAX_STARTS] or list(effects.values.values())[:_MAX_WITHOUT_EFFECT]
+    if not plotted:
         return None
-    columns = min(2, len(shown))
-    rows = math.ceil(len(shown) / columns)
+    columns = min(2, len(plotted))
+    rows = math.ceil(len(plotted) / columns)
     figure, panels = new_figure(theme, 0.4 + 2.3 * rows, columns, rows, _WIDE_WIDTH)
-    for panel, value in zip(panels.flat, shown, strict=False):
+    for panel, value in zip(panels.flat, plotted, strict=False):
         name, unit = value.name, value.label.unit
         drawn = [episode for episode in episodes if name in episode.drawn]
         words = (
@@ -204,10 +204,10 @@ def starts(
             else []
         )
 
-        def place(number: float | str, words: Sequence[str] = words, unit: Unit = unit) -> float:
+        def coordinate(number: float | str, words: Sequence[str] = words, unit: Unit = unit) -> float:
             return words.index(str(number)) if words else unit.from_si(float(number))
 
-        at = [place(episode.drawn[name]) for episode in drawn]
+        at = [coordinate(episode.drawn[name]) for episode in drawn]
         by_outcome = {True: SUCCESS, False: FAILURE} if success_defined else {}
         colors = [by_outcome.get(episode.is_success, COLORS[0]) for episode in drawn]
         panel.scatter(
@@ -219,30 +219,30 @@ def starts(
             linewidths=0,
             rasterized=len(drawn) > 300,
         )
-        for part in value.parts:
-            low, high = place(part.low), place(part.high)
+        for drawn_bin in value.parts:
+            low, high = coordinate(drawn_bin.low), coordinate(drawn_bin.high)
             middle, wide = (low + high) / 2, high > low
             panel.plot(
                 (low, high) if wide else (middle - 0.02, middle + 0.02),
-                [part.mean_return] * 2,
+                [drawn_bin.mean_return] * 2,
                 color=THEMES[theme][1],
                 linewidth=2,
             )
-            if part.return_interval is not None:
-                panel.plot([middle] * 2, part.return_interval, color=THEMES[theme][1], linewidth=1)
+            if drawn_bin.return_interval is not None:
+                panel.plot([middle] * 2, drawn_bin.return_interval, color=THEMES[theme][1], linewidth=1)
         style_panel(
             panel, "", theme, legend=False, axes=(name if unit == ONE else f"{name}, {unit.text}", "return")
         )
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         if words:
             panel.set_xticks(range(len(words)), [word[:12] for word in words], parse_math=False)
-    for panel in list(panels.flat)[len(shown) :]:
+    for panel in list(panels.flat)[len(plotted) :]:
         panel.set_visible(False)
     return figure
 
 
 def trajectories(
-    shown: Sequence[ReportEpisode],
+    episodes: Sequence[ReportEpisode],
     moving: Moving,
     world: WorldModel,
     fixed: Sequence[Sequence[Triple]],
@@ -255,16 +255,19 @@ def trajectories(
     star. `fixed` are the outlines of objects that stand still.
     """
     tracks = [
-        episode.positions[part] for episode in shown for part in moving.parts if part in episode.positions
+        episode.positions[part] for episode in episodes for part in moving.parts if part in episode.positions
     ]
     spans = np.max([np.nanmax(track, axis=0) - np.nanmin(track, axis=0) for track in tracks], axis=0)
     side = int(spans[1] > spans[0])  # the horizontal axis in the view from the side
     targets = [
-        episode.positions[part] for episode in shown for part in moving.targets if part in episode.positions
+        episode.positions[part]
+        for episode in episodes
+        for part in moving.targets
+        if part in episode.positions
     ]
     climbs = bool(spans[2] > _MIN_CLIMB * spans[side])
     if not climbs and spans[1 - side] < _MIN_WIDTH * spans[side]:
-        return _over_time(shown, moving, side, world.timestep, theme)
+        return _over_time(episodes, moving, side, world.timestep, theme)
     planes = [(0, 1)] + [(side, 2)] * climbs
     limits = [_limits(np.concatenate(tracks + targets), plane, world, fixed) for plane in planes]
     width = (_WIDE_WIDTH - 1.0) / len(planes)
@@ -275,7 +278,7 @@ def trajectories(
     for panel, plane, (low, high) in zip(panels, planes, limits, strict=True):
         if plane == (0, 1):
             _draw_surroundings(panel, world, fixed, theme)
-        _draw_episodes(panel, plane, shown, moving, world.timestep, theme)
+        _draw_episodes(panel, plane, episodes, moving, world.timestep, theme)
         panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         panel.locator_params(axis="x", nbins=_MAX_TICKS)
         style_panel(panel, "", theme, legend=False, axes=(f"{'xyz'[plane[0]]}, m", f"{'xyz'[plane[1]]}, m"))
@@ -283,12 +286,12 @@ def trajectories(
 
 
 def _over_time(
-    shown: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str
+    episodes: Sequence[ReportEpisode], moving: Moving, axis: int, timestep: float, theme: str
 ) -> Figure:
     """Draw one coordinate of the parts that move over time, because from above a motion along a line is a
     line."""
     figure, ((panel,),) = new_figure(theme, 3.0, width=_WIDE_WIDTH)
-    _draw_episodes(panel, (_TIME, axis), shown, moving, timestep, theme)
+    _draw_episodes(panel, (_TIME, axis), episodes, moving, timestep, theme)
     style_panel(panel, "", theme, legend=False, axes=("time, s", f"{'xyz'[axis]}, m"))
     return _with_titles(figure, panel, theme)
 
@@ -314,14 +317,14 @@ def _with_titles(figure: Figure, panel: Any, theme: str) -> Figure:
 def _draw_episodes(
     panel: Any,
     plane: tuple[int, int],
-    shown: Sequence[ReportEpisode],
+    episodes: Sequence[ReportEpisode],
     moving: Moving,
     timestep: float,
     theme: str,
 ) -> None:
     """Draw all episodes, those with a label above the others."""
-    labeled = [episode for episode in shown if episode.label]
-    for episode in [*(episode for episode in shown if not episode.label), *labeled]:
+    labeled = [episode for episode in episodes if episode.label]
+    for episode in [*(episode for episode in episodes if not episode.label), *labeled]:
         _draw_episode(
             panel,
             plane,
@@ -336,18 +339,18 @@ def _draw_episodes(
 def _draw_episode(
     panel: Any,
     plane: tuple[int, int],
-    shown: ReportEpisode,
+    episode: ReportEpisode,
     moving: Moving,
     color: str,
     timestep: float,
     theme: str,
 ) -> None:
     ground = THEMES[theme][0]
-    width, alpha = (2.0, 1.0) if shown.label else (0.9, 0.7)
+    width, alpha = (2.0, 1.0) if episode.label else (0.9, 0.7)
     for part in [*moving.parts, *moving.targets]:
-        if part not in shown.positions:
+        if part not in episode.positions:
             continue
-        points = shown.positions[part]
+        points = episode.positions[part]
         xs, ys = (timestep * np.arange(len(points)) if axis == _TIME else points[:, axis] for axis in plane)
         is_target, is_first = part in moving.targets, _base(part) == _base(moving.parts[0])
         if is_target:
@@ -361,7 +364,7 @@ def _draw_episode(
                 markeredgecolor=ground,
                 markeredgewidth=0.5,
             )
-        if not is_target or has_moved(shown.positions[part]):
+        if not is_target or has_moved(episode.positions[part]):
             style = (
                 {"linestyle": "-", "linewidth": width} if is_first else {"linestyle": ":", "linewidth": 1.2}
             )
@@ -370,7 +373,7 @@ def _draw_episode(
                 ys,
                 color=color,
                 alpha=alpha,
-                label=shown.title if shown.label and part == moving.parts[0] else "",
+                label=episode.title if episode.label and part == moving.parts[0] else "",
                 **style,
             )
         if not is_target:
@@ -378,7 +381,7 @@ def _draw_episode(
                 xs[:1], ys[:1], "o", color=color, markerfacecolor=ground, markersize=5 if is_first else 3
             )
         if is_first:
-            panel.plot(xs[-1:], ys[-1:], "o" if shown.is_success else "X", color=color, markersize=6)
+            panel.plot(xs[-1:], ys[-1:], "o" if episode.is_success else "X", color=color, markersize=6)
 
 
 def _base(part: LinkName) -> str:

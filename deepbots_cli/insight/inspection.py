@@ -111,11 +111,11 @@ def in_written_units(tables: Tables, scenario: Program, root: Node) -> Tables:
     drawn = tables.get("drawn", [])
     assert isinstance(drawn, list)
     pairs = zip(drawn, scenario.reset.variations, strict=False)
-    written = [
+    rows_in_written_units = [
         row if entry.what == "color" else {**row, "from": " ".join(entry.value.text.split())}
         for row, entry in pairs
     ]
-    return {**tables, **changed, **({"drawn": written} if written else {})}
+    return {**tables, **changed, **({"drawn": rows_in_written_units} if rows_in_written_units else {})}
 
 
 def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
@@ -173,14 +173,14 @@ def _link(link: Link, joint: str) -> Row:
         "link": link.name,
         "joint": joint,
         "mass_kg": link.inertial.mass if link.inertial else None,
-        "collides_as": [_shape(part) for part in link.collisions],
-        "seen_as": [_shape(part) for part in link.visuals],
+        "collides_as": [_shape(geometry) for geometry in link.collisions],
+        "seen_as": [_shape(geometry) for geometry in link.visuals],
         "friction": link.friction.lateral,
     }
 
 
-def _shape(part: Geometry) -> str:
-    match part.shape:
+def _shape(geometry: Geometry) -> str:
+    match geometry.shape:
         case Box(size):
             return f"box {_numbers(size)}"
         case Sphere(radius):
@@ -292,7 +292,7 @@ def _image_size_text(entry: ImageObservation, scenario: Program) -> str:
 
 
 def _space(scenario: Program) -> str:
-    sizes = [len(part.options) for part in scenario.agent.choices]
+    sizes = [len(choice.options) for choice in scenario.agent.choices]
     width = len(scenario.agent.range_names)
     spaces = [f"Box({width})"] if width else []
     if sizes:
@@ -670,8 +670,8 @@ def _critic(scenario: Program) -> list[Row]:
     columns = set(wide.agent.policy_columns or range(len(wide.agent.inputs)))
     return [
         {key: value for key, value in row.items() if key != "index"}
-        for place, row in enumerate(_observation(wide))
-        if place < len(wide.agent.inputs) and place not in columns
+        for index, row in enumerate(_observation(wide))
+        if index < len(wide.agent.inputs) and index not in columns
     ]
 
 

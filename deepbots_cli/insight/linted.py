@@ -59,14 +59,14 @@ def linted_scenario(run: Run) -> LintedScenario:
     overrides = changed_settings(record.command)
     further = [f"--set={text}" for text in overrides]
     name = next(iter(record.inputs), RESOLVED_NAME)
-    written, copy = Path(record.source), folder / name
+    original, copy = Path(record.source), folder / name
     source = named_source(record.source)
-    is_same = _digest(written) == record.inputs.get(name)
+    is_same = _digest(original) == record.inputs.get(name)
     if is_same and (
-        compiled := _compiled(run, Source(SourceKind.SCENARIO, source, written, written, _CODE), overrides)
+        compiled := _compiled(run, Source(SourceKind.SCENARIO, source, original, original, _CODE), overrides)
     ):
         return _linted(compiled, [source, *further])
-    changed = source if written.is_file() and not is_same else ""
+    changed = source if original.is_file() and not is_same else ""
     alone = Source(SourceKind.SCENARIO, str(copy), copy, copy, _CODE)
     if compiled := _compiled(run, alone, overrides):
         return replace(_linted(compiled, [str(copy), *further]), changed_source=changed)

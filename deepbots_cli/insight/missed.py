@@ -68,7 +68,11 @@ def missed_success(trace: Trace) -> tuple[str, Condition | None]:
 def inner_comparisons(condition: Condition) -> list[Comparison]:
     """Return the comparisons of a condition, including those that must be true for a time."""
     outer = comparisons_in(condition)
-    return [part for leaf in outer for part in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])]
+    return [
+        comparison
+        for leaf in outer
+        for comparison in (comparisons_in(leaf.lasting) if leaf.lasting else [leaf])
+    ]
 
 
 def nearest_moment(
@@ -102,22 +106,22 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
         [sum(measure(leaf, values).holds for values in trace.values) for leaf in leaves] for trace, _ in pairs
     ]
     worst = Counter(row.index(min(row)) for row in counts)
-    place, episodes = worst.most_common(1)[0]
+    index, episodes = worst.most_common(1)[0]
     moments = sum(len(trace.values) for trace, _ in pairs)
     totals = [sum(row[k] for row in counts) for k in range(len(leaves))]
     others = {
-        leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != place
+        leaf.text: total for k, (leaf, total) in enumerate(zip(leaves, totals, strict=True)) if k != index
     }
     fewest = min(others.values(), default=0)
-    if episodes < _COMMON * len(pairs) or fewest < _OFTEN * moments or totals[place] > _SELDOM * fewest:
+    if episodes < _COMMON * len(pairs) or fewest < _OFTEN * moments or totals[index] > _SELDOM * fewest:
         return None
-    leaf = leaves[place]
+    leaf = leaves[index]
     values = [nearest_moment(trace, leaf)[1] for trace, _ in pairs]
     bounds = [comparison.bound for comparison in values if comparison.bound is not None]
     return MissedCondition(
         ending=ending,
         condition=leaf,
-        true=totals[place],
+        true=totals[index],
         moments=moments,
         nearest=median(comparison.value for comparison in values) if bounds else None,
         bound=median(bounds) if bounds else None,

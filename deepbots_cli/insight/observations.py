@@ -121,14 +121,16 @@ def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
         if entry.clip and entry.name != "previous_action"
     }
     cut = {
-        n.full_name: part
+        n.full_name: excess
         for e in evidence.program.agent.observation
-        for n, part in zip(e.numbers, beyond.get(e.name, ()), strict=False)
+        for n, excess in zip(e.numbers, beyond.get(e.name, ()), strict=False)
     }
-    shares = {name: float((part != 0).mean()) for name, part in cut.items()}
+    shares = {name: float((excess != 0).mean()) for name, excess in cut.items()}
     # Clipping holds a value such as the reading of a sensor that sees nothing at an end, and loses nothing if
     # it is always the same one.
-    spreads = {name: max(_spread(part[part > 0]), _spread(part[part < 0])) for name, part in cut.items()}
+    spreads = {
+        name: max(_spread(excess[excess > 0]), _spread(excess[excess < 0])) for name, excess in cut.items()
+    }
     worst = sorted(
         (
             name
@@ -139,8 +141,8 @@ def saturated_observation(evidence: TrainingEvidence) -> Numbers | None:
     )
     if not worst:
         return None
-    part, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
-    likelihood = _likelihood(part, _PER_CLIPPED_SHARE)
+    clipped_share, mean = len(worst) / len(shares), float(np.mean([shares[name] for name in worst]))
+    likelihood = _likelihood(clipped_share, _PER_CLIPPED_SHARE)
     # Numbers that are almost always beyond an end come before the length of the training.
     if mean >= _ALMOST_ALWAYS:
         likelihood = max(likelihood, _ALMOST_ALWAYS_LIKELIHOOD)

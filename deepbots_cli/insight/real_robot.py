@@ -129,7 +129,7 @@ class Measurable:
             return True
         if read.function in _OF_LINES:
             return all(
-                ("position", self._deployment.subjects(read)[:1], part) in self._facts for part in "xyz"
+                ("position", self._deployment.subjects(read)[:1], axis) in self._facts for axis in "xyz"
             )
         return self.fact(read) in self._facts
 
@@ -201,8 +201,8 @@ class MeasuredWorld(EngineProxy):
 
     def _vector(self, function: str, name: str, numbers: Sequence[float]) -> Any:
         return tuple(
-            self.facts.get((function, (name,), part), number)
-            for part, number in zip(_XYZW, numbers, strict=False)
+            self.facts.get((function, (name,), component), number)
+            for component, number in zip(_XYZW, numbers, strict=False)
         )
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:

@@ -176,20 +176,20 @@ class Recorder(gym.Wrapper[Any, Any, Any, Any]):
 
 
 def record_episodes(
-    run: Run, here: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
+    run: Run, world: World, model: ModelName, seed: int, episodes: int, permissions: Permissions
 ) -> list[RecordedEpisode]:
     """Return episodes of the policy of a run in a world, from the starts of an evaluation with this seed."""
     from deepbots_cli.learning.evaluation import load_model
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     episodes_recorded = []
-    with torch_settings(), closing(Recorder(here, permissions)) as world:
-        driver = PolicyDriver(load_model(run, model, world), world, deterministic=True)
+    with torch_settings(), closing(Recorder(world, permissions)) as recorder:
+        driver = PolicyDriver(load_model(run, model, recorder), recorder, deterministic=True)
         for number in range(episodes):
             start = Start.of_evaluation(seed, number)
-            for _ in islice(steps(world, driver, start), MAX_STEPS + 1):
+            for _ in islice(steps(recorder, driver, start), MAX_STEPS + 1):
                 pass
-            episodes_recorded.append(RecordedEpisode(start, world.actions, world.values))
+            episodes_recorded.append(RecordedEpisode(start, recorder.actions, recorder.values))
     return episodes_recorded
 
 
@@ -230,21 +230,21 @@ class ValueComparison:
         self,
         columns: Sequence[Column],
         recorded: Sequence[RecordedEpisode],
-        found: Sequence[Array],
+        repeated: Sequence[Array],
         width: Array | None = None,
     ) -> None:
         self._columns, self.recorded = columns, recorded
-        self._here = [episode.values for episode in recorded]
-        self._there = [*found]
-        self._width = np.maximum(np.ptp(np.vstack(self._here), axis=0), 1e-9) if width is None else width
-        self._numbers = [place for place, column in enumerate(columns) if not column.name.startswith(REWARD)]
-        self._base = self._errors(self._here)
-        self._early = [self._small_until(*pair) for pair in zip(self._here, self._there, strict=True)]
+        self._first = [episode.values for episode in recorded]
+        self._second = [*repeated]
+        self._width = np.maximum(np.ptp(np.vstack(self._first), axis=0), 1e-9) if width is None else width
+        self._numbers = [index for index, column in enumerate(columns) if not column.name.startswith(REWARD)]
+        self._base = self._errors(self._first)
+        self._early = [self._small_until(*pair) for pair in zip(self._first, self._second, strict=True)]
 
-    def _small_until(self, here: Array, there: Array) -> int:
-        """Return the moments before the differences have grown, and a few more."""
-        length = min(len(here), len(there))
-        large = (np.abs(here[:length] - there[:length]) > _GROWN * self._width).any(axis=1)
+    def _small_until(self, first: Array, second: Array) -> int:
+        """Return the number of moments before the differences have grown, and a few more."""
+        length = min(len(first), len(second))
+        large = (np.abs(first[:length] - second[:length]) > _GROWN * self._width).any(axis=1)
         return min(length, (int(np.argmax(large)) if large.any() else length) + _FEW)
 
     def _errors(self, values: Sequence[Array], until: Sequence[int] | None = None) -> Array:
@@ -254,12 +254,12 @@ class ValueComparison:
         `until` is the number of moments of each episode; by default all that both worlds have.
         """
         squares = []
-        for candidate, there, usual, most in zip(
-            values, self._there, self._here, until or [MAX_STEPS + 1] * len(self._here), strict=True
+        for candidate, second, usual, most in zip(
+            values, self._second, self._first, until or [MAX_STEPS + 1] * len(self._first), strict=True
         ):
-            length = min(len(usual), len(there), most)
+            length = min(len(usual), len(second), most)
             count = min(length, len(candidate))
-            squares.append(np.minimum(((candidate[:count] - there[:count]) / self._width) ** 2, 1.0))
+            squares.append(np.minimum(((candidate[:count] - second[:count]) / self._width) ** 2, 1.0))
             squares.append(np.ones((length - count, len(self._width))))  # an episode that ended too early
         return np.asarray(np.mean(np.vstack(squares), axis=0), float)
 
@@ -275,7 +275,7 @@ class ValueComparison:
         for until in (None, self._early):
             base, left = (
                 self._errors(world_values, until)[self._numbers].sum()
-                for world_values in (self._here, values)
+                for world_values in (self._first, values)
             )
             shares.append(1.0 - left / base if base else 0.0)
         return float(np.mean(shares))
@@ -287,7 +287,7 @@ class ValueComparison:
         It is 0 if the effect has the other direction.
         """
         effect, difference = (
-            np.vstack([*map(self._off, self._here, world)]) for world in (values, self._there)
+            np.vstack([*map(self._off, self._first, world)]) for world in (values, self._second)
         )
         along = float((effect * difference).sum())
         size = float((effect**2).sum() * (difference**2).sum())
@@ -299,7 +299,8 @@ class ValueComparison:
         if len(effects) != len(others):
             return False
         size = sum(
-            min(self._apart(self._here, values), self._apart(self._here, self._there)) for values in effects
+            min(self._apart(self._first, values), self._apart(self._first, self._second))
+            for values in effects
         )
         return sum(map(self._apart, effects, others)) <= _SAME * size
 
@@ -317,8 +318,8 @@ class ValueComparison:
         """Return the comparison of a few episodes, those with the largest differences, until these have
         grown, and of a few steps."""
         apart = [
-            np.square((here[:early] - there[:early]) / self._width)[:, self._numbers].mean()
-            for here, there, early in self._pairs()
+            np.square((first[:early] - second[:early]) / self._width)[:, self._numbers].mean()
+            for first, second, early in self._pairs()
         ]
         numbers = sorted(sorted(range(len(apart)), key=lambda number: -apart[number])[:_PROBED_EPISODES])
         recorded, repeated = [], []
@@ -326,34 +327,41 @@ class ValueComparison:
             length = min(max(self._early[number], _LEAST_STEPS + 1), _PROBED_STEPS + 1)
             start, actions, values = self.recorded[number]
             recorded.append(RecordedEpisode(start, actions[: length - 1], values[:length]))
-            repeated.append(self._there[number][:length])
+            repeated.append(self._second[number][:length])
         return ValueComparison(self._columns, recorded, repeated, self._width)
 
     def _pairs(self) -> Iterator[tuple[Array, Array, int]]:
         """Yield the values of each episode in both worlds, and the moments before the differences have
         grown."""
-        yield from zip(self._here, self._there, self._early, strict=True)
+        yield from zip(self._first, self._second, self._early, strict=True)
 
     def differences(self) -> list[Difference]:
         """Return the columns that differ, in the order in which they begin to."""
         rows = []
-        for place, column in enumerate(self._columns):
+        for index, column in enumerate(self._columns):
             first: tuple[int, int] | None = None
-            for number, (values_here, values_there) in enumerate(zip(self._here, self._there, strict=True)):
-                length = min(len(values_here), len(values_there))
-                off = np.flatnonzero(
-                    np.abs(values_here[:length, place] - values_there[:length, place])
-                    > _THRESHOLD * self._width[place]
+            for number, (first_values, second_values) in enumerate(
+                zip(self._first, self._second, strict=True)
+            ):
+                length = min(len(first_values), len(second_values))
+                moments = np.flatnonzero(
+                    np.abs(first_values[:length, index] - second_values[:length, index])
+                    > _THRESHOLD * self._width[index]
                 )
-                if len(off) and (first is None or off[0] < first[1]):
-                    first = number, int(off[0])
+                if len(moments) and (first is None or moments[0] < first[1]):
+                    first = number, int(moments[0])
             if first is not None:
-                here, there = (
-                    float(values[first[0]][first[1], place]) for values in (self._here, self._there)
+                first_value, second_value = (
+                    float(values[first[0]][first[1], index]) for values in (self._first, self._second)
                 )
                 rows.append(
                     Difference(
-                        column.name, column.unit, *first, here, there, float(np.sqrt(self._base[place]))
+                        column.name,
+                        column.unit,
+                        *first,
+                        first_value,
+                        second_value,
+                        float(np.sqrt(self._base[index])),
                     )
                 )
         return sorted(rows, key=lambda row: (row.step, -row.share))
@@ -363,16 +371,16 @@ class ValueComparison:
         number."""
         texts: list[str] = []
         late: dict[int, list[str]] = {}
-        fixed = [values.copy() for values in self._here]
-        for place in self._numbers:
-            best = self._exact(place) if self._base[place] > _THRESHOLD**2 else None
+        fixed = [values.copy() for values in self._first]
+        for index in self._numbers:
+            best = self._exact(index) if self._base[index] > _THRESHOLD**2 else None
             if best is None:
                 continue
             text, age, replaced = best
             for values, column in zip(fixed, replaced, strict=True):
-                values[:, place] = column
+                values[:, index] = column
             if age:
-                late.setdefault(age, []).append(self._columns[place].name)
+                late.setdefault(age, []).append(self._columns[index].name)
             else:
                 texts.append(text)
         texts += [
@@ -382,13 +390,13 @@ class ValueComparison:
         if texts:
             yield Effect(["; ".join(texts)], fixed)
 
-    def _exact(self, place: int) -> tuple[str, int, list[Array]] | None:
+    def _exact(self, index: int) -> tuple[str, int, list[Array]] | None:
         """Return the change of a number after which hardly a difference is left: in words, its age in steps,
         and the number."""
-        column, series = self._columns[place], [values[:, place] for values in self._here]
+        column, series = self._columns[index], [values[:, index] for values in self._first]
         pairs = [
-            (a[: min(len(a), len(b))], b[: min(len(a), len(b)), place])
-            for a, b in zip(series, self._there, strict=True)
+            (a[: min(len(a), len(b))], b[: min(len(a), len(b)), index])
+            for a, b in zip(series, self._second, strict=True)
         ]
         x, y = np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
         tried: list[tuple[str, int, list[Array]]] = []
@@ -411,12 +419,12 @@ class ValueComparison:
                 )
             )
         for other in self._numbers:
-            if other != place and self._columns[other].unit == column.unit:
+            if other != index and self._columns[other].unit == column.unit:
                 tried.append(
                     (
                         f"{column.name} has the value of {self._columns[other].name}",
                         0,
-                        [values[:, other] for values in self._here],
+                        [values[:, other] for values in self._first],
                     )
                 )
         for age in range(1, _LATEST + 1):
@@ -430,15 +438,15 @@ class ValueComparison:
                     ],
                 )
             )
-        scored = [(self._left(place, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
+        scored = [(self._left(index, replaced), number) for number, (_, _, replaced) in enumerate(tried)]
         left, number = min(scored, default=(inf, 0))
-        return tried[number] if left <= _EXACT * self._base[place] else None
+        return tried[number] if left <= _EXACT * self._base[index] else None
 
-    def _left(self, place: int, replaced: Sequence[Array]) -> float:
+    def _left(self, index: int, replaced: Sequence[Array]) -> float:
         squares = []
-        for candidate, there in zip(replaced, self._there, strict=True):
-            length = min(len(candidate), len(there))
+        for candidate, second in zip(replaced, self._second, strict=True):
+            length = min(len(candidate), len(second))
             squares.append(
-                np.minimum(((candidate[:length] - there[:length, place]) / self._width[place]) ** 2, 1.0)
+                np.minimum(((candidate[:length] - second[:length, index]) / self._width[index]) ** 2, 1.0)
             )
         return float(np.mean(np.concatenate(squares)))

@@ -305,31 +305,31 @@ class Report:
             for member in self.runs
             for number in range(len(member.evaluation.outcomes))
         ]
-        episodes.sort(key=lambda shown: -shown.outcome.total_return)
-        places, middle = (
-            {round(place) for place in np.linspace(0, len(episodes) - 1, count)},
+        episodes.sort(key=lambda episode: -episode.outcome.total_return)
+        indices, middle = (
+            {round(index) for index in np.linspace(0, len(episodes) - 1, count)},
             len(episodes) // 2,
         )
-        if middle not in places:
-            places.remove(min(places, key=lambda place: abs(place - middle)))
-            places.add(middle)
+        if middle not in indices:
+            indices.remove(min(indices, key=lambda index: abs(index - middle)))
+            indices.add(middle)
         labels = dict(zip((len(episodes) - 1, middle, 0), reversed(EPISODE_LABELS), strict=True))
         return [
-            ReportEpisode(episodes[place].run, episodes[place].number, labels.get(place, ""))
-            for place in sorted(places)
+            ReportEpisode(episodes[index].run, episodes[index].number, labels.get(index, ""))
+            for index in sorted(indices)
         ]
 
     def repeat_episodes(
         self,
-        shown: Sequence[ReportEpisode],
+        episodes: Sequence[ReportEpisode],
         on_episode: OnEpisode,
         *,
         clips: bool,
         permissions: Permissions = Permissions(),
     ) -> None:
         """Run episodes of the evaluation again, for their paths and clips."""
-        self.episodes = shown
-        ordered = sorted(shown, key=lambda episode: self.runs.index(episode.run))
+        self.episodes = episodes
+        ordered = sorted(episodes, key=lambda episode: self.runs.index(episode.run))
         for member, group in groupby(ordered, lambda episode: episode.run):
             shown_run = Showing(
                 str(member.run.path), engine=member.evaluation.engine, permissions=permissions
@@ -354,13 +354,13 @@ class Report:
                         )
                     if clips and episode.label:
                         self._film(player, episode)
-                    on_episode(ordered.index(episode) + 1, len(shown))
-        self.outlines = _standing(player, shown)
+                    on_episode(ordered.index(episode) + 1, len(episodes))
+        self.outlines = _standing(player, episodes)
         self.moving = trajectories.find_moving(
-            player.program, player.env.world, [episode.positions for episode in shown]
+            player.program, player.env.world, [episode.positions for episode in episodes]
         )
 
-    def _film(self, player: Player, shown: ReportEpisode) -> None:
+    def _film(self, player: Player, episode: ReportEpisode) -> None:
         time = player.frame.time
         speed, rate = max(1.0, time / _MAX_CLIP_S), _CLIP_FRAME_RATE
         with TemporaryDirectory() as folder:
@@ -371,8 +371,8 @@ class Report:
                     player,
                     target,
                     _VIEWPOINT,
-                    seed=shown.run.evaluation.seed,
-                    episode=shown.number,
+                    seed=episode.run.evaluation.seed,
+                    episode=episode.number,
                     speed=speed,
                     rate=rate,
                 )
@@ -380,8 +380,8 @@ class Report:
                 self.notes = list(dict.fromkeys([*self.notes, f"there are no clips: {error}"]))
                 return
             fast = f", {speed:.1f} times as fast" if speed > 1.05 else ""
-            self.clips[shown.label] = (
-                f"{shown.title} after {time:.1f} s{fast}",
+            self.clips[episode.label] = (
+                f"{episode.title} after {time:.1f} s{fast}",
                 _uri("video/mp4", target.read_bytes()),
             )
 
@@ -620,14 +620,14 @@ def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, fl
     return form.format(fmean(values)) + interval
 
 
-def _standing(player: Player, shown: Sequence[ReportEpisode]) -> list[list[Triple]]:
+def _standing(player: Player, episodes: Sequence[ReportEpisode]) -> list[list[Triple]]:
     """Return the outlines of objects that have one form, and one place in all these episodes."""
     outlines = []
-    for thing in player.env.world.objects:
-        poses = {links.get((thing.name, thing.name)) for episode in shown for links in episode.end_poses}
+    for body in player.env.world.objects:
+        poses = {links.get((body.name, body.name)) for episode in episodes for links in episode.end_poses}
         pose = poses.pop() if len(poses) == 1 else None
-        if pose is not None and not thing.variants:
-            outlines.append(figures.outline(thing.shape, pose))
+        if pose is not None and not body.variants:
+            outlines.append(figures.outline(body.shape, pose))
     return outlines
 
 
@@ -637,13 +637,13 @@ def write_figure_files(folder: Path, figures: Iterable[tuple[str, Figure]]) -> l
     Raises:
         UsageError: A file cannot be written.
     """
-    written = []
+    paths = []
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in figures:
-        written.append(folder / f"{name}.png")
-        with atomic_write(written[-1]) as draft:
+        paths.append(folder / f"{name}.png")
+        with atomic_write(paths[-1]) as draft:
             figure.savefig(draft, dpi=150)
-    return written
+    return paths
 
 
 def svg_uri(figure: Any) -> str:

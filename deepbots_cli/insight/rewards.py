@@ -38,14 +38,14 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
     if len(sums) < 2 or not whole:
         return None
     name = max(sums, key=lambda term: abs(sums[term]))
-    share, rest = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
+    share, other_sum = abs(sums[name]) / whole, sum(value for key, value in sums.items() if key != name)
     varies = any(np.ptp(trace.terms[name]) > 1e-9 for trace in evidence.random if trace.steps)
     others = [
         fmean(trace.returns - float(np.nansum(trace.terms[name])) for trace in traces)
         for traces in (evidence.random, evidence.policy or evidence.random)
     ]
     # The policy earns the other terms all the same.
-    if share < 0.55 or not varies or not sums[name] < 0 < rest or others[1] > 1.5 * others[0]:
+    if share < 0.55 or not varies or not sums[name] < 0 < other_sum or others[1] > 1.5 * others[0]:
         return None
     steps = sum(trace.steps for trace in evidence.random)
     return {
@@ -53,7 +53,7 @@ def term_dominates(evidence: TrainingEvidence) -> Numbers | None:
         "term": name,
         "share": Percentage(share),
         "mean": sums[name] / steps,
-        "others": rest / steps,
+        "others": other_sum / steps,
         "steps": steps,
     }
 
@@ -458,8 +458,8 @@ def reward_apart_from_success(evidence: TrainingEvidence) -> Numbers | None:
     if min(len(won), len(lost)) < MIN_EPISODES or late.successes.mean() >= 0.8:
         return None
     rates = [
-        SuccessRate(part.successes)
-        for part in (evidence.episodes_between(0.0, 0.25), evidence.episodes_between(0.75, 1.0))
+        SuccessRate(window.successes)
+        for window in (evidence.episodes_between(0.0, 0.25), evidence.episodes_between(0.75, 1.0))
     ]
     rise, term = returns_rise(evidence), rising_term(evidence)
     rising = (
@@ -587,13 +587,13 @@ def _is_flat(evidence: TrainingEvidence, mean: float) -> bool:
     """Return whether the evaluations of the second half of the stage all have this mean return, or else the
     training's own episodes."""
     half = evidence.first_step + 0.5 * evidence.stage_steps
-    done = [
+    mean_returns = [
         fmean(evaluation["returns"])
         for evaluation in evidence.evaluations
         if "steps" in evaluation and evaluation["steps"] >= half
     ]
-    if len(done) >= _FLAT_EVALUATIONS:
-        return max(abs(value - mean) for value in done) <= 2 * _CEILING * mean
+    if len(mean_returns) >= _FLAT_EVALUATIONS:
+        return max(abs(value - mean) for value in mean_returns) <= 2 * _CEILING * mean
     third, last = (evidence.episodes_between(share, share + 0.25).returns.mean() for share in (0.5, 0.75))
     return bool(abs(last - third) <= 2 * _CEILING * mean and abs(last - mean) <= 2 * _CEILING * mean)
 

@@ -37,19 +37,19 @@ _PARTS = 3
 def rival_too_strong(evidence: TrainingEvidence) -> Numbers | None:
     episodes = evidence.all_episodes
     late = episodes.steps > _EARLY * evidence.steps
-    parts = np.array_split(np.flatnonzero(late), _PARTS)
-    if min(map(len, parts)) < MIN_EPISODES:
+    late_indices = np.array_split(np.flatnonzero(late), _PARTS)
+    if min(map(len, late_indices)) < MIN_EPISODES:
         return None
     for name, successes in evidence.rivals.items():
         if all(
-            episodes.successes[part].mean() <= _HARDLY and successes[part].mean() >= _NEARLY_ALWAYS
-            for part in parts
+            episodes.successes[indices].mean() <= _HARDLY and successes[indices].mean() >= _NEARLY_ALWAYS
+            for indices in late_indices
         ):
             return {
                 "likelihood": 0.94,
                 "agent": evidence.agent,
                 "rival": name,
-                "since": int(episodes.steps[parts[0][0]]),
+                "since": int(episodes.steps[late_indices[0][0]]),
                 "own": Percentage(episodes.successes[late].mean()),
                 "other": Percentage(successes[late].mean()),
             }

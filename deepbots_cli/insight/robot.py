@@ -420,20 +420,20 @@ def report(episodes: Sequence[Episode], robot: SimulatedRobot, *, success_define
     }
 
 
-def report_lines(found: Mapping[str, Any]) -> list[str]:
+def report_lines(record: Mapping[str, Any]) -> list[str]:
     """Return the lines of a report for people."""
-    rate = "" if found["success_rate"] is None else f", success {found['success_rate']:.1%}"
-    endings = ", ".join(f"{count} {name}" for name, count in found["endings"].items())
-    times = ", ".join(f"{word} {found[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
-    held_steps, late_steps = found["steps_without_new_command"], found["late_steps"]
+    rate = "" if record["success_rate"] is None else f", success {record['success_rate']:.1%}"
+    endings = ", ".join(f"{count} {name}" for name, count in record["endings"].items())
+    times = ", ".join(f"{word} {record[key] * 1e3:.2f} ms" for word, key in _TIMES.items())
+    held_steps, late_steps = record["steps_without_new_command"], record["late_steps"]
     return [
-        found["link"],
-        f"  episodes  {found['episodes']:,}{rate}, mean return {found['mean_return']:.6g}; ended by:"
+        record["link"],
+        f"  episodes  {record['episodes']:,}{rate}, mean return {record['mean_return']:.6g}; ended by:"
         f" {endings}",
-        f"  steps     {found['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
+        f"  steps     {record['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
         " late",
         f"  answer    {times}",
-        *(f"  refused   {count:,} commands: {kind}" for kind, count in found["refused"].items()),
+        *(f"  refused   {count:,} commands: {kind}" for kind, count in record["refused"].items()),
     ]
 
 

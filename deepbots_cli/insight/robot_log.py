@@ -179,10 +179,10 @@ class FieldComparison(NamedTuple):
 
 
 class _Field(NamedTuple):
-    """The place of a number: its input, its index in it, and its name and unit."""
+    """A number of an input: the name of the input, the offset in it, and the name and unit of the number."""
 
     source: str
-    place: int
+    offset: int
     name: str
     unit: str
     sensor: str
@@ -227,14 +227,14 @@ def compare_log(
     fields = [
         _Field(
             info.name,
-            place,
-            f"{info.name}.{part}" if part else info.name,
+            index,
+            f"{info.name}.{component}" if component else info.name,
             info.unit,
             info.name if info.source == "sensor" else "",
         )
         for info in (reading.info for reading in control.readings.values())
         if info.dtype != "uint8"
-        for place, part in enumerate(info.components or [""] * info.shape[0])
+        for index, component in enumerate(info.components or [""] * info.shape[0])
     ]
     count = min(_PARTS * len(steps), _PARTS * MAX_STEPS // 2)
     with torch_settings():
@@ -247,9 +247,11 @@ def compare_log(
     times = np.array([stamp for stamp, _ in steps]) - steps[0][0]
     rows = []
     for number in fields:
-        there = np.array([float(values[number.source].reshape(-1)[number.place]) for values in simulated])
-        here = np.array([*_logged(logged, number, path)])
-        rows.append(_compared(number, here, there, times))
+        simulated_values = np.array(
+            [float(values[number.source].reshape(-1)[number.offset]) for values in simulated]
+        )
+        robot_values = np.array([*_logged(logged, number, path)])
+        rows.append(_compared(number, robot_values, simulated_values, times))
     return sorted(rows, key=lambda comparison: -comparison.distance)
 
 
@@ -258,45 +260,59 @@ def _logged(rows: Sequence[object], number: _Field, path: Path) -> Iterator[floa
         values = row.get(number.source) if isinstance(row, dict) else None
         if (
             not isinstance(values, list)
-            or len(values) <= number.place
-            or not isinstance(values[number.place], int | float)
+            or len(values) <= number.offset
+            or not isinstance(values[number.offset], int | float)
         ):
             raise UsageError(
                 f"{path} has no value of `{number.name}` in some step; compare it with the run whose bundle"
                 " was served"
             )
-        yield float(values[number.place])
+        yield float(values[number.offset])
 
 
-def _compared(number: _Field, here: Array, there: Array, times: Array) -> FieldComparison:
-    low, high = np.quantile(there, (0.01, 0.99))
-    inside = np.flatnonzero((here >= low) & (here <= high))
+def _compared(number: _Field, robot_values: Array, simulated_values: Array, times: Array) -> FieldComparison:
+    low, high = np.quantile(simulated_values, (0.01, 0.99))
+    inside = np.flatnonzero((robot_values >= low) & (robot_values <= high))
     last = int(inside[-1]) if len(inside) else -1
     since = float(times[last + 1]) if last + 1 < len(times) - MIN_STEPS // 2 else None
-    parts = [there[first : first + len(here)] for first in range(0, len(there) - len(here) // 2, len(here))]
-    chance = max(distance(part, there) for part in parts) if len(parts) > 1 else 0.0
-    advice = _advice(number, here, there) if number.sensor else ""
-    robot, simulated = ((float(values.mean()), float(values.std())) for values in (here, there))
+    chunks = [
+        simulated_values[first : first + len(robot_values)]
+        for first in range(0, len(simulated_values) - len(robot_values) // 2, len(robot_values))
+    ]
+    chance = max(distance(chunk, simulated_values) for chunk in chunks) if len(chunks) > 1 else 0.0
+    advice = _advice(number, robot_values, simulated_values) if number.sensor else ""
+    robot, simulated = (
+        (float(values.mean()), float(values.std())) for values in (robot_values, simulated_values)
+    )
     comparison = FieldComparison(
-        number.name, number.unit, robot, simulated, distance(here, there), chance, since, advice
+        number.name,
+        number.unit,
+        robot,
+        simulated,
+        distance(robot_values, simulated_values),
+        chance,
+        since,
+        advice,
     )
     return comparison if comparison.is_different else comparison._replace(since=None, advice="")
 
 
-def distance(one: Array, other: Array) -> float:
+def distance(first: Array, second: Array) -> float:
     """Return the Kolmogorov-Smirnov distance of two samples: the largest difference of their distribution
     functions."""
-    places = np.sort(np.concatenate([one, other]))
-    shares = (np.searchsorted(np.sort(values), places, side="right") / len(values) for values in (one, other))
+    thresholds = np.sort(np.concatenate([first, second]))
+    shares = (
+        np.searchsorted(np.sort(values), thresholds, side="right") / len(values) for values in (first, second)
+    )
     return float(np.max(np.abs(next(shares) - next(shares))))
 
 
-def _advice(number: _Field, here: Array, there: Array) -> str:
+def _advice(number: _Field, robot_values: Array, simulated_values: Array) -> str:
     """Return the noise or bias of the sensor that the simulation lacks, as a line of the scenario."""
-    spread = float(there.std())
-    jitter = [_variance_of_noise(values) for values in (here, there)]
+    spread = float(simulated_values.std())
+    jitter = [_variance_of_noise(values) for values in (robot_values, simulated_values)]
     noise = sqrt(max(0.0, jitter[0] - jitter[1]))
-    shift = float(here.mean() - there.mean())
+    shift = float(robot_values.mean() - simulated_values.mean())
     unit = f" {number.unit}" if number.unit else ""
     parts = []
     if noise > _NOISE * spread:

@@ -69,7 +69,7 @@ class ScenarioFacts:
         progress first."""
         reward = self._analysis.reward
         running, (ordinary, _) = reward.ranges_while_running(), reward.split_by_end()
-        aims = {part for tree in self._success_trees for part in self._readings(tree)}
+        aims = {reading for tree in self._success_trees for reading in self._readings(tree)}
         towards = [
             (term.name, node)
             for term, node in ordinary
@@ -95,13 +95,13 @@ class ScenarioFacts:
         """Return the terms of ordinary steps that depend on the values of a comparison of the success, given
         by its text."""
         aims = {
-            part
+            reading
             for ending in self.program.successes
             for compared in comparisons(self._analysis, ending)
             if compared.value.text[compared.node.start : compared.node.end] == comparison
             for side in compared.node.args
             for tree in self._analysis.lowered(side, compared.value.owner)
-            for part in self._readings(tree)
+            for reading in self._readings(tree)
         }
         ordinary, _ = self._analysis.reward.split_by_end()
         return tuple(term.name for term, node in ordinary if aims.intersection(self._readings(node)))

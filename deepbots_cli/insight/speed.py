@@ -110,14 +110,14 @@ def measure(
         if number and now + (now - started) > end:
             break
         started = now
-        for place, (name, count) in enumerate(cases):
-            on_measured(number * len(cases) + place, rounds * len(cases))
+        for index, (name, count) in enumerate(cases):
+            on_measured(number * len(cases) + index, rounds * len(cases))
             measured = (
                 _batch(compiled, count, steps, seed)
                 if name == BATCH
                 else _single(compiled, name, steps, seed)
             )
-            speeds[place].append(measured)
+            speeds[index].append(measured)
     on_measured(rounds * len(cases), rounds * len(cases))
     return speeds
 
@@ -284,13 +284,13 @@ def _timed(world: Supervisor, engine: str, steps: int, seed: int, *, seconds: fl
     actions = cycle([world.action_space.sample() for _ in range(_ACTIONS)])
 
     def run() -> int:
-        done, end = 0, time.process_time() + seconds
-        while done < steps or (seconds and time.process_time() < end):
+        step_count, end = 0, time.process_time() + seconds
+        while step_count < steps or (seconds and time.process_time() < end):
             _, _, terminated, truncated, _ = world.step(next(actions))
-            done += 1
+            step_count += 1
             if terminated or truncated:
                 reset()
-        return done
+        return step_count
 
     physics.cpu = physics.clock = 0.0
     try:

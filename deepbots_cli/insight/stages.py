@@ -125,11 +125,11 @@ def stage_changes(evidence: TrainingEvidence) -> str:
     except DeepbotsError:
         return ""
     sets: list[dict[str, str]] = []
-    for place in (evidence.stage_index - 1, evidence.stage_index):
+    for index in (evidence.stage_index - 1, evidence.stage_index):
         sets.append(
             {
                 name: inline_text(entry.value)
-                for name, entry in entries_at(root, "curriculum", place, "set").items()
+                for name, entry in entries_at(root, "curriculum", index, "set").items()
             }
         )
     before, now = sets
@@ -277,7 +277,7 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
         return None
     if evidence.program.defines_success and is_rare(evidence):
         return None
-    third, last = (_measured(evidence.episodes_by_steps(*part), until) for part in ((0.5, 0.75), (0.75, 1.0)))
+    third, last = (_measured(evidence.episodes_by_steps(*span), until) for span in ((0.5, 0.75), (0.75, 1.0)))
     if (
         min(len(third), len(last)) < _MIN_QUARTER
         or last.mean() >= until.threshold
@@ -290,7 +290,7 @@ def stuck_in_stage(evidence: TrainingEvidence) -> Numbers | None:
         return None
     if evidence.late_success.episodes >= MIN_EPISODES and evidence.late_success.rate >= 0.95:
         return None  # it is learned: an easy stage that counts
-    before, late_text = (criterion_number(until, float(part.mean())) for part in (third, last))
+    before, late_text = (criterion_number(until, float(values.mean())) for values in (third, last))
     reached = float(np.mean(np.concatenate([third, last])))
     target = 0.9 * reached if until.metric == "success_rate" else reached - 0.1 * abs(reached)
     remedy = "Put an easier stage before it"
@@ -354,8 +354,8 @@ def plateau(evidence: TrainingEvidence) -> tuple[int, float, float] | None:
     quarters = [evidence.episodes_by_steps(k / 4, (k + 1) / 4).successes for k in (1, 2, 3)]
     if min(map(len, quarters)) < _MIN_QUARTER:
         return None
-    rates = [float(part.mean()) for part in quarters]
-    chance = [0.5 * np.sqrt(0.25 / len(part) + 0.25 / len(quarters[2])) for part in quarters]
+    rates = [float(successes.mean()) for successes in quarters]
+    chance = [0.5 * np.sqrt(0.25 / len(successes) + 0.25 / len(quarters[2])) for successes in quarters]
     if (
         rates[2] - rates[1] > 0.05 + chance[1]
         or rates[2] - rates[0] > 0.1 + chance[0]
@@ -374,11 +374,14 @@ def plateau(evidence: TrainingEvidence) -> tuple[int, float, float] | None:
     bins = [evidence.episodes_by_steps(k / _BINS, (k + 1) / _BINS).successes for k in range(_BINS)]
     late, first = fmean(rates[1:]), _BINS
     while first and (
-        not len(part := bins[first - 1]) or abs(part.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(part))
+        not len(last_bin := bins[first - 1])
+        or abs(last_bin.mean() - late) <= 0.05 + 2 * np.sqrt(0.25 / len(last_bin))
     ):
         first -= 1
     first = min(first, _BINS // 2)
-    levels = [float(part.mean()) for part in bins[first:] if len(part) >= MIN_EPISODES] or rates[1:]
+    levels = [
+        float(successes.mean()) for successes in bins[first:] if len(successes) >= MIN_EPISODES
+    ] or rates[1:]
     return round(evidence.first_step + first / _BINS * evidence.stage_steps), min(levels), max(levels)
 
 
@@ -424,8 +427,10 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     is_flat = plateau(evidence) is not None or stuck_in_stage(evidence) is not None
     if not is_flat and not evidence.final_episodes:  # they may still be learned
         return None
-    source, done = _episodes_with_draws(evidence)
-    values = list(by_drawn_value(done, draw_labels(evidence.program, evidence.facts.units)).values.values())
+    source, episodes = _episodes_with_draws(evidence)
+    values = list(
+        by_drawn_value(episodes, draw_labels(evidence.program, evidence.facts.units)).values.values()
+    )
     # A value whose middle fails has no trend, but its parts differ.
     differing = (
         value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)
@@ -434,7 +439,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     if drawn_value is None:
         return None
     name, bins, label = drawn_value.name, drawn_value.parts, drawn_value.label
-    worst, best = (choose(bins, key=lambda part: part.success_rate) for choose in (min, max))
+    worst, best = (choose(bins, key=lambda drawn_bin: drawn_bin.success_rate) for choose in (min, max))
     rates = [
         {
             "low": b.low,
@@ -445,7 +450,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         }
         for b in bins
     ]
-    parts = "; ".join(f"{_range(part, label)} {part.success_rate:.0%}" for part in bins)
+    parts = "; ".join(f"{_range(drawn_bin, label)} {drawn_bin.success_rate:.0%}" for drawn_bin in bins)
     flat = "The success rate no longer rises, and it" if is_flat else "Success"
     sees = evidence.facts.observes(name.removeprefix("parameters."))
     observed = "" if sees else f", and that the policy observes `{name}` or its effect"
@@ -470,15 +475,17 @@ def _episodes_with_draws(evidence: TrainingEvidence) -> tuple[str, Sequence[Epis
     if evidence.is_last_stage and len(evidence.final_episodes) >= 40:
         return "the evaluation", evidence.final_episodes
     late = evidence.episodes_by_steps(0.5, 1.0)[-_MAX_SORTED:]
-    done = []
+    episodes = []
     for row in late:
         try:
             drawn = json.loads(row.drawn) if row.drawn else {}
         except ValueError:
             continue
         if isinstance(drawn, Mapping):
-            done.append(Episode(row.returns, int(row.lengths), bool(row.successes), row.endings, drawn=drawn))
-    return "late episodes of the training", done
+            episodes.append(
+                Episode(row.returns, int(row.lengths), bool(row.successes), row.endings, drawn=drawn)
+            )
+    return "late episodes of the training", episodes
 
 
 def _chance(bins: Sequence[DrawnBin]) -> float:
@@ -486,7 +493,9 @@ def _chance(bins: Sequence[DrawnBin]) -> float:
     (chi-squared test)."""
     from scipy.special import chdtrc  # here, since commands that only read runs work without scipy
 
-    counts = np.array([[part.successes, part.episodes - part.successes] for part in bins], float)
+    counts = np.array(
+        [[drawn_bin.successes, drawn_bin.episodes - drawn_bin.successes] for drawn_bin in bins], float
+    )
     expected = np.outer(counts.sum(axis=1), counts.sum(axis=0)) / counts.sum()
     return (
         float(chdtrc(len(bins) - 1, ((counts - expected) ** 2 / expected).sum())) if expected.all() else 1.0
@@ -496,19 +505,19 @@ def _chance(bins: Sequence[DrawnBin]) -> float:
 def _is_apart(bins: Sequence[DrawnBin]) -> bool:
     """Return whether the worst part succeeds less than half as often as the best one, considering their
     intervals."""
-    return min(part.success_interval[1] for part in bins) < 0.5 * max(
-        part.success_interval[0] for part in bins
+    return min(drawn_bin.success_interval[1] for drawn_bin in bins) < 0.5 * max(
+        drawn_bin.success_interval[0] for drawn_bin in bins
     )
 
 
-def _range(part: DrawnBin, label: DrawLabel) -> str:
-    text = label.range_text(part)
+def _range(drawn_bin: DrawnBin, label: DrawLabel) -> str:
+    text = label.range_text(drawn_bin)
     return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
 
 
-def _bin_rate(part: DrawnBin) -> str:
-    low, high = part.success_interval
-    return f"{part.success_rate:.0%} ({low:.0%} to {high:.0%}) of {part.episodes:,} episodes"
+def _bin_rate(drawn_bin: DrawnBin) -> str:
+    low, high = drawn_bin.success_interval
+    return f"{drawn_bin.success_rate:.0%} ({low:.0%} to {high:.0%}) of {drawn_bin.episodes:,} episodes"
 
 
 def hides_success(evidence: TrainingEvidence) -> tuple[SuccessRate, SuccessRate] | None:

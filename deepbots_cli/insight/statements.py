@@ -134,10 +134,10 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
     for rule in rules:
         evidence = rule.finder(subject)
         if evidence is not None:
-            shown = {key: _number_text(value) for key, value in evidence.items()}
+            texts = {key: _number_text(value) for key, value in evidence.items()}
             settings = evidence.get("settings", {})
             numbers = {key: value for key, value in evidence.items() if key != "settings"}
-            sentence, remedy = (form.format(**shown).strip() for form in (rule.text, rule.advice))
+            sentence, remedy = (form.format(**texts).strip() for form in (rule.text, rule.advice))
             statements.append(Statement(rule.name, sentence, remedy, numbers, settings))
     return statements
 
@@ -168,8 +168,7 @@ MAX_LISTED = 4
 """The largest number of terms, options and numbers of the observation in one sentence."""
 
 
-def list_text(parts: Sequence[str], shown: int = MAX_LISTED) -> str:
-    """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than are
-    shown."""
-    parts = [*parts[:shown], *([f"{len(parts) - shown} more"] if len(parts) > shown else [])]
+def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
+    """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than `limit`."""
+    parts = [*parts[:limit], *([f"{len(parts) - limit} more"] if len(parts) > limit else [])]
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

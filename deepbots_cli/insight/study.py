@@ -123,7 +123,7 @@ class StudyReport:
         complete = sorted(self.ranked, key=lambda trial: trial.number)
         numbers, scores = [trial.number for trial in complete], [trial.score or 0.0 for trial in complete]
         better = min if self.study.record.lower_is_better else max
-        best = [better(scores[: place + 1]) for place in range(len(scores))]
+        best = [better(scores[: index + 1]) for index in range(len(scores))]
         panel.plot(numbers, scores, "o", color=COLORS[0], markersize=4, label="trials")
         panel.step(
             [*numbers, len(self.trials) - 1],
@@ -148,11 +148,11 @@ class StudyReport:
     def _importance(self, theme: str) -> Figure:
         ordered = sorted((self.importances or {}).items(), key=lambda entry: fmean(entry[1]))
         figure, ((panel,),) = new_figure(theme, 0.9 + 0.32 * len(ordered))
-        for place, (_, values) in enumerate(ordered):
-            panel.barh(place, fmean(values), height=0.6, color=COLORS[0])
+        for index, (_, values) in enumerate(ordered):
+            panel.barh(index, fmean(values), height=0.6, color=COLORS[0])
             interval = mean_interval(values, (0.0, 1.0))
             if interval is not None:
-                panel.plot(interval, [place, place], color=THEMES[theme][1], linewidth=1.2)
+                panel.plot(interval, [index, index], color=THEMES[theme][1], linewidth=1.2)
         panel.set_yticks(range(len(ordered)), [name[-_MAX_NAME:] for name, _ in ordered], parse_math=False)
         panel.set_xlim(0, 1)
         style_panel(panel, "", theme, legend=False, axes=("importance", ""))
@@ -175,8 +175,8 @@ class StudyReport:
             ]
             scores = [trial.score for trial in complete]
             panel.scatter(at, scores, s=16, c=[trial.number for trial in complete], cmap=shades, linewidths=0)
-            place = complete.index(best)
-            panel.plot(at[place], scores[place], "o", color=COLORS[1], markerfacecolor="none", markersize=8)
+            index = complete.index(best)
+            panel.plot(at[index], scores[index], "o", color=COLORS[1], markerfacecolor="none", markersize=8)
             style_panel(
                 panel,
                 "",

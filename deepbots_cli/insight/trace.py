@@ -159,7 +159,7 @@ class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
         agent_observations = [
             value_of_row(observation, row) if team else observation for observation in self.observations
         ]
-        newest = [place for place, value in enumerate(program.agent.inputs) if value.steps_ago == 0]
+        newest = [index for index, value in enumerate(program.agent.inputs) if value.steps_ago == 0]
         vectors = [
             observation.get("observation", np.zeros(0)) if isinstance(observation, dict) else observation
             for observation in agent_observations
@@ -266,25 +266,27 @@ def trace_recorded(opened: ShowingState, episodes: Sequence[RecordedEpisode]) ->
     recording: Recording = opened.recording
     # A recording that does not compile is refused when it is opened.
     assert opened.program is not None
-    shown, units = opened.shown, opened.checked().units
-    with closing(_world(instrument_program(opened.program), shown.engine, shown.permissions, units)) as world:
+    showing, units = opened.shown, opened.checked().units
+    with closing(
+        _world(instrument_program(opened.program), showing.engine, showing.permissions, units)
+    ) as world:
         for recorded in episodes:
             again = steps(
                 world, sequence_driver(actions(recording, recorded, world.action_space)), Start(recorded.seed)
             )
-            for place in range(len(recorded.steps)):
+            for index in range(len(recorded.steps)):
                 try:
                     step = next(again, None)
                 except UsageError:  # the action does not fit this scenario
                     step = None
-                if step is None or observation_hash_at(recording, recorded, place) != observation_hash(
+                if step is None or observation_hash_at(recording, recorded, index) != observation_hash(
                     step.observation
                 ):
                     reason = (
                         "; ".join(version_changes(recording))
                         or "it was made on another machine, or changed since then"
                     )
-                    problem = f"{recording.path}: the episode differs from its recording at step {place}"
+                    problem = f"{recording.path}: the episode differs from its recording at step {index}"
                     raise UsageError(f"{problem}, so it cannot be explained here: {reason}")
             yield world.trace(f"episode {recorded.number} of {recording.path}")
 

@@ -383,11 +383,11 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
     """
     of_all, members = read_training(run), run.program.members
     episodes, evaluations = logs_of(run.path, agent)
-    done = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
-    if done:
+    final_episodes = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
+    if final_episodes:
         returns, successes = (
-            [episode.total_return for episode in done],
-            [episode.is_success for episode in done],
+            [episode.total_return for episode in final_episodes],
+            [episode.is_success for episode in final_episodes],
         )
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     rivals = [name for name in members if run.program.has_rivals and name != agent]
@@ -397,7 +397,7 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
         all_episodes=episodes,
         all_evaluations=evaluations,
         scalars=_scalars_of_agent(of_all.scalars, members[agent]),
-        final_episodes=done,
+        final_episodes=final_episodes,
         verdict=of_all.verdict.of_agent(agent) if run.program.has_rivals else of_all.verdict,
         agent=agent,
         rivals={
@@ -439,17 +439,17 @@ def read_training(run: Run) -> TrainingEvidence:
     failure = read_failure(file)[0] if file is not None else None
     episodes, evaluations = logs_of(run.path)
     running = is_training(run.path)
-    done: Sequence[Episode] = ()
+    final_episodes: Sequence[Episode] = ()
     if not running and (last := quoted_episodes(run)) is not None:
-        done = last[1].outcomes
+        final_episodes = last[1].outcomes
         returns, successes = (
-            [episode.total_return for episode in done],
-            [episode.is_success for episode in done],
+            [episode.total_return for episode in final_episodes],
+            [episode.is_success for episode in final_episodes],
         )
         evaluations.append({"stage": "", "returns": returns, "successes": successes})
     verdict = run_verdict(run.path, run.record)
     return TrainingEvidence(
-        run, episodes, evaluations, scalars_of(run.tensorboard), failure, done, verdict, running
+        run, episodes, evaluations, scalars_of(run.tensorboard), failure, final_episodes, verdict, running
     )
 
 

@@ -89,14 +89,14 @@ class Transfer:
     def is_much_lower(self) -> bool:
         """Whether the return in the other world is lower by more than a fifth, and the intervals of both do
         not overlap."""
-        here, there = self.here, self.there
+        first, second = self.here, self.there
         if (
-            here.return_interval is None
-            or there.return_interval is None
-            or there.return_interval[1] >= here.return_interval[0]
+            first.return_interval is None
+            or second.return_interval is None
+            or second.return_interval[1] >= first.return_interval[0]
         ):
             return False
-        return there.mean_return < here.mean_return - (1 - SHARE_OF_NOMINAL) * abs(here.mean_return)
+        return second.mean_return < first.mean_return - (1 - SHARE_OF_NOMINAL) * abs(first.mean_return)
 
 
 def _names(
@@ -158,12 +158,12 @@ def transfer(
     root = run.record.seed if seed is None else seed
     settings: dict[str, Any] = {"seed": root, "model": model, "permissions": permissions}
 
-    def is_enough(done: Sequence[Episode]) -> bool:
-        return len(done) >= MIN_EPISODES and sum(episode.length for episode in done) >= max_steps
+    def is_enough(evaluated: Sequence[Episode]) -> bool:
+        return len(evaluated) >= MIN_EPISODES and sum(episode.length for episode in evaluated) >= max_steps
 
-    here = evaluate(run, episodes=episodes, until=is_enough, **settings)
-    settings["episodes"] = here.episodes
-    there = evaluate(run, scenario=scenario, engine=engine, **settings)
+    first = evaluate(run, episodes=episodes, until=is_enough, **settings)
+    settings["episodes"] = first.episodes
+    second = evaluate(run, scenario=scenario, engine=engine, **settings)
     program = trained_in.program if scenario is None else scenario.program
     worlds = World(trained_in.program, run.record.engine), World(program, engine)
     watch = on_world or (lambda done, planned: None)
@@ -191,7 +191,7 @@ def transfer(
         (run.program.name, program.name), (run.record.engine, engine), scenario is not None
     )
     conditions = robustness.conditions if robustness is not None else ()
-    judged = [*zip(names, (here, there), strict=True)]
+    judged = [*zip(names, (first, second), strict=True)]
     easiest = (
         (condition.name, side.levels[0])
         for condition in conditions
@@ -209,9 +209,9 @@ def transfer(
         if min_return is not None:
             met = result.mean_return >= min_return
             gates.append(Gate(name, f"mean return {result.mean_return:.4g} of at least {min_return:g}", met))
-    works, required = _works(names, (here, there), gates, trained_in.program.agent.solved)
+    works, required = _works(names, (first, second), gates, trained_in.program.agent.solved)
     return Transfer(
-        run.path, names, between, here, there, comparison, robustness, tuple(gates), works, required
+        run.path, names, between, first, second, comparison, robustness, tuple(gates), works, required
     )
 
 
@@ -223,9 +223,9 @@ def _works(
 ) -> tuple[tuple[bool | None, bool | None], str]:
     """Return whether the policy works in each of two worlds, and the meaning of working."""
     if gates:
-        here, there = (all(gate.met for gate in gates if gate.subject == name) for name in names)
-        return (here, there), "the given requirements"
+        first, second = (all(gate.met for gate in gates if gate.subject == name) for name in names)
+        return (first, second), "the given requirements"
     if solved is None:
         return (None, None), ""
-    here, there = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
-    return (here, there), f"`solved` of the scenario ({solved.description})"
+    first, second = (meets_solved(solved, result.mean_return, result.success_rate) for result in results)
+    return (first, second), f"`solved` of the scenario ({solved.description})"

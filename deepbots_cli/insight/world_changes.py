@@ -65,14 +65,14 @@ def latency_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
 def command_plans(root: MappingNode, program: Program) -> Iterator[Plan]:
     """Yield, for each actuator and for all together, another gain of the command, a delay, and a larger time
     constant."""
-    places = [
+    motors = [
         (robot.name, name)
         for robot in program.robots
         for name in entries_at(root, "robots", robot.name, "actuators")
     ]
-    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in places[:_MAX_MOTORS]}
-    if len(places) > 1:
-        groups["all actuators"] = places
+    groups = {f"{robot}.{name}": [(robot, name)] for robot, name in motors[:_MAX_MOTORS]}
+    if len(motors) > 1:
+        groups["all actuators"] = motors
     for words, actuators in groups.items():
         paths = [("robots", robot, "apply", name) for robot, name in actuators]
         if commands := [path for path in paths if written(root, *path)]:
@@ -138,12 +138,12 @@ def changed_actions(program: Program) -> Iterator[tuple[str, str, Act]]:
             _negated(np.where(is_part, -1.0, 1.0)),
         )
     for first, second in combinations(range(len(names)), 2) if len(names) <= _MAX_MOTORS else ():
-        places = np.arange(len(names))
-        places[[first, second]] = second, first
+        order = np.arange(len(names))
+        order[[first, second]] = second, first
         yield (
             "order of actions",
             f"the actions {names[first]} and {names[second]} are swapped",
-            _ordered(places),
+            _ordered(order),
         )
 
 
@@ -188,5 +188,5 @@ def _scaled(is_part: NDArray[np.bool_], middles: Array, factor: float) -> Callab
     )
 
 
-def _ordered(places: Any) -> Callable[[Any], Any]:
-    return lambda action: action[places]
+def _ordered(order: Any) -> Callable[[Any], Any]:
+    return lambda action: action[order]

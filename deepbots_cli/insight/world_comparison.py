@@ -112,8 +112,8 @@ class WorldComparison:
 
 def compare_worlds(
     run: Run,
-    here: World,
-    there: World,
+    first: World,
+    second: World,
     document: Document,
     *,
     seed: int,
@@ -126,30 +126,30 @@ def compare_worlds(
 
     Args:
         run: The run of the policy.
-        here: The world in which the policy acts, and which is changed to find causes.
-        there: The world that repeats its actions.
-        document: The scenario of `here`, from `robustness.base_document`.
+        first: The world in which the policy acts. deepbots changes it to find causes.
+        second: The world that repeats its actions.
+        document: The scenario of `first`, from `robustness.base_document`.
         seed: Root seed of the starts.
         on_world: Called with the number of worlds that were compared, and of all.
 
     Raises:
         UsageError: The scenario has copies of a robot.
     """
-    if here.program.agent.copies is not None:
+    if first.program.agent.copies is not None:
         raise UsageError(
-            f"{here.program.name} has copies of a robot, whose worlds cannot be compared step by step"
+            f"{first.program.name} has copies of a robot, whose worlds cannot be compared step by step"
         )
-    columns = columns_of(instrument_program(here.program, include_observation=True))
-    recorded = record_episodes(run, here, model, seed, episodes, permissions)
-    comparison = ValueComparison(columns, recorded, repeat_episodes(there, recorded, permissions))
+    columns = columns_of(instrument_program(first.program, include_observation=True))
+    recorded = record_episodes(run, first, model, seed, episodes, permissions)
+    comparison = ValueComparison(columns, recorded, repeat_episodes(second, recorded, permissions))
     result = WorldComparison(
         len(recorded), max(len(episode.actions) for episode in recorded), tuple(comparison.differences()), ()
     )
     if not result.observation_differs:
         return result
     rows = [*comparison.measured_causes()]
-    with closing(Recorder(here, permissions)) as unchanged:
-        kinds = [*_kinds(here, unchanged, document, permissions)]
+    with closing(Recorder(first, permissions)) as unchanged:
+        kinds = [*_kinds(first, unchanged, document, permissions)]
         for row in _simulated_causes(comparison, kinds, on_world):
             duplicate = next(
                 (other for other in rows if comparison.all_same([other.values], [row.values])), None
@@ -253,17 +253,17 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
     if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
         return
     scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
-    place = scale.index(amount)
+    index = scale.index(amount)
     best = minimize_scalar(
         lambda x: -score(kind, float(f"{exp(x):.2g}")),
-        bounds=(log(scale[place - 1]), log(scale[place + 1])),
+        bounds=(log(scale[index - 1]), log(scale[index + 1])),
         method="bounded",
         options={"maxiter": _SEARCH_STEPS, "xatol": 0.01},
     )
     digit = 10.0 ** (floor(best.x / log(10.0)) - 1)
     amount = float(f"{exp(best.x):.2g}")
     for step in (-digit, digit):
-        while scale[place - 1] < (beside := float(f"{amount + step:.2g}")) < scale[place + 1] and score(
+        while scale[index - 1] < (beside := float(f"{amount + step:.2g}")) < scale[index + 1] and score(
             kind, beside
         ) > score(kind, amount):
             amount = beside
@@ -322,8 +322,10 @@ class _Kind:
         return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
 
 
-def _kinds(here: World, unchanged: Recorder, document: Document, permissions: Permissions) -> Iterator[_Kind]:
-    """Yield the kinds of changes that are possible in a world. `unchanged` is `here`, for other actions."""
+def _kinds(
+    world: World, unchanged: Recorder, document: Document, permissions: Permissions
+) -> Iterator[_Kind]:
+    """Yield the kinds of changes that are possible in a world. `unchanged` is `world`, for other actions."""
 
     def with_actions(
         act: Callable[[float], Act],
@@ -332,14 +334,14 @@ def _kinds(here: World, unchanged: Recorder, document: Document, permissions: Pe
 
     def with_plan(plan: Plan) -> Callable[[float, Sequence[RecordedEpisode]], list[Array]]:
         return lambda amount, recorded: repeat_episodes(
-            World(changed_program(document, plan.change(amount)), here.engine), recorded, permissions
+            World(changed_program(document, plan.change(amount)), world.engine), recorded, permissions
         )
 
-    for family, name, act in changed_actions(here.program):
+    for family, name, act in changed_actions(world.program):
         yield _Kind(family, name, with_actions(partial(always, act)))
-    for name, scaled in action_gains(here.program):
+    for name, scaled in action_gains(world.program):
         yield _Kind("gain of actions", name, with_actions(scaled), _MASS_FACTORS, _PROBED_MASSES, FACTOR)
-    root, program = document.root, here.program
+    root, program = document.root, world.program
     assert isinstance(root, MappingNode)
     times = doubled_times(program.world.timestep)
     for plan in (

@@ -162,8 +162,8 @@ def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] |
 def tabulated(program: Program, targets: Sequence[Scalar]) -> Array | None:
     """Return the targets of each combination of options, the last choice changing first: (combinations,
     targets); None if they need more."""
-    combinations = [*product(*(part.options for part in program.agent.choices))]
-    variables = [name for part in program.agent.choices for name in part.variables]
+    combinations = [*product(*(choice.options for choice in program.agent.choices))]
+    variables = [name for choice in program.agent.choices for name in choice.variables]
     rows = np.array(
         [[value for option in options for value in option.values] for options in combinations], float
     )

@@ -77,7 +77,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         info=info,
         used=numbers_read(graph),
         numbers=run.program.agent.numbers,
-        places=_places(info),
+        places=_message_paths(info),
     )
     # The scenario names the copies of its robot files; the YAML files that it was put together from are in
     # it.
@@ -189,12 +189,12 @@ def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
     }
 
 
-def _places(info: BundleInfo) -> dict[str, str]:
+def _message_paths(info: BundleInfo) -> dict[str, str]:
     """Return the place of each field in its ROS message, in words."""
     from deepbots_robot.serving import field_of
     from deepbots_robot.topics import Topic, part_of, parts
 
-    places = {}
+    paths = {}
     entries: list[Input | Output] = [*info.inputs, *info.outputs]
     for entry in entries:
         if (ros_place := info.ros.get(entry.name)) is not None:
@@ -208,8 +208,8 @@ def _places(info: BundleInfo) -> dict[str, str]:
                 order = "in the order of the table"
             else:
                 order = ""
-            places[entry.name] = f"`{part.path}` {order}".strip()
-    return places
+            paths[entry.name] = f"`{part.path}` {order}".strip()
+    return paths
 
 
 def _action_parts(program: Program) -> list[ActionPart]:

@@ -88,7 +88,7 @@ class ControlStep:
             self.graph.output("action", self._action, np.float32, len(self.agent.range_names))
             return
         self.graph.output("action", self.graph.reshape(self._action, *shape), np.int64, *shape)
-        size = sum(len(part.options) for part in self.agent.choices)
+        size = sum(len(choice.options) for choice in self.agent.choices)
         self.graph.output("scores", self.graph.reshape(self._decision.scores, -1), np.float32, size)
 
     # The observation and the networks
@@ -140,8 +140,8 @@ class ControlStep:
             self._math.constant([True])
             if option.forbidden is None
             else self._math.negated(self._names.printer.value(option.forbidden.scalar))
-            for part in self.agent.choices
-            for option in part.options
+            for choice in self.agent.choices
+            for option in choice.options
         ]
         return self.graph.reshape(self._math.joined(allowed).name, 1, -1)
 
@@ -151,23 +151,23 @@ class ControlStep:
         decoded: dict[str, Value] = {}
         if decision.scores is None:
             whole = Value(graph.cast(graph.reshape(decision.action, -1), np.float64), len(agent.range_names))
-            place = 0
+            offset = 0
             for part in agent.ranges:
                 size = len(part.names)
-                value = self._math.picked([Item(whole, place + index) for index in range(size)])
+                value = self._math.picked([Item(whole, offset + index) for index in range(size)])
                 half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
                 value = self._math.binary("Mul", value, self._math.constant([half])) if half != 1.0 else value
                 decoded[part.name] = (
                     self._math.binary("Add", value, self._math.constant([middle])) if middle else value
                 )
-                place += size
+                offset += size
             return decoded | {"previous_action": whole}
         parts = []
         for choice, option in zip(agent.choices, decision.options, strict=True):
             table = graph.constant([entry.values for entry in choice.options], np.float64)
             row = Value(graph.reshape(graph.add("Gather", table, option, axis=0), -1), len(choice.variables))
             decoded |= {
-                name: self._math.picked([Item(row, place)]) for place, name in enumerate(choice.variables)
+                name: self._math.picked([Item(row, index)]) for index, name in enumerate(choice.variables)
             }
             size = len(choice.options)
             hot = graph.reshape(
@@ -186,8 +186,8 @@ class ControlStep:
             return str(frame)
         row = graph.reshape(frame, 1, width)
         frames = self._kept.frames("frames", row, depth, np.float32, width)
-        places = [(depth - 1 - ago) * width + index for index, ago in agent.seen]
-        return str(graph.add("Gather", graph.reshape(frames, -1), graph.constant(places, np.int64), axis=0))
+        indices = [(depth - 1 - ago) * width + index for index, ago in agent.seen]
+        return str(graph.add("Gather", graph.reshape(frames, -1), graph.constant(indices, np.int64), axis=0))
 
     def _seen_numbers(self, entry: Observation) -> str:
         """Return the numbers of one entry as observed, float32."""

@@ -140,13 +140,13 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
         needs = [needed[name] for name in node.output if name in needed]
         if not needs:
             continue
-        for name, places in _read_for(node, needs[0] if len(node.output) == 1 else None, shapes, constants):
+        for name, indices in _read_for(node, needs[0] if len(node.output) == 1 else None, shapes, constants):
             before = needed.get(name, set())
-            needed[name] = None if before is None or places is None else before | places
+            needed[name] = None if before is None or indices is None else before | indices
     numbers = {}
     for entry in graph.input:
-        places = needed.get(entry.name, set())
-        numbers[entry.name] = frozenset(range(prod(shapes[entry.name])) if places is None else places)
+        indices = needed.get(entry.name, set())
+        numbers[entry.name] = frozenset(range(prod(shapes[entry.name])) if indices is None else indices)
     return numbers
 
 
@@ -157,16 +157,16 @@ def _read_for(
     all."""
     of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
     if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
-        places = constants[node.input[1]]
+        indices = constants[node.input[1]]
         yield (
             node.input[0],
-            {int(places[place]) for place in (range(len(places)) if needs is None else needs)},
+            {int(indices[index]) for index in (range(len(indices)) if needs is None else needs)},
         )
     elif node.op_type == "Concat" and of_vectors and needs is not None:
         first = 0
         for name in node.input:
             (size,) = shapes[name]
-            yield name, {place - first for place in needs if first <= place < first + size}
+            yield name, {index - first for index in needs if first <= index < first + size}
             first += size
     else:
         for name in filter(None, node.input):

@@ -65,7 +65,11 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
         graph, program, decision, [tree for _, command in commands for tree in command.scalars], low, high
     )
     graph.output(ACTION, _clipped(graph, targets, [True] * len(low)), np.float32, 1, len(low))
-    names = [f"{entry.name}.{part}" for entry in outputs for part in entry.components or (entry.actuator,)]
+    names = [
+        f"{entry.name}.{component}"
+        for entry in outputs
+        for component in entry.components or (entry.actuator,)
+    ]
     features = {
         STATE: _feature(
             [number.full_name for number in numbers], [number.unit.removeprefix("1") for number in numbers]
@@ -104,11 +108,11 @@ def _targets(
     if program.agent.choices:
         rows = tabulated(program, trees)
         if rows is not None:
-            place, size = decision.options[0], 1
-            for part, option in zip(program.agent.choices[1:], decision.options[1:], strict=True):
-                size = len(part.options)
-                place = graph.add("Add", graph.add("Mul", place, graph.constant([size], np.int64)), option)
-            return str(graph.add("Gather", graph.constant((rows - low) / width - 1.0), place, axis=0))
+            row, size = decision.options[0], 1
+            for choice, option in zip(program.agent.choices[1:], decision.options[1:], strict=True):
+                size = len(choice.options)
+                row = graph.add("Add", graph.add("Mul", row, graph.constant([size], np.int64)), option)
+            return str(graph.add("Gather", graph.constant((rows - low) / width - 1.0), row, axis=0))
     elif (coefficients := linear(program, trees)) is not None:
         matrix, offset = coefficients[0] / width[:, None], (coefficients[1] - low) / width - 1.0
         return str(
@@ -156,10 +160,10 @@ def _settings(key: str, kind: str, count: int) -> dict[str, Any]:
 
 def _pipeline(name: str, steps: Sequence[Step], key: str, lows: Any, highs: Any) -> dict[str, bytes]:
     """Return the files of a pipeline, of which one step scales `key`."""
-    place = next(place for place, (kind, _) in enumerate(steps) if "normalizer" in kind)
-    ranges = f"{name}_step_{place}_{steps[place][0]}.safetensors"
+    index = next(index for index, (kind, _) in enumerate(steps) if "normalizer" in kind)
+    ranges = f"{name}_step_{index}_{steps[index][0]}.safetensors"
     entries = [
-        {"registry_name": kind, "config": config, **({"state_file": ranges} if number == place else {})}
+        {"registry_name": kind, "config": config, **({"state_file": ranges} if number == index else {})}
         for number, (kind, config) in enumerate(steps)
     ]
     return {

@@ -120,7 +120,7 @@ class StepMemories:
         )
         frames = graph.add("Concat", older, newest, axis=0)
         without_oldest = graph.add(
-            "Slice", frames, *(graph.constant([place], np.int64) for place in (1, depth, 0))
+            "Slice", frames, *(graph.constant([bound], np.int64) for bound in (1, depth, 0))
         )
         self.keep_tensor(name, self.tensor_if_acting(without_oldest, older))
         return str(frames)
@@ -181,4 +181,4 @@ class StepMemories:
 
 def _columns(printer: TreePrinter, states: Sequence[State]) -> list[Value]:
     """Return each argument of a stateful function, one value per component."""
-    return [printer.vector([state.args[place] for state in states]) for place in range(len(states[0].args))]
+    return [printer.vector([state.args[index] for state in states]) for index in range(len(states[0].args))]

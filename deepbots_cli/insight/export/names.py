@@ -84,7 +84,7 @@ class ObservedNames:
     def named(self, leaf: Name, *, ahead: int) -> Item:
         """Return a named value. The time and the number of the step are those `ahead` steps after the
         observation."""
-        name, part = leaf
+        name, component = leaf
         clock = self.memories.clock(name, ahead)
         if clock is not None:
             return Item(clock)
@@ -95,10 +95,12 @@ class ObservedNames:
             )
         if name in self.definitions.parameters:
             value = self.definitions.parameters[name]
-            return item(self.input(self._describe.parameter(value)), value.components, part)
+            return item(self.input(self._describe.parameter(value)), value.components, component)
         if name in self.definitions.signals:
             signal = self.definitions.signals[name]
-            return item(self._once(f"signal {name}", self.printer, signal.scalars), signal.components, part)
+            return item(
+                self._once(f"signal {name}", self.printer, signal.scalars), signal.components, component
+            )
         if name in self.definitions.fields:
             robot, entry = self.definitions.fields[name]
             if not self._program.is_direct(robot, "from_robot") and not _sends_a_sensor(robot, entry.scalars):
@@ -107,12 +109,14 @@ class ObservedNames:
                     f"{robot.name} computes '{name}' itself, and {late}; this cannot be exported"
                 )
             return item(
-                self._once(f"field {name}", self._on_board[robot.name], entry.scalars), entry.components, part
+                self._once(f"field {name}", self._on_board[robot.name], entry.scalars),
+                entry.components,
+                component,
             )
         if name in self._heard:
             link, value = self._heard[name]
-            return item(self.input(self._describe.heard(link, value)), value.components, part)
-        return item(self._last_action(name), self.acted[name], part)
+            return item(self.input(self._describe.heard(link, value)), value.components, component)
+        return item(self._last_action(name), self.acted[name], component)
 
     def _once(self, key: str, printer: TreePrinter, trees: Sequence[Scalar]) -> Value:
         if key not in self._whole:
@@ -193,11 +197,11 @@ class Applied:
 def _sends_a_sensor(robot: Robot, trees: Sequence[Scalar]) -> bool:
     """Return whether a value that a robot sends is a sensor without changes."""
     return any(
-        trees == tuple(Name(sensor.name, part) for part in sensor.components or (None,))
+        trees == tuple(Name(sensor.name, component) for component in sensor.components or (None,))
         for sensor in robot.sensors
     )
 
 
-def item(whole: Value, components: Sequence[str], part: str | None) -> Item:
+def item(whole: Value, components: Sequence[str], component: str | None) -> Item:
     """Return a component of a vector; any of them if all are equal."""
-    return Item(whole, 0 if part is None or whole.size == 1 else [*components].index(part))
+    return Item(whole, 0 if component is None or whole.size == 1 else [*components].index(component))

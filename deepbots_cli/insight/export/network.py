@@ -116,8 +116,11 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
     """
     graph, network, agent = Graph(), learner.network(), program.agent
     space = observation_space(agent)
-    parts: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
-    inputs = {name: graph.input(name, part.dtype, "batch", *part.shape) for name, part in parts.items()}
+    subspaces: Mapping[str, Any] = space.spaces if isinstance(space, spaces.Dict) else {"observation": space}
+    inputs = {
+        name: graph.input(name, subspace.dtype, "batch", *subspace.shape)
+        for name, subspace in subspaces.items()
+    }
     states: list[str] = []
     lstm = network.memory
     if lstm is not None:
@@ -125,7 +128,7 @@ def policy_graph(learner: Learner, program: Program) -> bytes:
             graph.input(name, np.float32, lstm.num_layers, "batch", lstm.hidden_size) for name in LSTM_STATES
         ]
     mask = (
-        graph.input("action_mask", np.bool_, "batch", sum(len(part.options) for part in agent.choices))
+        graph.input("action_mask", np.bool_, "batch", sum(len(choice.options) for choice in agent.choices))
         if takes_masks(learner, program)
         else None
     )
@@ -156,7 +159,7 @@ def takes_masks(learner: Learner, program: Program) -> bool:
     """Return whether the policy needs action masks: the algorithm uses them, and the scenario forbids
     options."""
     return learner.takes_masks and any(
-        option.forbidden is not None for part in program.agent.choices for option in part.options
+        option.forbidden is not None for choice in program.agent.choices for option in choice.options
     )
 
 
@@ -164,7 +167,7 @@ def decide(
     graph: Graph,
     network: PolicyNetwork,
     program: Program,
-    seen: Mapping[str, str],
+    observations: Mapping[str, str],
     states: Sequence[str] = (),
     mask: str | None = None,
 ) -> Decision:
@@ -181,14 +184,15 @@ def decide(
         raise UsageError("a policy whose action has both choices and ranges cannot be exported")
     pictured = {entry.key for entry in program.agent.images}
     values = [
-        _features(graph, network, name, value, is_picture=name in pictured) for name, value in seen.items()
+        _features(graph, network, name, value, is_picture=name in pictured)
+        for name, value in observations.items()
     ]
     value = values[0] if len(values) == 1 else graph.add("Concat", *values, axis=1)
     after: list[str] = []
     if network.memory is not None:
         value, after = _memory(graph, network.memory, value, states)
     value = layers(graph, network.layers, value)
-    sizes = [len(part.options) for part in program.agent.choices]
+    sizes = [len(choice.options) for choice in program.agent.choices]
     if not sizes:
         return Decision(graph.add("Clip", value, graph.constant(-1.0), graph.constant(1.0)), after=after)
     if mask is not None:
@@ -268,7 +272,7 @@ def largest_difference(
     feeds = dict(observations) if isinstance(observations, dict) else {"observation": observations}
     options: dict[str, Any] = {}
     if learner.takes_masks:
-        sizes = [len(part.options) for part in program.agent.choices]
+        sizes = [len(choice.options) for choice in program.agent.choices]
         allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(learner, program) else 2.0)
         allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed

@@ -101,13 +101,13 @@ def clipped(command: Array, output: Output) -> Array:
     )
 
 
-def least_gap(choices: tuple[int, ...], found: Mapping[str, Array]) -> float:
+def least_gap(choices: tuple[int, ...], outputs: Mapping[str, Array]) -> float:
     """Return the smallest distance between the two best scores of a choice; infinite without choices."""
     if not choices:
         return np.inf
     best = [
         np.sort(scores)[-2:]
-        for scores in np.split(found["scores"], np.cumsum(choices)[:-1])
+        for scores in np.split(outputs["scores"], np.cumsum(choices)[:-1])
         if len(scores) > 1
     ]
     return min((float(pair[1] - pair[0]) for pair in best), default=np.inf)

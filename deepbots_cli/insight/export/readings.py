@@ -80,13 +80,16 @@ class Readings:
             return Reading(
                 info,
                 tuple(
-                    Name(f"{robot.name}.{_field(robot, sensor)}", part)
-                    for part in sensor.components or (None,)
+                    Name(f"{robot.name}.{_field(robot, sensor)}", component)
+                    for component in sensor.components or (None,)
                 ),
             )
         if sensor.is_direct:
             return Reading(
-                info, tuple(sensor.world_value(robot.name, part) for part in sensor.components or (None,))
+                info,
+                tuple(
+                    sensor.world_value(robot.name, component) for component in sensor.components or (None,)
+                ),
             )
         return Reading(info, device=(robot.name, sensor.name))
 
@@ -122,7 +125,7 @@ class Readings:
             if truth
             else _ends([interval or Interval(-math.inf, math.inf)] * (len(components) or 1)),
         )
-        whole = [EngineRead(read.function, read.subjects, part) for part in components] or [read]
+        whole = [EngineRead(read.function, read.subjects, component) for component in components] or [read]
         return Reading(info, tuple(whole)), components.index(read.component) if read.component else 0
 
     def parameter(self, value: Expression) -> Reading:
@@ -137,10 +140,12 @@ class Readings:
             dtype="bool" if value_type.boolean else "float64",
             components=value.components,
             unit="" if value_type.boolean else unit_text(value_type.dimension),
-            range=None if value_type.boolean else _ends([value_type.interval_of(part) for part in parts]),
+            range=None
+            if value_type.boolean
+            else _ends([value_type.interval_of(component) for component in parts]),
             max_age_s=None,
         )
-        return Reading(info, tuple(Name(value.name, part) for part in parts))
+        return Reading(info, tuple(Name(value.name, component) for component in parts))
 
     def heard(self, link: Link, value: Expression) -> Reading:
         """Describe what a robot hears from another one. It arrives a timestep after it was sent, and after
@@ -160,7 +165,7 @@ class Readings:
             range=None,
             latency=self._program.world.timestep + (slowest if math.isfinite(slowest) else 0.0),
         )
-        return Reading(info, tuple(Name(name, part) for part in parts))
+        return Reading(info, tuple(Name(name, component) for component in parts))
 
     def _input(
         self,
@@ -189,7 +194,7 @@ class Readings:
 
 def _field(robot: Robot, sensor: Sensor) -> str:
     """Return the field of a message that carries a sensor as it is."""
-    parts = tuple(Name(sensor.name, part) for part in sensor.components or (None,))
+    parts = tuple(Name(sensor.name, component) for component in sensor.components or (None,))
     return next((entry.name for entry in robot.emit if entry.scalars == parts), sensor.name)
 
 

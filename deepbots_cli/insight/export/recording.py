@@ -68,9 +68,9 @@ def recorded_steps(
                 if recorded.number:
                     action = recorded.action if agent is world else recorded.action[0]
                     between = observed[:-1] if step.repeat > 1 else []
-                    for place, step_inputs in enumerate([inputs, *between]):
+                    for index, step_inputs in enumerate([inputs, *between]):
                         yield RecordedStep(
-                            recorded.number == 1 and place == 0, step_inputs, watch.commands(), action
+                            recorded.number == 1 and index == 0, step_inputs, watch.commands(), action
                         )
                 inputs = observed[-1]
             number += 1
@@ -81,7 +81,7 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
     probes = []
     for number, reading in enumerate(readings):
         if reading.device is None:
-            place = program.agent.observation[0].value
+            first_value = program.agent.observation[0].value
             count = len(reading.trees)
             components = tuple(f"c{index}" for index in range(count)) if count > 1 else None
             typed = Constant(
@@ -89,7 +89,12 @@ def with_probes(program: Program, readings: Sequence[Reading]) -> Program:
             )
             name = f"{_PREFIX}{number}"
             probe = Expression(
-                name, place.span, reading.info.name, typed, f"signals.{name}", lowered=tuple(reading.trees)
+                name,
+                first_value.span,
+                reading.info.name,
+                typed,
+                f"signals.{name}",
+                lowered=tuple(reading.trees),
             )
             probes.append(probe)
     stored = program.stored_signals | {probe.name for probe in probes}

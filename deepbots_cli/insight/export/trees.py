@@ -38,7 +38,7 @@ class Item(NamedTuple):
     """A number of a tensor."""
 
     whole: Value
-    place: int = 0
+    offset: int = 0
 
 
 class Arithmetic:
@@ -63,7 +63,7 @@ class Arithmetic:
             if item is not None and (not run or item.whole == run[0].whole):
                 run.append(item)
                 continue
-            parts.append(self._of_one([entry.place for entry in run], run[0].whole))
+            parts.append(self._of_one([entry.offset for entry in run], run[0].whole))
             run = [item] if item is not None else []
         return self.joined(parts)
 
@@ -72,18 +72,18 @@ class Arithmetic:
             return whole
         if whole.size == 1:
             return self.spread(whole, len(indices))
-        part = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
-        return Value(part, len(indices), whole.truth)
+        gathered = self.graph.add("Gather", whole.name, self.graph.constant(indices, np.int64), axis=0)
+        return Value(gathered, len(indices), whole.truth)
 
     def joined(self, parts: Sequence[Value]) -> Value:
         """Return the values of several vectors in a row; truth values among numbers are 0 and 1."""
         if len(parts) == 1:
             return parts[0]
-        truth = all(part.truth for part in parts)
-        values = [part if truth else self.number(part) for part in parts]
+        truth = all(vector.truth for vector in parts)
+        values = [vector if truth else self.number(vector) for vector in parts]
         return Value(
-            self.graph.add("Concat", *(part.name for part in values), axis=0),
-            sum(part.size for part in values),
+            self.graph.add("Concat", *(vector.name for vector in values), axis=0),
+            sum(vector.size for vector in values),
             truth,
         )
 
@@ -169,11 +169,12 @@ class Arithmetic:
 
     def remainder(self, a: Value, b: Value) -> Value:
         """Return `a % b` as in Python, with the sign of b."""
-        rest = self._node("Mod", a, b, fmod=1)
+        remainder = self._node("Mod", a, b, fmod=1)
         has_other_sign = self.both(
-            self._unequal(rest, self.constant([0.0])), self._unequal(self._negative(rest), self._negative(b))
+            self._unequal(remainder, self.constant([0.0])),
+            self._unequal(self._negative(remainder), self._negative(b)),
         )
-        return self.where(has_other_sign, self.binary("Add", rest, b), rest)
+        return self.where(has_other_sign, self.binary("Add", remainder, b), remainder)
 
     def _unequal(self, a: Value, b: Value) -> Value:
         return self.negated(self.binary("Equal", a, b))
@@ -228,8 +229,8 @@ class Arithmetic:
         sine, cosine = self._node("Sin", angle), self.cosine(angle)
         across = self.binary("Sub", self.binary("Mul", y, cosine), self.binary("Mul", x, sine))
         along = self.binary("Add", self.binary("Mul", x, cosine), self.binary("Mul", y, sine))
-        rest = self._node("Div", across, self.where(at_origin, one, along))
-        return self._node("Add", angle, self.where(at_origin, zero, rest))
+        correction = self._node("Div", across, self.where(at_origin, one, along))
+        return self._node("Add", angle, self.where(at_origin, zero, correction))
 
     def reduced(self, operator: str, value: Value) -> Value:
         """Return all components of a vector as one value."""
@@ -366,7 +367,7 @@ class TreePrinter:
         name, count = trees[0].op, len(trees[0].args)
         if len(trees) == 1 and name in _REDUCED and count >= _MIN_REDUCED:
             return self.math.reduced(name, self.math.spread(self.vector(trees[0].args), count))
-        args = [self.vector([tree.args[place] for tree in trees]) for place in range(count)]
+        args = [self.vector([tree.args[index] for tree in trees]) for index in range(count)]
         if name == "pow" and all(tree.args[1] == Const(2.0) for tree in trees):
             return self.math.square(args[0])
         function = function_named(name)
@@ -382,8 +383,8 @@ class TreePrinter:
         if not function.python:
             raise UsageError(f"the function '{function.name}' cannot be exported")
         names, arguments = function.arguments, dict[str, Sequence[Value]]()
-        for place, name in enumerate(names):
-            arguments[name] = args[place:] if name.startswith("*") else args[place : place + 1]
+        for index, name in enumerate(names):
+            arguments[name] = args[index:] if name.startswith("*") else args[index : index + 1]
         return self._code(template(function.python), arguments)
 
     def _code(self, node: ast.expr, args: dict[str, Sequence[Value]]) -> Value:
@@ -396,7 +397,7 @@ class TreePrinter:
                 return arithmetic.constant([value if isinstance(value, bool) else float(value)])
             case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]):
                 return arithmetic.call(
-                    name, [value for part in parts for value in self._arguments(part, args)]
+                    name, [value for argument in parts for value in self._arguments(argument, args)]
                 )
             case (
                 ast.BinOp(op=sign, left=left, right=right)
@@ -405,8 +406,8 @@ class TreePrinter:
                 return arithmetic.infix(sign, self._code(left, args), self._code(right, args))
             case ast.BoolOp(op=sign, values=parts):
                 joined = self._code(parts[0], args)
-                for part in parts[1:]:
-                    operand = self._code(part, args)
+                for operand_node in parts[1:]:
+                    operand = self._code(operand_node, args)
                     joined = (
                         arithmetic.both(joined, operand)
                         if isinstance(sign, ast.And)
@@ -469,36 +470,36 @@ class MemoryFormulas:
                 return first, first
         raise UsageError(f"the function '{function}' cannot be exported")
 
-    def proceed(self, function: str, kept: Value, args: Sequence[Value]) -> tuple[Value, Value]:
+    def proceed(self, function: str, memory: Value, args: Sequence[Value]) -> tuple[Value, Value]:
         """Return the values of every further step."""
         arithmetic, first = self._math, args[0]
         binary = arithmetic.binary
         match function:
             case "delta":
-                return first, binary("Sub", first, kept)
+                return first, binary("Sub", first, memory)
             case "previous":
-                return first, kept
+                return first, memory
             case "running_max":
-                after = arithmetic.call("max", [kept, first])
+                after = arithmetic.call("max", [memory, first])
             case "running_min":
-                after = arithmetic.call("min", [kept, first])
+                after = arithmetic.call("min", [memory, first])
             case "hold":
-                after = arithmetic.where(args[1], first, kept)
+                after = arithmetic.where(args[1], first, memory)
             case "low_pass":
                 step = arithmetic.constant([self._timestep])
                 share = binary("Div", step, binary("Add", args[1], step))
-                after = binary("Add", kept, binary("Mul", binary("Sub", first, kept), share))
+                after = binary("Add", memory, binary("Mul", binary("Sub", first, memory), share))
             case "integral":
-                after = binary("Add", kept, binary("Mul", first, arithmetic.constant([self._timestep])))
+                after = binary("Add", memory, binary("Mul", first, arithmetic.constant([self._timestep])))
             case "accumulate":
                 after = arithmetic.call(
-                    "min", [arithmetic.call("max", [binary("Add", kept, first), args[1]]), args[2]]
+                    "min", [arithmetic.call("max", [binary("Add", memory, first), args[1]]), args[2]]
                 )
             case "duration":
-                grown = binary("Add", kept, arithmetic.constant([self._timestep]))
+                grown = binary("Add", memory, arithmetic.constant([self._timestep]))
                 after = arithmetic.where(first, grown, arithmetic.constant([0.0]))
             case "rising_edge":
-                return first, arithmetic.both(first, arithmetic.negated(kept))
+                return first, arithmetic.both(first, arithmetic.negated(memory))
             case _:
                 raise UsageError(f"the function '{function}' cannot be exported")
         return after, after
