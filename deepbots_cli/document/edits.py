@@ -42,8 +42,8 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     text, end = source.text, entry.value.span.end
     if not holder.span.text.startswith("{"):
         start = text.rfind("\n", 0, start) + 1
-        rest = _REST_OF_LINE.match(text, end)
-        end = rest.end() if rest and not text[start : entry.key.span.start].strip() else start
+        rest_of_line = _REST_OF_LINE.match(text, end)
+        end = rest_of_line.end() if rest_of_line and not text[start : entry.key.span.start].strip() else start
     elif comma := _COMMA.match(text, end):
         end = comma.end()
     else:
@@ -78,8 +78,8 @@ def move_to_augment_fix(root: MappingNode, name: str) -> Fix | None:
     removal = removal_fix(root, ("signals",) if is_only else ("signals", name))
     if removal is None:
         return None
-    written = _insertion(source, _moved_lines(source, holder, entry), holder.key.span, new)
-    return Fix((Edit(*written), *removal.edits), safe=False) if written else None
+    insertion = _insertion(source, _moved_lines(source, holder, entry), holder.key.span, new)
+    return Fix((Edit(*insertion), *removal.edits), safe=False) if insertion else None
 
 
 def _moved_lines(source: Source, holder: Entry, entry: Entry) -> str:
@@ -87,19 +87,19 @@ def _moved_lines(source: Source, holder: Entry, entry: Entry) -> str:
     start, end = entry.key.span.start, entry.value.span.end
     if holder.value.span.text.startswith("{"):
         return f"  {source.text[start:end]}{_newline(source)}"
-    rest = _REST_OF_LINE.match(source.text, end)
-    lines = source.text[source.text.rfind("\n", 0, start) + 1 : rest.end() if rest else end]
+    rest_of_line = _REST_OF_LINE.match(source.text, end)
+    lines = source.text[source.text.rfind("\n", 0, start) + 1 : rest_of_line.end() if rest_of_line else end]
     return lines if lines.endswith("\n") else f"{lines}{_newline(source)}"
 
 
 def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> tuple[Span, str] | None:
-    """Return the place for the `line` of an entry and its text: below the last entry of `augment`, or in a
-    new `augment` above the `section`."""
+    """Return the span for the `line` of an entry and the text: below the last entry of `augment`, or in a new
+    `augment` above the `section`."""
     text = source.text
     if new is None:
         start = text.rfind("\n", 0, section.start) + 1
-        written = f"augment:{_newline(source)}{line}"
-        return (Span(source, start, start), written) if start == section.start else None
+        section_text = f"augment:{_newline(source)}{line}"
+        return (Span(source, start, start), section_text) if start == section.start else None
     entries = new.value.entries.values() if isinstance(new.value, MappingNode) else ()
     ends = [
         entry.value.span.end
@@ -118,8 +118,8 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
     is_aligned = len(line) - len(line.lstrip(" ")) == column
     if not is_aligned and line.count("\n") > 1:
         return None
-    rest = _REST_OF_LINE.match(text, max(ends))
-    end = rest.end() if rest else text.find("\n", max(ends)) + 1
+    rest_of_line = _REST_OF_LINE.match(text, max(ends))
+    end = rest_of_line.end() if rest_of_line else text.find("\n", max(ends)) + 1
     if not end or text[end - 1] != "\n":
         return None
     return Span(source, end, end), " " * column + line.lstrip(" ")
@@ -196,8 +196,8 @@ def _addition(
     if not ends:
         return None
     column = min(source.position(neighbor.key.span.start).column for neighbor in neighbors) - 1
-    rest = _REST_OF_LINE.match(source.text, max(ends))
-    at = rest.end() if rest else source.text.find("\n", max(ends)) + 1 or len(source.text)
+    rest_of_line = _REST_OF_LINE.match(source.text, max(ends))
+    at = rest_of_line.end() if rest_of_line else source.text.find("\n", max(ends)) + 1 or len(source.text)
     newline = _newline(source)
     before = "" if source.text[at - 1 : at] == "\n" else newline
     return at, before + newline.join(" " * column + line for line in entry.split("\n")) + newline

@@ -102,10 +102,12 @@ class UnusableFile:
     def _help_scenario(self) -> str:
         """Return what to write instead of a scenario that does not exist."""
         others = [file.name for file in _beside(self.path, (".yaml", ".yml")) if file != self.by][:_MAX_SHOWN]
-        there = f" ({', '.join(others)})" if others else ", or the name of a shipped one, such as `cartpole`"
+        suggestion = (
+            f" ({', '.join(others)})" if others else ", or the name of a shipped one, such as `cartpole`"
+        )
         return (
             f"remove this line if the file has all sections itself, or write the path of a scenario that"
-            f" exists{there}; there is no {self.path}"
+            f" exists{suggestion}; there is no {self.path}"
         )
 
     def _help_outside(self) -> str:
@@ -221,12 +223,12 @@ def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
     of trainings are left out."""
     waiting, visited = [(folder, 0)], 0
     while waiting and visited < _MAX_FOLDERS:
-        here, level = waiting.pop(0)
+        directory, level = waiting.pop(0)
         visited += 1
         try:
-            if (here / name).exists():
-                return here / name
-            entries = sorted(islice(here.iterdir(), _MAX_ENTRIES))
+            if (directory / name).exists():
+                return directory / name
+            entries = sorted(islice(directory.iterdir(), _MAX_ENTRIES))
             if level < depth:
                 below = (
                     entry
@@ -267,9 +269,9 @@ def resolve_reference(
 def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:
     path = base / reference.replace("\0", "\ufffd")
     try:
-        written, path = Path(os.path.normpath(base.resolve() / path)), path.resolve()
+        unresolved, path = Path(os.path.normpath(base.resolve() / path)), path.resolve()
         if not any(path.is_relative_to(root) for root in roots):
-            through_link = any(written.is_relative_to(root) for root in roots)
+            through_link = any(unresolved.is_relative_to(root) for root in roots)
             return UnusableFile("outside", reference, path, roots, through_link)
         if path.is_file():
             return path
@@ -291,8 +293,8 @@ def project_root(folder: Path) -> Path:
 
 def display_path(path: Path) -> str:
     """Return the path as users see it: relative to the working directory if it lies below it."""
-    here = Path.cwd()
-    return os.path.relpath(path, here) if path.is_relative_to(here) else str(path)
+    working_directory = Path.cwd()
+    return os.path.relpath(path, working_directory) if path.is_relative_to(working_directory) else str(path)
 
 
 # Text

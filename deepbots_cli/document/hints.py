@@ -1,7 +1,7 @@
 """YAML mistakes: the messages of syntax errors, and valid YAML that is probably a mistake.
 
 The message of the parser contains only what it expected. This message selects the case, and the text around
-the place determines the correction.
+the error determines the correction.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ class _Problem:
 
     @property
     def before(self) -> str:
-        """The line up to the place."""
+        """The line up to the offset `at`."""
         return self.source.text[self.line_start : self.at]
 
     def line_at(self, start: int) -> _Line | None:
         """Return the line that begins at `start`; None if it has no text, or a comment alone."""
-        text = self.rest(start)
+        text = self.rest_of_line(start)
         words = text.lstrip(" ")
         if not words or words.startswith("#"):
             return None
@@ -118,7 +118,7 @@ class _Problem:
         begin = line.start + line.indent
         return Label(Span(self.source, begin, begin + max(1, len(line.key))), message)
 
-    def rest(self, start: int) -> str:
+    def rest_of_line(self, start: int) -> str:
         """Return the line from `start` on, without a comment."""
         end = self.source.text.find("\n", start)
         line = self.source.text[start : end if end >= 0 else len(self.source.text)]
@@ -163,7 +163,7 @@ def _tab(problem: _Problem) -> Finding | None:
     for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
         if match := _TAB_INDENT.match(text, start):
             above = problem.line_above(start)
-            line = problem.rest(start).strip()[:_MAX_SHOWN]
+            line = problem.rest_of_line(start).strip()[:_MAX_SHOWN]
             spaces = "" if above is None else " " * (above.indent + 2 if above.opens else above.indent)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
             indent = _INDENT.match(text, start)
@@ -184,7 +184,7 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
 
 def _bracket_behind_key(problem: _Problem) -> Finding | None:
     """Report `key {a: 1}`, which lacks a colon."""
-    line = problem.rest(problem.line_start)
+    line = problem.rest_of_line(problem.line_start)
     words = line.lstrip()
     if not _NO_COLON_BEFORE_BRACKET.match(words):
         return None
@@ -202,20 +202,22 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         return None
     if problem.source.text.startswith("\t", at):
         return problem.finding("a tab where YAML allows only spaces", "use spaces", at)
-    rest = problem.rest(at)
-    if rest.startswith("? "):
+    value_text = problem.rest_of_line(at)
+    if value_text.startswith("? "):
         return problem.finding(
             "a value cannot start with `? `", "write `a if condition else b`, or put the value in quotes", at
         )
-    if not rest:
+    if not value_text:
         return problem.finding("a value is missing", "write a value", at)
-    if rest.startswith("|") and (replacement := foreign.without_bars(rest)):
-        fix = Fix((Edit(Span(problem.source, at, at + len(rest)), replacement),), safe=False)
+    if value_text.startswith("|") and (replacement := foreign.without_bars(value_text)):
+        fix = Fix((Edit(Span(problem.source, at, at + len(value_text)), replacement),), safe=False)
         return problem.finding(
-            "`|` does not mean the absolute value", f"write `{replacement}`", at, len(rest), fix
+            "`|` does not mean the absolute value", f"write `{replacement}`", at, len(value_text), fix
         )
-    sign = "a backtick" if rest[0] == "`" else f"`{rest[0]}`"
-    return problem.finding(f"a value cannot start with {sign}", f"put it in quotes: {_quoted(rest)}", at)
+    sign = "a backtick" if value_text[0] == "`" else f"`{value_text[0]}`"
+    return problem.finding(
+        f"a value cannot start with {sign}", f"put it in quotes: {_quoted(value_text)}", at
+    )
 
 
 def _quote(problem: _Problem) -> Finding | None:
@@ -241,29 +243,29 @@ def _brackets(problem: _Problem) -> Finding | None:
     if hidden and hidden[1].count("#") == 1:
         help = f'put the value in quotes: "{hidden[1]}"'
         return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
-    here = text[problem.at : problem.at + 1]
+    character = text[problem.at : problem.at + 1]
     missing = _missing_comma(problem, opening)
-    if here == ":" and opening >= problem.line_start:
+    if character == ":" and opening >= problem.line_start:
         return missing or _second_colon(problem, "separate keys by commas, or put the value in quotes")
-    if here in ("", ":", "-") or problem.line_start > opening:
+    if character in ("", ":", "-") or problem.line_start > opening:
         above = problem.line_above(problem.line_start)
-        end = opening if above is None else above.start + len(problem.rest(above.start))
+        end = opening if above is None else above.start + len(problem.rest_of_line(above.start))
         unclosed = _unclosed(problem, opening, max(end, opening + 1))
         return unclosed if missing is None or unclosed.fix is not None else missing
-    if here in ("}", "]"):
+    if character in ("}", "]"):
         pair = _PAIR_BEHIND_COMMA.search(text, opening, problem.at)
         finding = _unclosed(problem, opening, pair.start() if pair else problem.at)
         if finding.fix is not None:
             return finding
         closing = _CLOSING[text[opening]]
         if _is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
-            headline, help = f"`{here}` closes a `{text[opening]}`", f"write `{closing}`"
-            place = Span(problem.source, problem.at, problem.at + 1)
-            return problem.finding(headline, help, problem.at, fix=Fix((Edit(place, closing),), safe=False))
-        help = f"remove it, or write the opening `{'{' if here == '}' else '['}` before the first item"
-        return problem.finding(f"this `{here}` closes no bracket", help, problem.at)
+            headline, help = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
+            span = Span(problem.source, problem.at, problem.at + 1)
+            return problem.finding(headline, help, problem.at, fix=Fix((Edit(span, closing),), safe=False))
+        help = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
+        return problem.finding(f"this `{character}` closes no bracket", help, problem.at)
     return missing or problem.finding(
-        f"unexpected `{here}` between brackets",
+        f"unexpected `{character}` between brackets",
         "separate items by commas, or put the value in quotes",
         problem.at,
     )
@@ -281,8 +283,8 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
         return None
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
-    written = " ".join(f"{text[start:at].strip()},{problem.rest(at)}".split())
-    help = f"separate keys by commas: `{written[:_MAX_SHOWN]}`, or put the value in quotes"
+    corrected = " ".join(f"{text[start:at].strip()},{problem.rest_of_line(at)}".split())
+    help = f"separate keys by commas: `{corrected[:_MAX_SHOWN]}`, or put the value in quotes"
     fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
     return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
 
@@ -294,10 +296,10 @@ def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
     text = f"{problem.source.text[:at]}{closing}{problem.source.text[at:]}"
     end = text.find("\n", at)
     line = text[text.rfind("\n", 0, at) + 1 : end if end >= 0 else len(text)]
-    written = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
+    closed_line = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
     help, fix = f"add the closing `{closing}`", None
-    if len(written) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
-        help = f"{help}: `{written}`"
+    if len(closed_line) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
+        help = f"{help}: `{closed_line}`"
         fix = Fix((Edit(Span(problem.source, at, at), closing),), safe=False)
     return problem.finding(f"this `{sign}` is not closed", help, opening, fix=fix)
 
@@ -315,7 +317,7 @@ def _is_readable(text: str, end: int) -> bool:
 
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
-    line = problem.rest(problem.line_start)
+    line = problem.rest_of_line(problem.line_start)
     key = _KEY.match(line)
     replacement = foreign.conditional(line[key.end() :]) if key else None
     if key is not None and replacement:
@@ -332,7 +334,7 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
 def _colon(problem: _Problem) -> Finding | None:
     """Report a key or a list item where none can begin, or a line without a key."""
     if problem.says("could not find expected ':'"):
-        return _line_without_key(problem, problem.since, problem.rest(problem.since))
+        return _line_without_key(problem, problem.since, problem.rest_of_line(problem.since))
     if problem.says("sequence entries are not allowed"):
         help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
         return problem.finding("a list item on the line of its key", help, problem.at)
@@ -355,9 +357,9 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     at, length = problem.at - len(key), max(1, len(key))
     line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
     if above is not None and not above.key:
-        written = problem.rest(above.start).strip()
-        if missing_colon(written) and _is_first(problem, above):
-            return _line_without_key(problem, above.start + above.indent, written)
+        line_text = problem.rest_of_line(above.start).strip()
+        if missing_colon(line_text) and _is_first(problem, above):
+            return _line_without_key(problem, above.start + above.indent, line_text)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
         help = (
             "align it with the other keys of its section; a key has either a value or an indented block"
@@ -368,9 +370,9 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         )
     if misplaced := _value_out_of_place(problem, line, above):
         return misplaced
-    written = problem.rest(problem.line_start).strip()[:_MAX_SHOWN]
+    line_text = problem.rest_of_line(problem.line_start).strip()[:_MAX_SHOWN]
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
-    help = f"indent it like the line above: `{' ' * above.indent}{written}`"
+    help = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
         headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
@@ -386,7 +388,7 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
     is_first = holder.opens and holder.indent >= above.indent
     if not is_first and holder.indent != line.indent:
         return None
-    value = problem.rest(above.start).strip()[:_MAX_SHOWN]
+    value = problem.rest_of_line(above.start).strip()[:_MAX_SHOWN]
     word = "below" if is_first else "like"
     headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
     help = f"indent it like the line below: `{' ' * line.indent}{value}`"
@@ -442,22 +444,26 @@ def _behind_value(problem: _Problem) -> Finding | None:
     """Report text behind a complete value, on its line or on the next with another indentation."""
     if not problem.says("expected key", "block end", "'-' indicator", "document start"):
         return None
-    at, before, rest = problem.at, problem.before.rstrip(), problem.rest(problem.at)
-    length = max(1, len(rest))
-    if before.strip() and (before[-1] in "]}\"'" or not rest.startswith(("}", "]", ":"))):
+    at, before, text_behind = problem.at, problem.before.rstrip(), problem.rest_of_line(problem.at)
+    length = max(1, len(text_behind))
+    if before.strip() and (before[-1] in "]}\"'" or not text_behind.startswith(("}", "]", ":"))):
         key = _KEY.match(problem.before)
-        whole = problem.rest(problem.line_start + (key.end() if key else len(before) - len(before.lstrip())))
+        whole = problem.rest_of_line(
+            problem.line_start + (key.end() if key else len(before) - len(before.lstrip()))
+        )
         quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'[^\"]*'", whole) else _quoted(whole)
         return problem.finding(
             "text after the end of a value", f"put the whole value in quotes: {quoted}", at, length
         )
-    if rest.startswith(("}", "]")):
+    if text_behind.startswith(("}", "]")):
         return problem.finding(
-            f"a closing `{rest[0]}` without an opening one", "remove it, or put the value in quotes", at
+            f"a closing `{text_behind[0]}` without an opening one",
+            "remove it, or put the value in quotes",
+            at,
         )
-    if rest.startswith(":"):
+    if text_behind.startswith(":"):
         return problem.finding("a key is missing before the colon", "write `key: value`", at)
-    if rest.startswith("- ") or rest == "-":
+    if text_behind.startswith("- ") or text_behind == "-":
         return problem.finding("a list item among keys", "indent the list below its key", at, length)
     line, levels = problem.line_at(problem.line_start), _levels_above(problem)
     if line is None or not levels:
@@ -475,10 +481,10 @@ def _behind_value(problem: _Problem) -> Finding | None:
         near, *others = sorted([near, *others], key=lambda level: level.indent >= below.indent)
     fix = _indented(problem, line.start, line.indent, near.indent)
     headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
-    help = f"indent it like {near.name}: `{' ' * near.indent}{rest[:_MAX_SHOWN]}`"
+    help = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:_MAX_SHOWN]}`"
     if _is_first(problem, near) and near == problem.line_above(line.start) and _continues(line, below):
         fix = _indented(problem, near.start, near.indent, line.indent)
-        value = problem.rest(near.start).strip()[:_MAX_SHOWN]
+        value = problem.rest_of_line(near.start).strip()[:_MAX_SHOWN]
         help = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
     elif others:
         other = others[0]

@@ -56,17 +56,17 @@ def canonical_text(text: str) -> str | None:
     All lines get the line end of the first.
     """
     plain = text.replace("\r\n", "\n")
-    done = plain
+    result = plain
     for _ in range(_MAX_PASSES):
-        before, done = done, _indented(_spaced(done))
-        if done == before:
+        before, result = result, _indented(_spaced(result))
+        if result == before:
             break
     else:
         return None
-    if _meaning(done) != _meaning(plain) or _comments(done) != _comments(plain):
+    if _meaning(result) != _meaning(plain) or _comments(result) != _comments(plain):
         return None
     first = text.find("\n")
-    return done.replace("\n", "\r\n") if first > 0 and text[first - 1] == "\r" else done
+    return result.replace("\n", "\r\n") if first > 0 and text[first - 1] == "\r" else result
 
 
 def _meaning(text: str) -> object:
@@ -101,21 +101,21 @@ def _gaps(text: str) -> Iterator[tuple[str, Token | None, Token | None]]:
 
 def _spaced(text: str) -> str:
     columns = _Columns(text)
-    done: list[str] = []
+    pieces: list[str] = []
     moved = 0  # how far the rest of the line has moved to the right
     for gap, before, behind in _gaps(text):
         if before is not None:
             token = text[before.start : before.end]
-            done.append(token)
+            pieces.append(token)
             moved = 0 if "\n" in token else moved
         if "\n" in gap or behind is None or before is None:
-            done.append(_between_lines(gap, moved, first=before is None, last=behind is None))
+            pieces.append(_between_lines(gap, moved, first=before is None, last=behind is None))
             moved = 0
         else:
             blanks = _blanks(gap, before, behind, columns)
             moved += len(blanks) - len(gap)
-            done.append(blanks)
-    return "".join(done)
+            pieces.append(blanks)
+    return "".join(pieces)
 
 
 def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
@@ -171,7 +171,7 @@ class _Columns:
 def _indented(text: str) -> str:
     shifts, inside, dashes = _structure(text)
     beginnings = sorted(shifts)
-    done: list[str] = []
+    lines: list[str] = []
     shift = 0
     for number, line in enumerate(text.split("\n"), 1):
         shift = line_shift = shifts.get(number, shift)
@@ -179,8 +179,8 @@ def _indented(text: str) -> str:
         if number not in shifts and number not in inside and line.strip():
             index = bisect_right(beginnings, number)
             line_shift = shifts[beginnings[index]] if index < len(beginnings) else shift
-        done.append(_shifted(line, line_shift, dashes.get(number, ())))
-    return "\n".join(done)
+        lines.append(_shifted(line, line_shift, dashes.get(number, ())))
+    return "\n".join(lines)
 
 
 def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:

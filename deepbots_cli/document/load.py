@@ -1,6 +1,6 @@
 """A scenario with the files that it extends and includes, `remove` and `--set`, as one tree of nodes.
 
-A file is read in this order: its own text, the `include`s in it, the file that it `extends` laid beneath,
+A file is read in this order: its own text, its `include`s, the file that it `extends` as the base, and
 `remove`. The assignments of the command line are applied last, to the whole tree.
 """
 
@@ -331,9 +331,9 @@ class _Reader:
         self.files[path] = source
         return self.scenario(source, path.parent, (*chain, path)) if readable else None
 
-    def pruned(self, tree: MappingNode, remove: Node, own: MappingNode) -> MappingNode:
-        """Return the tree without the paths listed under `remove`; DB205 where a path is in `own`, the tree
-        of the same file."""
+    def pruned(self, tree: MappingNode, remove: Node, own_tree: MappingNode) -> MappingNode:
+        """Return the tree without the paths listed under `remove`; DB205 where a path is in `own_tree`, the
+        tree of the same file."""
         example = "write `remove: [observation.speed]`"
         if not isinstance(remove, SequenceNode):
             self.findings.add("DB103", remove.span, "`remove` takes a list of paths", example)
@@ -343,10 +343,10 @@ class _Reader:
             if not isinstance(item, ScalarNode) or not isinstance(item.value, str):
                 self.findings.add("DB103", item.span, "a path to remove must be text", example)
                 continue
-            steps, reached, rest = follow_dotted(tree, item.text)
-            if not rest and steps:
+            steps, reached, unresolved = follow_dotted(tree, item.text)
+            if not unresolved and steps:
                 paths.append(steps)
-                _, key, target = descend(own, steps)
+                _, key, target = descend(own_tree, steps)
                 if target == len(steps) and key is not None and key.span.source is item.span.source:
                     headline = f"`{item.text}` is both defined here and listed under `remove`"
                     help = "keep one of the two: a new value replaces the inherited one without `remove`"
@@ -354,9 +354,9 @@ class _Reader:
                         "DB205", key.span, headline, help, labels=(Label(item.span, "removed here"),)
                     )
             else:
-                here = item.part(len(item.text) - len(rest), len(item.text))
+                span = item.part(len(item.text) - len(unresolved), len(item.text))
                 help = _listed(reached) if isinstance(reached, MappingNode) else "remove a path that exists"
-                self.findings.add("DB201", here, f"there is no `{item.text}` to remove", help)
+                self.findings.add("DB201", span, f"there is no `{item.text}` to remove", help)
         pruned = without_paths(tree, paths)
         return pruned if isinstance(pruned, MappingNode) else tree
 
@@ -386,7 +386,9 @@ def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
     """
     if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
-    replaced = {part for whole, parts in _WHOLES.items() if whole in over.entries for part in parts}
+    replaced = {
+        replaced_key for whole, parts in _WHOLES.items() if whole in over.entries for replaced_key in parts
+    }
     entries = {key: entry for key, entry in base.entries.items() if key not in replaced}
     for key, entry in over.entries.items():
         below = base.get(key)
@@ -469,8 +471,8 @@ def setting_path(root: MappingNode, dotted: str) -> NodePath:
     """Return the path of the value that an assignment to `dotted` replaces or adds."""
     if dotted in entries_at(root, "parameters"):
         return ("parameters", dotted)
-    steps, _, rest = follow_dotted(root, dotted)
-    return (*steps, *rest.split(".")) if rest else steps
+    steps, _, unresolved = follow_dotted(root, dotted)
+    return (*steps, *unresolved.split(".")) if unresolved else steps
 
 
 def _target(
@@ -500,17 +502,17 @@ def _target(
                 "DB201", span, f"there is no parameter `{dotted}`", f"did you mean `{near}`?", fix=fix
             )
             return None
-    steps, reached, rest = follow_dotted(root, dotted)
-    if not rest:
+    steps, reached, unresolved = follow_dotted(root, dotted)
+    if not unresolved:
         return steps, [_key(path, start, end)]
-    at = end - len(rest)
-    name, *below = rest.split(".")
-    here = path.part(at, at + max(1, len(name)))
+    at = end - len(unresolved)
+    name, *below = unresolved.split(".")
+    name_span = path.part(at, at + max(1, len(name)))
     inside = f" in `{dotted[: at - start - 1]}`" if at > start else ""
     if not isinstance(reached, MappingNode):
         findings.add(
             "DB201",
-            here,
+            name_span,
             f"there is no `{name}`{inside}, because it has no keys",
             "set the whole value instead",
         )
@@ -531,7 +533,7 @@ def _target(
             "; to add it, set it whole:"
             f" `{dotted[: at - start]}{name}={{{': {'.join(below)}: ...{'}' * len(below)}`"
         )
-    findings.add("DB201", here, f"there is no `{name}`{inside}", help)
+    findings.add("DB201", name_span, f"there is no `{name}`{inside}", help)
     return None
 
 

@@ -1,7 +1,7 @@
 """YAML values with their position in the file.
 
 Later passes read a tree of nodes. Merging (`extends`, `include`, `--set`) builds new trees around old nodes,
-so each value keeps the place where it was written.
+so each value keeps its position in the file.
 """
 
 from __future__ import annotations
@@ -208,12 +208,12 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
     Keys may contain dots (`observation.cart.pole_angle`): the longest key that fits is taken.
     """
     steps: NodePath = ()
-    rest = dotted
-    while rest and len(dotted) <= _MAX_DOTTED:
-        for end in [len(rest), *(i for i in range(len(rest) - 1, 0, -1) if rest[i] == ".")]:
-            piece = rest[:end]
+    unresolved = dotted
+    while unresolved and len(dotted) <= _MAX_DOTTED:
+        for end in [len(unresolved), *(i for i in range(len(unresolved) - 1, 0, -1) if unresolved[i] == ".")]:
+            piece = unresolved[:end]
             if isinstance(node, MappingNode) and piece in node.entries:
-                steps, node, rest = (*steps, piece), node.entries[piece].value, rest[end + 1 :]
+                steps, node, unresolved = (*steps, piece), node.entries[piece].value, unresolved[end + 1 :]
                 break
             # int() of a long text takes quadratic time; no list has 100 000 items.
             if (
@@ -223,11 +223,11 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
                 and len(piece) < 6
                 and int(piece) < len(node.items)
             ):
-                steps, node, rest = (*steps, int(piece)), node.items[int(piece)], rest[end + 1 :]
+                steps, node, unresolved = (*steps, int(piece)), node.items[int(piece)], unresolved[end + 1 :]
                 break
         else:
             break
-    return steps, node, rest
+    return steps, node, unresolved
 
 
 # Changed trees
@@ -235,15 +235,17 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
 
 def with_entry(node: Node, path: NodePath, entry: Entry) -> Node:
     """Return the tree with the value of `entry` at `path`; a new key is added."""
-    step, rest = path[0], path[1:]
+    step, inner_path = path[0], path[1:]
     match node:
         case MappingNode() if isinstance(step, str):
             old = node.entries.get(step)
             if old is not None:
-                entry = Entry(old.key, with_entry(old.value, rest, entry) if rest else entry.value)
+                entry = Entry(
+                    old.key, with_entry(old.value, inner_path, entry) if inner_path else entry.value
+                )
             return dataclasses.replace(node, entries={**node.entries, step: entry})
         case SequenceNode() if isinstance(step, int):
-            value = with_entry(node.items[step], rest, entry) if rest else entry.value
+            value = with_entry(node.items[step], inner_path, entry) if inner_path else entry.value
             return SequenceNode(node.span, (*node.items[:step], value, *node.items[step + 1 :]))
         case _:
             return node

@@ -85,8 +85,8 @@ def parse(
         return _Builder(source, text, noticed, budget or Budget()).document()
     except MarkedYAMLError as error:
         if error.problem == _TOO_DEEP_PROBLEM and error.problem_mark is not None:
-            place = error.problem_mark.index
-            findings.add("DB005", Span(source, place, place), _TOO_DEEP, _LIMIT_HELP)
+            offset = error.problem_mark.index
+            findings.add("DB005", Span(source, offset, offset), _TOO_DEEP, _LIMIT_HELP)
         else:
             broken = hints.syntax_error_finding(source, error)
             findings.append(broken)
@@ -232,7 +232,7 @@ class _Builder:
             (self.key(event, depth), self.node(next(self.events), depth + 1)) for event in self.children()
         ]
         span = self.close(start)
-        scalars = [part for pair in pairs for part in pair if isinstance(part, ScalarNode)]
+        scalars = [node for pair in pairs for node in pair if isinstance(node, ScalarNode)]
         cut = []
         if start.flow_style:
             cut = hints.report_values_cut_by_commas(scalars, self.findings) or hints.report_decimal_commas(
@@ -243,10 +243,10 @@ class _Builder:
         first_keys: dict[str, ScalarNode] = {}
         for key, value in pairs:
             if key is None or any(
-                cut_at.start <= part.span.start < cut_at.end
+                cut_at.start <= node.span.start < cut_at.end
                 for cut_at in cut
-                for part in (key, value)
-                if part
+                for node in (key, value)
+                if node
             ):
                 continue
             if not isinstance(key.value, str):
@@ -349,7 +349,7 @@ def resolve_plain_scalar(text: str) -> Value:
     return float(text) if _FLOAT.fullmatch(text) else text
 
 
-# The place of each character of a quoted or folded scalar
+# The offset of each character of a quoted or folded scalar
 
 _ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|\r\n|[\s\S])")
 _ESCAPE_CHARACTERS = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0\u2028\u2029", strict=True))
@@ -363,27 +363,27 @@ def _offsets(raw: str, start: int, text: str, style: Style) -> abc.Sequence[int]
     quotes = 1 if style in ("single", "double") else 0
     if quotes and raw[1:-1] == text:
         return range(start + 1, start + len(raw))
-    places, written = array("I"), []
-    for place, character in _characters(
+    raw_offsets, raw_characters = array("I"), []
+    for position, character in _characters(
         raw, raw.find("\n") + 1 if style in _BLOCKS else quotes, len(raw) - quotes, style
     ):
-        places.append(start + place)
-        written.append(character)
-    places.append(start + len(raw) - quotes)
-    offsets, at, last = array("I"), 0, len(written)
+        raw_offsets.append(start + position)
+        raw_characters.append(character)
+    raw_offsets.append(start + len(raw) - quotes)
+    offsets, at, last = array("I"), 0, len(raw_characters)
     for character in text:
         if not character.isspace():
-            while at < last - 1 and written[at] != character:
+            while at < last - 1 and raw_characters[at] != character:
                 at += 1
-        offsets.append(places[at])
-        if at < last and (not character.isspace() or written[at].isspace()):
+        offsets.append(raw_offsets[at])
+        if at < last and (not character.isspace() or raw_characters[at].isspace()):
             at += 1
-    offsets.append(places[at])
+    offsets.append(raw_offsets[at])
     return offsets
 
 
 def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tuple[int, str]]:
-    """Yield each character that was written, with its place; an escape is one character, an escaped line
+    """Yield each character that was written, with its position; an escape is one character, an escaped line
     break none."""
     while position < end:
         character, width = raw[position], 1

@@ -85,9 +85,9 @@ def is_shipped_path(reference: str) -> bool:
 def data_roots() -> tuple[Path, ...]:
     """Return the folders that any scenario may read from, links followed."""
     return tuple(
-        (folder / part).resolve()
+        (folder / name).resolve()
         for folder in (data_dir(), *_added_dirs())
-        for part in ("scenarios", "robots")
+        for name in ("scenarios", "robots")
     )
 
 

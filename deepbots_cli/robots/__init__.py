@@ -4,7 +4,7 @@ model.py     links, joints, shapes; mass, volume and inertia in closed form; nor
              a robot with one thing changed (with_scale, with_mass, with_friction, with_joint)
 elements.py  XML to elements with their position in the file; their numbers and vectors
 reader.py    elements to a checked model, every finding with its place
-meshes.py    the places, permissions and contents of mesh files
+meshes.py    the locations, permissions and contents of mesh files
 collada.py   the triangles of a COLLADA file, and its faults
 coverage.py  how many times the triangles of a mesh cover each other
 """

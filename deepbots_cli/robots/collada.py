@@ -23,8 +23,8 @@ class FaultyColladaError(ValueError):
 
 @dataclass(frozen=True)
 class Triangles:
-    """The vertices of triangles, three numbers after each other for each: `corners` are places in `numbers`,
-    in threes."""
+    """The vertices of triangles: `numbers` has three coordinates per vertex, and `corners` the index of a
+    vertex per corner, three per triangle."""
 
     numbers: list[str]
     corners: array[int]
@@ -60,10 +60,10 @@ def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...
 def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
     _require(mesh, _WITH_ID)
     sources = {element.attrib["id"]: element for element in mesh.iter("source")}
-    places = {element.attrib["id"]: _input(element, "POSITION") for element in mesh.iter("vertices")}
+    position_inputs = {element.attrib["id"]: _input(element, "POSITION") for element in mesh.iter("vertices")}
     for triangles in mesh.iter("triangles"):
         corner = _input(triangles, "VERTEX")
-        source = sources.get(places.get(corner.source, _Input("", 0)).source)
+        source = sources.get(position_inputs.get(corner.source, _Input("", 0)).source)
         floats = source.find("float_array") if source is not None else None
         if source is None or floats is None or source.find(".//accessor") is None:
             raise FaultyColladaError("a <triangles> of the COLLADA file refers to no positions")
@@ -106,7 +106,7 @@ def _count(element: ElementTree.Element, name: str, default: int) -> int:
 
 
 def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
-    """Return the places of the vertices of triangles."""
+    """Return the indices of the vertices of triangles."""
     inputs = [*triangles.iter("input")]
     if any(not {"semantic", "source", "offset"} <= {*element.attrib} for element in inputs):
         raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")

@@ -68,7 +68,7 @@ def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
         x, y, z = x + abs(by * cz - bz * cy), y + abs(bz * cx - bx * cz), z + abs(bx * cy - by * cx)
     share = count / len(sample) / 2
     axes = zip(*(corner for triangle in sample for corner in triangle), strict=True)
-    a, b, c = (max(places) - min(places) for places in axes)
+    a, b, c = (max(coordinates) - min(coordinates) for coordinates in axes)
     return Coverage((share * x, share * y, share * z), (b * c, a * c, a * b))
 
 
@@ -114,9 +114,9 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     starts = [vertex.start() for vertex in vertices]
     sample = list[Triangle]()
     for number in _chosen(count, random):
-        place = bisect_right(ends, number)
-        at, corners = faces[place]
-        second = number - ends[place] + len(corners) - 1
+        face_index = bisect_right(ends, number)
+        at, corners = faces[face_index]
+        second = number - ends[face_index] + len(corners) - 1
         indices = [int(corners[corner]) for corner in (0, second, second + 1)]
         before = bisect_right(starts, at)  # -1 is the last vertex before the face
         a, b, c = (
@@ -129,10 +129,10 @@ def _obj(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
 def _dae(data: bytes, random: Random) -> tuple[int, list[Triangle]]:
     """Return the number of triangles and some of them, without the nodes that place geometries."""
     count, sample = 0, list[Triangle]()
-    for part in collada_triangles(data):
-        for number in _chosen(len(part.corners) // 3, random):
-            corners = part.corners[3 * number : 3 * number + 3]
-            a, b, c = (_vector(part.numbers[3 * corner : 3 * corner + 3]) for corner in corners)
+    for triangles in collada_triangles(data):
+        for number in _chosen(len(triangles.corners) // 3, random):
+            corners = triangles.corners[3 * number : 3 * number + 3]
+            a, b, c = (_vector(triangles.numbers[3 * corner : 3 * corner + 3]) for corner in corners)
             sample.append((a, b, c))
-        count += len(part.corners) // 3
+        count += len(triangles.corners) // 3
     return count, sample

@@ -40,12 +40,12 @@ def quoted(text: str) -> str:
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
-def known_names_help(word: str, known: Iterable[str], kind: str) -> str:
+def known_names_help(word: str, candidates: Iterable[str], kind: str) -> str:
     """Return the help for an unknown name: the nearest known one, and a list."""
-    names = list(known)
+    names = list(candidates)
     match = nearest_word(word, names)
-    shown = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    listing = f"the {kind} are: {shown}" if names else f"there are no {kind}"
+    listed = ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+    listing = f"the {kind} are: {listed}" if names else f"there are no {kind}"
     return f"did you mean {quoted(match)}? {listing}" if match else listing
 
 

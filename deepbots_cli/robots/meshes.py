@@ -108,21 +108,21 @@ def locate_mesh(reference: str, folder: Path) -> Path | UnusableMesh:
     `package://X/rest` is looked up in the installed package X (found without importing it), then in a folder
     above called X, then as X/rest beside the robot file, as some published robots mean it.
     """
-    scheme, colon, rest = reference.partition("://")
+    scheme, colon, path = reference.partition("://")
     if not colon:
         return Path(os.path.realpath(folder / reference))
     if scheme == "file":
-        return Path(os.path.realpath(folder / rest))
+        return Path(os.path.realpath(folder / path))
     if scheme != "package":
         return UnusableMesh(
             f"deepbots cannot download a mesh from {scheme[:20]!r}",
             "save the file next to the robot file, and write its path",
         )
-    package, _, inside = rest.partition("/")
+    package, _, inside = path.partition("/")
     home = package_folder(package) or next(
         (above for above in folder.absolute().parents if above.name == package), None
     )
-    return Path(os.path.realpath(home / inside if home else folder / rest))
+    return Path(os.path.realpath(home / inside if home else folder / path))
 
 
 def package_folder(name: str) -> Path | None:
@@ -167,8 +167,8 @@ def package_file(reference: str) -> Path | None:
 
 
 def library_reference(reference: str) -> str | None:
-    """Return how to name a file of pybullet_data that `reference` calls by its path there; None unless it is
-    installed and has one."""
+    """Return the `package://` name of a file of pybullet_data whose path there is `reference`; None if the
+    package is not installed, or has no such file."""
     inside = reference.removeprefix("pybullet_data/")
     names = (f"package://pybullet_data/{inside}{suffix}" for suffix in ("", ".urdf"))
     return None if "://" in reference else next((name for name in names if package_file(name)), None)
@@ -207,7 +207,7 @@ class MeshReader:
 
     def __init__(self, resolve: ResolveMesh) -> None:
         self._resolve = resolve
-        self._known: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
+        self._loaded: dict[Path, tuple[str, Coverage | None] | UnusableMesh] = {}
         self._total = 0
 
     def load(self, reference: str, scale: Vector) -> LoadedMesh | UnusableMesh:
@@ -217,11 +217,11 @@ class MeshReader:
             if isinstance(resolved, UnusableMesh):
                 return resolved
             path = resolved.path if isinstance(resolved, MeshAboveRobot) else resolved
-            if path not in self._known:
-                self._known[path] = self._digest(path)
+            if path not in self._loaded:
+                self._loaded[path] = self._digest(path)
         except OSError as error:
             return UnusableMesh(f"the mesh cannot be read: {error.strerror}")
-        measured = self._known[path]
+        measured = self._loaded[path]
         better = resolved.reference if isinstance(resolved, MeshAboveRobot) else None
         if isinstance(measured, UnusableMesh):
             return measured

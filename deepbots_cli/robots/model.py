@@ -3,8 +3,8 @@ functions that change it.
 
 SI units; rpy in rad, fixed axes x, y, z as in URDF.
 
-The model is frozen and free of places in the text, so that it can be part of the compiled scenario and be
-hashed; `reader.RobotFile` has the places.
+The model is frozen and has no positions in the text, so that it can be part of the compiled scenario and be
+hashed; `reader.RobotFile` has the positions.
 """
 
 from __future__ import annotations
@@ -412,10 +412,10 @@ def _element(
     tag: str, inside: Lines | None = None, **attributes: str | float | tuple[float, ...] | None
 ) -> Lines:
     """Return an element with the lines inside it; attributes that are None are left out."""
-    written = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
+    attribute_texts = [f" {name}={_value(value)}" for name, value in attributes.items() if value is not None]
     if inside is None:
-        return [f"<{tag}{''.join(written)}/>"]
-    return [f"<{tag}{''.join(written)}>", *(f"  {line}" for line in inside), f"</{tag}>"]
+        return [f"<{tag}{''.join(attribute_texts)}/>"]
+    return [f"<{tag}{''.join(attribute_texts)}>", *(f"  {line}" for line in inside), f"</{tag}>"]
 
 
 def _value(value: str | float | tuple[float, ...]) -> str:
@@ -506,7 +506,7 @@ _ALIGNMENT_TOLERANCE = 1e-6
 
 
 def with_link(model: RobotModel, link: Link) -> RobotModel:
-    """Return `model` with the link of the same name exchanged."""
+    """Return `model` with `link` in place of the link of the same name."""
     return replace(model, links=tuple(link if old.name == link.name else old for old in model.links))
 
 

@@ -90,7 +90,8 @@ _SHAPES = _VOCABULARY["geometry"][0].split()
 
 @dataclass(frozen=True, eq=False)
 class RobotFile:
-    """A robot, its text, and where each link and joint is named in it, and the limits of each joint.
+    """A robot and its text, with the span of the name of each link and joint, and of the limits of each
+    joint.
 
     `digest` is the sha256 (hex) of the file; `meshes` maps the real path of each mesh to the digest of its
     bytes.
@@ -312,13 +313,13 @@ def _color(material: Element) -> Color | None:
     if element is None:
         return None
     color = element.rgba()
-    if any(not 0 <= part <= 1 for part in color):
+    if any(not 0 <= channel <= 1 for channel in color):
         element.warn(
             "color values outside 0 to 1 are clipped",
             attribute="rgba",
             help="if the values are from 0 to 255, divide them by 255",
         )
-    red, green, blue, alpha = (min(max(part, 0.0), 1.0) for part in color)
+    red, green, blue, alpha = (min(max(channel, 0.0), 1.0) for channel in color)
     return red, green, blue, alpha
 
 
@@ -565,7 +566,7 @@ def _mimic(joint: Element) -> Mimic | None:
 def _without_balls(model: RobotModel, elements: dict[str, Element]) -> RobotModel:
     """Return the model with three hinges for each ball joint: URDF has no ball joints, PyBullet reads them.
 
-    The hinges are at one place and turn about x, then y, then z, with two links between them that have
+    The hinges are at one point and turn about x, then y, then z, with two links between them that have
     neither mass nor shape. Their angles are intrinsic rotations about x, y, z. Each hinge has the effort,
     velocity, damping and friction of the ball joint.
     """
@@ -753,10 +754,10 @@ def _check_inertia(model: RobotModel, elements: Mapping[str, Element]) -> None:
                 f"link {quoted(still[0])} has {lack}", attribute="name", help=help, code=code
             )
         elif still:
-            shown = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
+            listed = ", ".join(still[:20]) + (f" and {len(still) - 20} more" if len(still) > 20 else "")
             headline = f"{len(still)} links on fixed joints or at the root have {lack}"
             elements[still[0]].warn(
-                headline, attribute="name", help=help, notes=(f"they are: {shown}",), code=code
+                headline, attribute="name", help=help, notes=(f"they are: {listed}",), code=code
             )
 
     missing = [
