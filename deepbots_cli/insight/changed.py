@@ -15,7 +15,7 @@ from deepbots_cli.learning.run import Run
 
 _MAX_SHOWN = 4
 _LIKELIHOOD = 0.89
-"""The place of this fact: after certain causes (0.9), and before all others."""
+"""The likelihood that orders this fact: after certain causes (0.9), and before all others."""
 
 
 @statement(

@@ -43,9 +43,9 @@ _FUNCTIONS = dict(
 class Comparison:
     """A comparison `value operator bound`. Both sides are names of kept values, and texts of the scenario.
 
-    Several components hold together if any of them holds, or all. `unit` is the SI unit of both sides. A
-    truth value without a bound, such as a contact, has no `bound` and is compared with 1. `lasting` is the
-    condition whose `duration` is the value.
+    `reduction` says whether any or all components of a vector must be true. `unit` is the SI unit of both
+    sides. A truth value without a bound, such as a contact, has no `bound` and is compared with 1. `lasting`
+    is the condition whose `duration` is the value.
     """
 
     text: str
@@ -60,7 +60,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class CompoundCondition:
-    """Conditions of which all must be true (`and`), or one (`or`)."""
+    """Conditions, all (`and`) or one (`or`) of which must be true."""
 
     operator: Literal["and", "or"]
     parts: tuple[Condition, ...]
@@ -73,8 +73,8 @@ Condition = Comparison | CompoundCondition
 class MeasuredComparison:
     """A comparison at one moment, in SI units.
 
-    `margin` is how far the value is beyond the bound: from 0 on the condition holds, below 0 this much is
-    missing. A truth value has neither bound nor margin.
+    `margin` is the distance of the value beyond the bound: the comparison is true from 0 on, and below 0 this
+    much is missing. A truth value has neither bound nor margin.
     """
 
     condition: Comparison
@@ -137,7 +137,7 @@ def instrument_program(program: Program, *, include_observation: bool = False) -
         if include_observation
         and entry.numbers
         and entry.value.foreign is None
-        # What several agents see has the names of each agent, and not those of the program of all.
+        # The observations of several agents have the names of each agent, not those of the joint program.
         and not program.members
     ]
     observed_signals = {

@@ -59,7 +59,7 @@ def explanation_json(trace: Trace, statements: Sequence[Statement]) -> dict[str,
     }
 
 
-def _shown(trace: Trace, leaf: Comparison, value: float, digits: int = 4) -> str:
+def _value_text(trace: Trace, leaf: Comparison, value: float, digits: int = 4) -> str:
     """Return a value of a comparison in the unit in which the scenario writes its threshold."""
     return quantity_text(value, trace.units.of(leaf.unit, *reversed(leaf.sides)), digits)
 
@@ -120,9 +120,9 @@ def margin(trace: Trace) -> Numbers | None:
     return {
         **end.as_json(),
         "side": value,
-        "shown": _shown(trace, end.condition, end.value),
-        "limit": _shown(trace, end.condition, end.bound) + suffix,
-        "by": _shown(trace, end.condition, abs(end.margin), 3),
+        "shown": _value_text(trace, end.condition, end.value),
+        "limit": _value_text(trace, end.condition, end.bound) + suffix,
+        "by": _value_text(trace, end.condition, abs(end.margin), 3),
         "where": where,
     }
 
@@ -181,7 +181,7 @@ def approach(trace: Trace) -> Numbers | None:
         "steps": len(margins) - 1 - start,
         "at": trace.time_at(start),
         "seconds": _seconds(trace.time_at(start)),
-        "from": _shown(trace, leaf, past[start].value),
+        "from": _value_text(trace, leaf, past[start].value),
         "side": leaf.sides[0],
     }
 
@@ -201,7 +201,7 @@ def nearest(trace: Trace) -> Numbers | None:
     never = not any(measure(leaf, values).holds for values in trace.values)
     beside = [step for step, leaves in enumerate(missing) if len(leaves) == fewest and leaf in leaves]
     step, moment = nearest_moment(trace, leaf, () if never else beside)
-    limit, value = (_shown(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
+    limit, value = (_value_text(trace, leaf, number or 0.0) for number in (moment.bound, moment.value))
     prefix = "" if never or fewest > 1 else "while the other conditions were true, "
     negated = leaf.operator == "not_equal"
     if leaf.bound is not None:
@@ -244,7 +244,7 @@ def conditions(trace: Trace) -> Numbers | None:
                 "beside_others": bool(beside),
             }
         )
-        value, bound = _shown(trace, leaf, best.value), _shown(trace, leaf, best.bound or 0.0)
+        value, bound = _value_text(trace, leaf, best.value), _value_text(trace, leaf, best.bound or 0.0)
         during = " while the others were true" if beside and len(inner) > 1 else ""
         came = (
             f" (nearest value{during}: {value} at {_seconds(trace.time_at(step))}, threshold {bound})"

@@ -37,7 +37,7 @@ class LintedScenario:
         text: The file that the arguments name.
         is_whole: Whether this file alone is the scenario, without other files and without `--set`.
         changed_source: The file that the training read, if it is another one now.
-        root: The scenario as nodes with their places.
+        root: The scenario as nodes with their positions in the file.
     """
 
     arguments: str

@@ -31,7 +31,8 @@ EPISODES, MAX_STEPS = 6, 100
 """The number of compared episodes, and the largest number of steps of each: small differences grow, and late
 steps only show that they have grown."""
 _THRESHOLD = 0.01
-"""The share of the width that a number spans in the first world by which it must be off to differ."""
+"""The share of the width that a number spans in the first world by which its values must be apart to
+differ."""
 _LATEST = 8
 """The largest age of a number, in steps, that is tried."""
 _EXACT = 0.05
@@ -112,7 +113,7 @@ class Column(NamedTuple):
 
 def columns_of(watch: InstrumentedProgram) -> list[Column]:
     """Return the columns of the values that `Recorder` keeps."""
-    signals = _kept(watch)
+    signals = _kept_signals(watch)
     return [
         *(
             Column(number.full_name, number.unit.removeprefix("1"))
@@ -123,7 +124,7 @@ def columns_of(watch: InstrumentedProgram) -> list[Column]:
     ]
 
 
-def _kept(watch: InstrumentedProgram) -> dict[str, str]:
+def _kept_signals(watch: InstrumentedProgram) -> dict[str, str]:
     """Return the kept value of each entry of the observation, without the previous action, which does not
     describe a world."""
     return {name: signal for name, signal in watch.observed_signals.items() if name != "previous_action"}
@@ -135,8 +136,8 @@ class Recorder(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, world: World, permissions: Permissions) -> None:
         self._watch = instrument_program(world.program, include_observation=True)
-        self._made = api.build(self._watch.program, engine=world.engine, permissions=permissions)
-        super().__init__(self._made)
+        self._supervisor = api.build(self._watch.program, engine=world.engine, permissions=permissions)
+        super().__init__(self._supervisor)
         self.actions: list[Any] = []
         self._rows: list[list[float]] = []
 
@@ -159,10 +160,15 @@ class Recorder(gym.Wrapper[Any, Any, Any, Any]):
         return outcome
 
     def _note(self) -> None:
-        values = self._watch.read(self._made)
-        terms = self._made.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
+        values = self._watch.read(self._supervisor)
+        terms = (
+            self._supervisor.get_info()["reward_terms"] if self.actions else dict.fromkeys(self._terms, 0.0)
+        )
         self._rows.append(
-            [*(number for name in _kept(self._watch).values() for number in values[name]), *terms.values()]
+            [
+                *(number for name in _kept_signals(self._watch).values() for number in values[name]),
+                *terms.values(),
+            ]
         )
 
     @property

@@ -535,7 +535,7 @@ class Report:
             agents=[(agent, _drawn(partial(self.agent_figures, agent))) for agent in self.agents],
             agent_titles=AGENT_FIGURES,
             clips=clips,
-            findings=[(_place(run, finding.span), finding) for finding in linted.findings],
+            findings=[(_location(run, finding.span), finding) for finding in linted.findings],
             listings=_listings(run, linted),
             rows=[(member.run.path.name, member.run.record, member.verdict.text) for member in self.runs],
             command=join(run.record.command) or "(from Python)",
@@ -591,7 +591,7 @@ def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
     return listings
 
 
-def _place(run: Run, span: Span) -> str:
+def _location(run: Run, span: Span) -> str:
     return f"{_name(run, span.source)}:{span.start_position.line}"
 
 
@@ -621,7 +621,7 @@ def _seed_statistics(form: str, values: Sequence[float], bounds: tuple[float, fl
 
 
 def _standing(player: Player, episodes: Sequence[ReportEpisode]) -> list[list[Triple]]:
-    """Return the outlines of objects that have one form, and one place in all these episodes."""
+    """Return the outlines of objects that have one form, and one pose in all these episodes."""
     outlines = []
     for body in player.env.world.objects:
         poses = {links.get((body.name, body.name)) for episode in episodes for links in episode.end_poses}

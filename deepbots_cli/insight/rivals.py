@@ -18,12 +18,12 @@ _HARDLY, _NEARLY_ALWAYS = 0.05, 0.9
 """The success rates at and below which an agent hardly succeeds, and from which a rival nearly always
 does."""
 _EARLY = 0.4
-"""The share of the steps after which a rival that is too strong has been so in the rest of the training. A
-rival that wins only in the end may lose again."""
+"""The share of the steps after which a rival must have been too strong in the rest of the training. A rival
+that wins only in the end may lose again."""
 _CHANGE = 0.2
 """The change of a success rate from which a rival got better."""
 _PARTS = 3
-"""The number of parts of the rest, in each of which the rival is too strong."""
+"""The number of parts of this rest; the rival must be too strong in each."""
 
 
 @statement(

@@ -1,10 +1,10 @@
 """The simulation as a robot: a world that sends the measurements of its sensors over a link, and whose motors
 follow the commands that arrive.
 
-The link takes the place of the scenario's channels, and commands reach the motors as on a robot: the
-computations of robot controllers under `apply` do not run. The readings of the world that the policy uses are
-sent too, as by a tracker. The reward and the endings are those of the scenario; terms that use the action
-read the action that the policy sends beside its commands, else the middle of its range.
+The link replaces the channels of the scenario, and commands reach the motors as on a robot: the computations
+of robot controllers under `apply` do not run. The readings of the world that the policy uses are sent too, as
+by a tracker. The reward and the endings are those of the scenario; terms that use the action read the action
+that the policy sends beside its commands, else the middle of its range.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ class SimulatedRobot(Driver):
         self._obeyed: dict[str, list[float]] = {}
         self._first, self._due = True, 0.0
         self._note, self._silent_steps = note, 0
-        self._said: set[str] = set()
+        self._reported_kinds: set[str] = set()
         self._looked_at = -np.inf
         for robot in {entry.robot for entry in outputs}:
             self._take_over(environment, robot)
@@ -272,8 +272,8 @@ class SimulatedRobot(Driver):
         for remark in self.link.remarks():
             if remark.is_misfit:
                 raise UsageError(remark.text)
-            if remark.text not in self._said and len(self._said) < MOST_REMARKS:
-                self._said.add(remark.text)
+            if remark.text not in self._reported_kinds and len(self._reported_kinds) < MOST_REMARKS:
+                self._reported_kinds.add(remark.text)
                 self._note(remark.text)
 
     def _follow(self, sent: float | None) -> None:
@@ -306,8 +306,12 @@ class SimulatedRobot(Driver):
                     self._action = _fitting(arrival.fields[ACTION], self._space, self._still)
                 else:
                     refusal = self.intake.take(arrival, time.monotonic())
-                    if refusal is not None and not refusal.is_harmless and refusal.kind not in self._said:
-                        self._said.add(refusal.kind)
+                    if (
+                        refusal is not None
+                        and not refusal.is_harmless
+                        and refusal.kind not in self._reported_kinds
+                    ):
+                        self._reported_kinds.add(refusal.kind)
                         self._note(f"a command is refused: {arrival.source}: {refusal.text}")
         if not self.intake.complete():
             return False
@@ -319,7 +323,8 @@ class SimulatedRobot(Driver):
 
 
 def _fitting(value: Any, space: Any, fallback: Any) -> Any:
-    """Return an action of the space from the numbers of a message; `other` if they are none."""
+    """Return an action of the space from the numbers of a message; `fallback` if they do not fit the
+    space."""
     size = int(np.prod(space.shape))
     if value.size != size or not np.isfinite(value).all():
         return fallback

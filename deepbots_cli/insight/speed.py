@@ -93,7 +93,7 @@ def measure(
     rounds: int,
     seed: int,
     end: float,
-    on_measured: Callable[[int, int], object] = lambda done, total: None,
+    on_measured: Callable[[int, int], object] = lambda count, total: None,
 ) -> list[list[Speed]]:
     """Time about `steps` steps of worlds with random actions, resets included, for each engine in turn,
     `rounds` times.

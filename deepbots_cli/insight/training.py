@@ -105,7 +105,7 @@ class TrainingEvidence:
 
     @cached_property
     def stage_index(self) -> int:
-        """The place of the present stage, the furthest that an episode or an evaluation was in; 0 without a
+        """The index of the present stage, the furthest that an episode or an evaluation was in; 0 without a
         curriculum."""
         names, result = [stage.name for stage in self.stages], self.run.record.result
         stages = {
@@ -136,7 +136,7 @@ class TrainingEvidence:
 
     @cached_property
     def linted(self) -> LintedScenario:
-        """The scenario as `deepbots lint` reads it, with its places."""
+        """The scenario as `deepbots lint` reads it, with the positions of its nodes."""
         return linted_scenario(self.run)
 
     @property
@@ -460,8 +460,8 @@ def run_probes(
     on_episode: Callable[[int, int], object] | None = None,
     seconds: float = math.inf,
 ) -> None:
-    """Run the short episodes of a training, all from the same starts. After `seconds`, the rest is left
-    out."""
+    """Run the short episodes of a training, all from the same starts. No episode continues after
+    `seconds`."""
     from deepbots_cli.learning.sb3.algorithms import torch_settings
 
     probes = _Probes(training, time.monotonic() + seconds, permissions, on_episode)

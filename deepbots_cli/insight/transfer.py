@@ -166,7 +166,7 @@ def transfer(
     second = evaluate(run, scenario=scenario, engine=engine, **settings)
     program = trained_in.program if scenario is None else scenario.program
     worlds = World(trained_in.program, run.record.engine), World(program, engine)
-    watch = on_world or (lambda done, planned: None)
+    watch = on_world or (lambda count, planned: None)
     comparison = compare_worlds(
         run,
         *worlds,

@@ -120,7 +120,7 @@ def compare_worlds(
     model: ModelName = "best",
     episodes: int = EPISODES,
     permissions: Permissions = Permissions(),
-    on_world: Callable[[int, int], object] = lambda done, planned: None,
+    on_world: Callable[[int, int], object] = lambda count, planned: None,
 ) -> WorldComparison:
     """Compare two worlds by the actions of a policy.
 

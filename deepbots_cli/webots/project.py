@@ -67,7 +67,7 @@ class Files:
                 raise UsageError(
                     f"{path} cannot be read: {(error.strerror or str(error)).lower()}"
                 ) from error
-            self._sources[path] = Source(_shown(path), data.decode("utf-8", "replace"))
+            self._sources[path] = Source(_display_path(path), data.decode("utf-8", "replace"))
         return self._sources[path]
 
     def proto(self, name: str, address: str, writer: str) -> Path | None:
@@ -108,7 +108,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _shown(path: Path) -> str:
+def _display_path(path: Path) -> str:
     """Return a path as messages show it: relative to the working directory if it is below it."""
     working_directory = Path.cwd()
     return str(path.relative_to(working_directory)) if path.is_relative_to(working_directory) else str(path)

@@ -67,7 +67,7 @@ class Expander:
         self._templates = Templates(files) if allow_code else None
         self._count = 0
         self._read: dict[str, Proto | None] = {}
-        self._done: set[int] = set()
+        self._expanded_ids: set[int] = set()
 
     def expand(self, nodes: list[Node], scope: Scope) -> None:
         """Expand nodes in place.
@@ -79,9 +79,9 @@ class Expander:
             self._expand(node, scope, "", 0)
 
     def _expand(self, node: Node, scope: Scope, slot: str, nested: int) -> None:
-        if id(node) in self._done:
+        if id(node) in self._expanded_ids:
             return
-        self._done.add(id(node))
+        self._expanded_ids.add(id(node))
         self._count += 1
         if self._count > MAX_NODES:
             raise WorldSyntaxError(node.span, f"the world has more than {MAX_NODES:,} nodes")

@@ -117,9 +117,9 @@ class _Builder:
 
     def add(self, node: Node, site: _Site) -> None:
         """Add a node and what is in it."""
-        written, node = node, real(node)
+        node_as_written, node = node, real(node)
         if is_a(node, "Solid"):
-            self._add_solid(written, node, site)
+            self._add_solid(node_as_written, node, site)
         elif is_a(node, "Pose"):
             frame = compose(site.frame, _frame_of(node), site.scale)
             scale = _scaled(site.scale, node) if node.type == "Transform" else site.scale
@@ -155,12 +155,12 @@ class _Builder:
         if inner.body is not None:
             self.scene.parents.setdefault(real(inner), outer)
 
-    def _add_solid(self, written: Node, node: Node, site: _Site) -> None:
+    def _add_solid(self, node_as_written: Node, node: Node, site: _Site) -> None:
         if node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
         frame = compose(site.frame, _frame_of(node), site.scale)
         scale = _scaled(site.scale, node)
-        robot = self._robot(written, node, site)
+        robot = self._robot(node_as_written, node, site)
         body = site.body
         if body is None:
             body = self._body(node, None, frame, robot)
@@ -169,13 +169,13 @@ class _Builder:
             frame = ORIGIN
         self._fill(node, body, frame, scale, robot)
 
-    def _robot(self, written: Node, node: Node, site: _Site) -> Robot | None:
+    def _robot(self, node_as_written: Node, node: Node, site: _Site) -> Robot | None:
         if node.type != "Robot":
             return site.robot
         if site.robot is not None:
             self.findings.warning(node.span, "a robot in another robot: its devices belong to the outer one")
             return site.robot
-        robot = Robot(written, node, len(self.scene.robots))
+        robot = Robot(node_as_written, node, len(self.scene.robots))
         self.scene.robots.append(robot)
         return robot
 
@@ -281,7 +281,7 @@ class _Builder:
             self.findings.warning(node.span, f"a {node.type} outside of a solid, or without an end point")
             return
         self._link(end, node)
-        written, end = end, real(end)
+        node_as_written, end = end, real(end)
         if not is_a(end, "Solid"):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
@@ -299,7 +299,7 @@ class _Builder:
 
         self._add_axes(node, body, turned_into_body, moved_into_body)
         self._add_joint_devices(node, body, site.robot)
-        if written is not end and end.type == "Robot":
+        if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, ORIGIN, _scaled(site.scale, end), site.robot)
 

@@ -52,21 +52,21 @@ class Sampled(Protocol):
 class Packet:
     """A message on its way or in a queue.
 
-    Once it arrived, `way` is the vector from the receiver to the emitter in the world (m), and `turned` is
-    the rotation of the receiver. `noise` is the factor of its signal strength.
+    Once it arrived, `offset` is the vector from the receiver to the emitter in the world (m), and `rotation`
+    is the rotation of the receiver. `noise` is the factor of its signal strength.
     """
 
     data: bytes
     emitter: Device
     channel: int
     range: float
-    way: Triple = (0.0, 0.0, 0.0)
-    turned: Quaternion = frames.IDENTITY_ROTATION
+    offset: Triple = (0.0, 0.0, 0.0)
+    rotation: Quaternion = frames.IDENTITY_ROTATION
     noise: float = 1.0
 
     @property
     def distance(self) -> float:
-        return hypot(*self.way)
+        return hypot(*self.offset)
 
     def strength(self) -> float:
         """Return the signal strength, 1 at 1 m."""
@@ -75,7 +75,7 @@ class Packet:
     def direction(self) -> Triple:
         """Return the direction of the emitter in the frame of the receiver."""
         length = self.distance or 1.0
-        return frames.rotate_back(self.turned, frames.scaled(self.way, 1 / length))
+        return frames.rotate_back(self.rotation, frames.scaled(self.offset, 1 / length))
 
 
 class Inbox:
@@ -212,7 +212,7 @@ class Simulation:
             if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
                 continue
             position, rotation = physics.frame(device.body, device.frame)
-            arrived = replace(packet, way=frames.subtract(start, position), turned=rotation)
+            arrived = replace(packet, offset=frames.subtract(start, position), rotation=rotation)
             if 0 <= packet.range < arrived.distance:
                 continue
             if inbox.noise:

@@ -190,7 +190,7 @@ def _topics(program: Program, names: Collection[str]) -> dict[str, RosTopic]:
 
 
 def _message_paths(info: BundleInfo) -> dict[str, str]:
-    """Return the place of each field in its ROS message, in words."""
+    """Return the path of each field in its ROS message, in words."""
     from deepbots_robot.serving import field_of
     from deepbots_robot.topics import Topic, part_of, parts
 

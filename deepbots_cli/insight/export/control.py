@@ -64,9 +64,9 @@ class ControlStep:
         self.graph = Graph()
         self.outputs: list[Output] = []
         self._math = Arithmetic(self.graph)
-        self._kept = StepMemories(self._math, program, self.repeat)
-        self._names = ObservedNames(program, self._math, self._kept, self.timestep)
-        self.readings, self.memories = self._names.readings, self._kept.entries
+        self._memories = StepMemories(self._math, program, self.repeat)
+        self._names = ObservedNames(program, self._math, self._memories, self.timestep)
+        self.readings, self.memories = self._names.readings, self._memories.entries
         self._refuse_what_robots_compute_late()
         action = self._decide(learner)
         self._command(action)
@@ -82,7 +82,7 @@ class ControlStep:
         self.graph.inputs = [
             declared[name] for name in (*self.readings, *(memory.name for memory in self.memories))
         ]
-        self._kept.declare()
+        self._memories.declare()
         shape = [len(self.agent.choices)] if len(self.agent.choices) > 1 else []
         if self._decision.scores is None:
             self.graph.output("action", self._action, np.float32, len(self.agent.range_names))
@@ -98,7 +98,7 @@ class ControlStep:
         agent, graph = self.agent, self.graph
         inputs: dict[str, str] = {}
         if agent.numbers or not agent.images:
-            inputs["observation"] = self._seen()
+            inputs["observation"] = self._observation_vector()
         inputs |= {image.key: self._seen_image(image) for image in agent.images}
         if agent.goal is not None:
             for key, trees in (
@@ -118,19 +118,21 @@ class ControlStep:
         states = []
         if policy.memory is not None:
             sides = (policy.memory.num_layers, policy.memory.hidden_size)
-            tensors = [self._kept.tensor(name, np.float32, *sides) for name in network.LSTM_STATES]
+            tensors = [self._memories.tensor(name, np.float32, *sides) for name in network.LSTM_STATES]
             states = [graph.add("Unsqueeze", tensor, graph.constant([1], np.int64)) for tensor in tensors]
         self._decision = network.decide(graph, policy, self.program, inputs, states, self._mask(learner))
         for name, after in zip(network.LSTM_STATES, self._decision.after, strict=False):
             squeezed = graph.add("Squeeze", after, graph.constant([1], np.int64))
-            self._kept.keep_tensor(name, self._kept.tensor_if_acting(squeezed, f"memory.{name}"))
+            self._memories.keep_tensor(name, self._memories.tensor_if_acting(squeezed, f"memory.{name}"))
         self._action = graph.reshape(self._decision.action, -1)
         if self.repeat > 1:
             dtype, size = (
                 (np.int64, len(agent.choices)) if agent.choices else (np.float32, len(agent.range_names))
             )
-            self._action = self._kept.tensor_if_acting(self._action, self._kept.tensor("action", dtype, size))
-            self._kept.keep_tensor("action", self._action)
+            self._action = self._memories.tensor_if_acting(
+                self._action, self._memories.tensor("action", dtype, size)
+            )
+            self._memories.keep_tensor("action", self._action)
         return self._decoded()
 
     def _mask(self, learner: Learner) -> str | None:
@@ -176,7 +178,7 @@ class ControlStep:
             parts.append(self._math.binary("Greater", Value(hot, size), self._math.constant([0.5])))
         return decoded | {"previous_action": self._math.joined(parts)}
 
-    def _seen(self) -> str:
+    def _observation_vector(self) -> str:
         """Return the vector of numbers, in [-1, 1]: the newest frame and older ones."""
         agent, graph = self.agent, self.graph
         parts = [self._seen_numbers(entry) for entry in agent.observation if entry.numbers]
@@ -185,7 +187,7 @@ class ControlStep:
         if depth == 1:
             return str(frame)
         row = graph.reshape(frame, 1, width)
-        frames = self._kept.frames("frames", row, depth, np.float32, width)
+        frames = self._memories.frames("frames", row, depth, np.float32, width)
         indices = [(depth - 1 - ago) * width + index for index, ago in agent.seen]
         return str(graph.add("Gather", graph.reshape(frames, -1), graph.constant(indices, np.int64), axis=0))
 
@@ -241,7 +243,7 @@ class ControlStep:
         if depth == 1:
             return picture
         newest = graph.add("Unsqueeze", picture, graph.constant([0], np.int64))
-        frames = self._kept.frames(image.key, newest, depth, np.uint8, *image.shape)
+        frames = self._memories.frames(image.key, newest, depth, np.uint8, *image.shape)
         stack = graph.add(
             "Gather", frames, graph.constant([depth - 1 - ago for ago in ages], np.int64), axis=0
         )
@@ -270,7 +272,7 @@ class ControlStep:
     def _command(self, action: dict[str, Value]) -> None:
         """The commands of the robots that the action commands."""
         zeros = {name: self._math.constant([0.0]) for name in action}
-        names, memories = self._names, self._kept
+        names, memories = self._names, self._memories
         at_reset = TreePrinter(self._math, Sent(names, zeros, 0), memories.at_reset)
         sent = TreePrinter(self._math, Sent(names, action, 1), partial(memories.per_message, reset=at_reset))
         for robot in self.program.robots:

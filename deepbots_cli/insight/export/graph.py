@@ -59,8 +59,8 @@ _NUMBER_BY_NUMBER = frozenset(
         "Where",
     )
 )
-"""The operators whose result has, at each place in C order, a number that depends only on the numbers at this
-place."""
+"""The operators whose result has, at each index in C order, a number that depends only on the numbers at this
+index."""
 
 
 class Graph:
@@ -126,7 +126,7 @@ class Graph:
 
 
 def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
-    """Return the numbers of each input that can change an output of a model, as places in C order. Those of
+    """Return the numbers of each input that can change an output of a model, as indices in C order. Those of
     other inputs have no effect."""
     graph = onnx.shape_inference.infer_shapes(onnx.load_from_string(content)).graph
     shapes = {weight.name: [*weight.dims] for weight in graph.initializer}
@@ -153,8 +153,8 @@ def numbers_read(content: bytes) -> dict[str, frozenset[int]]:
 def _read_for(
     node: Any, needs: set[int] | None, shapes: Mapping[str, Sequence[int]], constants: Mapping[str, Any]
 ) -> Iterator[tuple[str, set[int] | None]]:
-    """Yield the places of each input from which the places `needs` of the result of a node come; None is
-    all."""
+    """Yield the indices of each input from which a node computes the indices `needs` of its result; None
+    means all."""
     of_vectors = all(len(shapes.get(name, ())) == 1 for name in (*node.input, *node.output))
     if node.op_type == "Gather" and of_vectors and node.input[1] in constants:
         indices = constants[node.input[1]]

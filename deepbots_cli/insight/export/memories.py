@@ -30,7 +30,7 @@ class StepMemories:
     def __init__(self, math: Arithmetic, program: Program, repeat: int) -> None:
         self.repeat = repeat
         self.entries: list[Memory] = []
-        self._kept: dict[str, str] = {}
+        self._kept_tensors: dict[str, str] = {}
         self._math, self._graph, self._program = math, math.graph, program
         self._formulas = MemoryFormulas(math, program.world.timestep)
 
@@ -55,12 +55,14 @@ class StepMemories:
 
     def keep_tensor(self, name: str, tensor: str) -> None:
         """Pass a tensor to the next step."""
-        self._kept[f"memory.{name}"] = tensor
+        self._kept_tensors[f"memory.{name}"] = tensor
 
     def declare(self) -> None:
         """Declare the kept values as outputs of the graph."""
         for memory in self.entries:
-            self._graph.output(f"{memory.name}_next", self._kept[memory.name], memory.dtype, *memory.shape)
+            self._graph.output(
+                f"{memory.name}_next", self._kept_tensors[memory.name], memory.dtype, *memory.shape
+            )
 
     # The clock
 

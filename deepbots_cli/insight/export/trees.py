@@ -314,7 +314,7 @@ class TreePrinter:
         self.math = arithmetic
         self._leaf = leaf
         self._states = states
-        self._known: dict[Any, Value] = {}
+        self._values: dict[Any, Value] = {}
 
     def value(self, tree: Scalar) -> Value:
         """Return the number or truth value of a tree."""
@@ -329,9 +329,9 @@ class TreePrinter:
         key = tuple(map(_key, trees))
         if len(set(key)) == 1 and len(key) > 1:
             return self.vector(trees[:1])
-        if key not in self._known:
-            self._known[key] = self._printed(trees)
-        return self._known[key]
+        if key not in self._values:
+            self._values[key] = self._printed(trees)
+        return self._values[key]
 
     def _printed(self, trees: Sequence[Scalar]) -> Value:
         first = trees[0]

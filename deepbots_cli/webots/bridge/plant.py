@@ -37,8 +37,8 @@ class Plant:
         """Take the nodes of the world.
 
         Args:
-            supervisor: The `controller.Supervisor` of the world. world: The world of the scenario; the world
-            of Webots has the same names.
+            supervisor: The `controller.Supervisor` of the world.
+            world: The world of the scenario; the world of Webots has the same names.
         """
         self.supervisor = supervisor
         self._nodes: dict[str, Any] = {}

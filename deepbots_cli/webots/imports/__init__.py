@@ -11,9 +11,9 @@ conditions.py  values under conditions, and conditions
 arithmetic.py  operators on numbers and quantities
 calls.py       functions that controllers call: of Webots, deepbots, numpy and Python
 task.py        actions and messages of a project
-judging.py     its observations, rewards and endings
+judging.py     observations, rewards and endings of a project
 overrides.py   methods of deepbots that a project writes anew
-hints.py       words of the language for places that are left to a person
+hints.py       words of the language for Python that is left to a person
 draft.py       all of it as one record, which the starters of `new` write as YAML
 
 No code of the project runs. Python without a counterpart in the language becomes a `Todo` with its location

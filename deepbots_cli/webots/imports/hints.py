@@ -128,7 +128,7 @@ class _Finder:
 
     def _attributes(self, names: set[str]) -> None:
         """Add hints for attributes that are numbers, and for attributes that store values for later steps."""
-        memory_names = sorted(names & {*self._kept()})
+        memory_names = sorted(names & {*self._stored_attributes()})
         for name in sorted(names - {*memory_names}):
             value: Value = self._reader.attributes.get(name)
             if is_number(value):
@@ -220,7 +220,7 @@ class _Finder:
         call_text = "".join(letter if letter.isprintable() else "?" for letter in python)[:_SHOWN]
         self.hints[f"{words.format(body or 'BODY')} for {call_text}"] = None
 
-    def _kept(self) -> Iterator[str]:
+    def _stored_attributes(self) -> Iterator[str]:
         """Yield the attributes that methods of the class set after the start."""
         for name, (_, function) in self._reader.cls.methods.items():
             for node in ast.walk(function) if name not in _RESET else ():

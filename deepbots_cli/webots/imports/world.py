@@ -68,7 +68,7 @@ def plain(*values: float) -> str:
 # Arena and terrain
 
 
-def _written(scene: Scene, kind: str) -> list[Node]:
+def _proto_nodes(scene: Scene, kind: str) -> list[Node]:
     return [node for node in walk(scene.nodes) if node.type == kind and node.body is not None]
 
 
@@ -77,7 +77,7 @@ def _is_at_origin(node: Node) -> bool:
 
 
 def _arena(scene: Scene, result: Surroundings) -> set[Node]:
-    for node in _written(scene, "RectangleArena"):
+    for node in _proto_nodes(scene, "RectangleArena"):
         if not _is_at_origin(node):
             continue
         x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
