@@ -43,8 +43,8 @@ from deepbots_cli.expressions.types import (
 
 P = ParamSpec("P")
 T = TypeVar("T")
-Place = syntax.Node | Typed | TypedRange
-"""A node, for its place in the text."""
+ReportedNode = syntax.Node | Typed | TypedRange
+"""A node that a finding is about."""
 
 ANY_SHAPE: Components = ("*",)
 _PLAUSIBLE_LIMIT_FACTOR = 10  # times the plausible limit: beyond it, an engine's sums lose their digits
@@ -60,7 +60,7 @@ class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
 def report_at(
     report: FindingReporter,
     code: str,
-    node: Place,
+    node: ReportedNode,
     headline: str,
     help: str | None = None,
     replacement: Replacement | None = None,
@@ -119,7 +119,7 @@ def require_kind(values: Sequence[Typed], report: FindingReporter, *, boolean: b
 
 
 def dimension_of(
-    values: Sequence[Typed], node: Place, report: FindingReporter, *, is_paid: bool = False
+    values: Sequence[Typed], node: ReportedNode, report: FindingReporter, *, is_paid: bool = False
 ) -> Dimension:
     """Return the one dimension of all values except bare zeros; DB502 or DB503 where they differ.
 
@@ -364,7 +364,7 @@ def _references(value: Typed) -> Iterator[Reference]:
             yield from _references(part)
 
 
-def components_of(values: Sequence[Typed], node: Place, report: FindingReporter) -> Components | None:
+def components_of(values: Sequence[Typed], node: ReportedNode, report: FindingReporter) -> Components | None:
     """Return the components of the result, None for a single value; DB404 where vectors differ.
 
     A vector for each row combines with a vector that has a value for each row, or for each column.
@@ -386,7 +386,7 @@ def _is_part(components: Components | None, vector: Components | None) -> bool:
     return isinstance(vector, RowComponents) and components in (vector.rows, vector.columns)
 
 
-def aligned(values: Sequence[Typed], node: Place, report: FindingReporter) -> tuple[Typed, ...]:
+def aligned(values: Sequence[Typed], node: ReportedNode, report: FindingReporter) -> tuple[Typed, ...]:
     """Return the values with the same components, single values as they are; DB404 where vectors differ."""
     components = components_of(values, node, report)
     return tuple(spread(value, components) for value in values)
@@ -402,7 +402,9 @@ def spread(value: Typed, components: Components | None) -> Typed:
     return ComponentSelection(spread_type, value.start, value.end, value, indices)
 
 
-def _differing(first: Components, second: Components, node: Place, report: FindingReporter) -> StopChecking:
+def _differing(
+    first: Components, second: Components, node: ReportedNode, report: FindingReporter
+) -> StopChecking:
     both = [name for name in first if name in second]
     example = "".join(both) if both and all(len(name) == 1 for name in both) else "x"
     help = f"both sides need the same components; select them, as in `v.{example}`"

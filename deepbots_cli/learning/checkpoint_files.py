@@ -47,7 +47,7 @@ Count = Annotated[int, Field(ge=0, lt=2**62)]
 Bit = Annotated[int, Field(ge=0, le=1)]
 Word = Annotated[int, Field(ge=0, lt=2**32)]
 LongWord = Annotated[int, Field(ge=0, lt=2**128)]
-Place = Annotated[int, Field(ge=0, le=_WORDS)]
+WordIndex = Annotated[int, Field(ge=0, le=_WORDS)]
 
 
 class CheckpointPart(BaseModel, strict=True, extra="forbid", allow_inf_nan=False):
@@ -136,7 +136,7 @@ class CheckpointState(CheckpointPart):
     python: tuple[
         Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None
     ]
-    numpy: tuple[Place, Bit, float]
+    numpy: tuple[WordIndex, Bit, float]
     logs: dict[Text, Count]
     """Bytes of each log."""
     inexact: Annotated[list[Text], Field(max_length=1_000)]

@@ -40,7 +40,7 @@ from deepbots_cli.rollout.seats import (
     own_name,
 )
 from deepbots_cli.rollout.worlds import WorldsStep
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -82,9 +82,9 @@ class JointLearner(Learner):
         program, critic_program = setup.program, setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
-        self._seats = {name: Place(member, program.agent) for name, member in program.members.items()}
+        self._seats = {name: SeatLayout(member, program.agent) for name, member in program.members.items()}
         self._critical = {
-            name: Place(member, critic_program.agent) for name, member in critic_program.members.items()
+            name: SeatLayout(member, critic_program.agent) for name, member in critic_program.members.items()
         }
         self._collectors: dict[str, OfferedCollector] = {}
         self.learners = self._create_learners()

@@ -25,7 +25,7 @@ from deepbots_cli.program.members import joint_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import by_part
 from deepbots_cli.scenario.training import ALGORITHMS
 
@@ -74,7 +74,7 @@ class SidesCollector(OfferedCollector):
     """The part of the learning policy in the fragments of two equal agents: a row for each side that it
     plays, those of the first agent first."""
 
-    def __init__(self, of_all: Any, seats: Sequence[Place], sides: Sides) -> None:
+    def __init__(self, of_all: Any, seats: Sequence[SeatLayout], sides: Sides) -> None:
         super().__init__(of_all, seats[0])
         self._seats, self._sides = seats, sides
         self.rows = len(sides.first) + len(sides.second)
@@ -311,7 +311,7 @@ class SelfPlayLearner(JointLearner):
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
 
-    def _let_scripts_act(self, worlds: Array, seat: Place, actions: Array) -> None:
+    def _let_scripts_act(self, worlds: Array, seat: SeatLayout, actions: Array) -> None:
         """Write the actions of the scripts of an agent in some worlds."""
         scripted = worlds[self._opponents[worlds] <= _FIRST_SCRIPT]
         worlds_of_all = cast("LocalCollector", self.setup.collector).worlds

@@ -93,12 +93,12 @@ _COLON = re.compile(r"[\w]*[ \t]*:")
 
 
 def completion(view: CursorView) -> CompletionList:
-    """Return all completions at the place; the client filters them by the text before the cursor.
+    """Return all completions at the cursor; the client filters them by the text before the cursor.
 
     The list is marked as incomplete until the current text is analyzed, so that the client repeats the
     request at the next letter.
     """
-    cursor = view.place
+    cursor = view.cursor
     if view.document.is_blank:
         items = (
             []
@@ -120,7 +120,7 @@ def completion(view: CursorView) -> CompletionList:
 
 
 def _keys(view: CursorView) -> Iterator[CompletionItem]:
-    cursor, data = view.place, view.data
+    cursor, data = view.cursor, view.data
     present = view.keys
     colon = "" if _COLON.match(view.document.plain, view.offset) else ": "
     for choice in _unique(_key_choices(view, data)):
@@ -129,7 +129,7 @@ def _keys(view: CursorView) -> Iterator[CompletionItem]:
 
 
 def _key_choices(view: CursorView, data: Any) -> Iterator[Choice]:
-    path = view.place.path
+    path = view.cursor.path
     for shape in shapes_at(path, data):
         match shape:
             case Kinds():
@@ -163,7 +163,7 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
 
 
 def _values(view: CursorView) -> Iterator[CompletionItem]:
-    cursor, data = view.place, view.data
+    cursor, data = view.cursor, view.data
     words = list(_word_choices(view, data)) or [*_example(view, data)]
     yield from (_item(view, choice, cursor.start) for choice in _unique(words))
     for shape in shapes_at(cursor.path, data):
@@ -178,7 +178,7 @@ def _values(view: CursorView) -> Iterator[CompletionItem]:
 def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator[Choice]:
     """Yield the items that may come next in an expression, including names in the text that no analysis has
     resolved yet."""
-    path, text = view.place.path, view.place.text
+    path, text = view.cursor.path, view.cursor.text
     if _expects_unit(text):
         # After `*` or `/`, only single units follow, not `N*m`.
         goes_on = text[: len(text) - len(_word_before(text))].endswith(("*", "/"))
@@ -211,15 +211,15 @@ def _expression_items(view: CursorView, field: FieldType, data: Any) -> Iterator
 
 def _example(view: CursorView, data: Any) -> Iterator[Choice]:
     """Yield the documented example of the key at the cursor, for values without a vocabulary."""
-    path = view.place.path
-    section = section_of(path, data) if not view.place.text.strip() else None
+    path = view.cursor.path
+    section = section_of(path, data) if not view.cursor.text.strip() else None
     example = example_of(section, str(path[-1])) if section is not None else None
     if example is not None and "\n" not in example.text:
         yield Choice(example.text, CompletionItemKind.Value, "an example")
 
 
 def _word_choices(view: CursorView, data: Any) -> Iterator[Choice]:
-    path = view.place.path
+    path = view.cursor.path
     for shape in shapes_at(path[:-1], data) if path else ():
         if isinstance(shape, Kinds) and shape.key == path[-1]:
             yield from (
@@ -587,7 +587,7 @@ def _files(
     view: CursorView, suffixes: tuple[str, ...], library: shipped.Library | None = None
 ) -> Iterator[Choice]:
     """Yield the files and folders that may continue the path at the cursor."""
-    folder, slash, _ = view.place.text.rpartition("/")
+    folder, slash, _ = view.cursor.text.rpartition("/")
     if library and not slash:
         yield from (
             Choice(name, CompletionItemKind.Module, f"a {library.noun} that comes with deepbots")

@@ -1,4 +1,4 @@
-"""The place of the cursor in the text of a scenario, which may be broken YAML during typing.
+"""The key or value at the cursor in the text of a scenario, which may be broken YAML during typing.
 
 The reader scans the text before the cursor, followed by a mark, with PyYAML's scanner. Where the scanner
 fails, the reader replaces one character and scans again. Brackets and blocks need not be closed.
@@ -27,7 +27,7 @@ _OPENING = ("{", "[", "<block mapping start>", "<block sequence start>")
 _CLOSING = ("}", "]", "<block end>")
 
 
-class Place(NamedTuple):
+class Cursor(NamedTuple):
     """The key or value at the cursor.
 
     A `key` belongs to the mapping at `path`, or is a scalar on its own line at `path`; a `value` is at
@@ -51,7 +51,7 @@ class _EndedError(Exception):
         self.opening = opening
 
 
-def place_at(text: str, offset: int) -> Place:
+def cursor_at(text: str, offset: int) -> Cursor:
     """Return the key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]
@@ -68,9 +68,9 @@ def place_at(text: str, offset: int) -> Place:
         else:
             if len(reader.open_containers) > MAX_DEPTH:
                 break
-            return Place(reader.path, reader.role, reader.start, text[reader.start :], reader.root[""] or {})
+            return Cursor(reader.path, reader.role, reader.start, text[reader.start :], reader.root[""] or {})
         sound = sound[:at] + sign + sound[at + len(sign) :]
-    return Place((), "aside", offset, "", {})
+    return Cursor((), "aside", offset, "", {})
 
 
 def value_at(data: Any, path: NodePath) -> Any:

@@ -203,12 +203,12 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
 
 def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """Return the key or the single value under the cursor."""
-    cursor, text = view.place, view.document.plain
+    cursor, text = view.cursor, view.document.plain
     if cursor.role == "aside":
         return None
     if cursor.role == "key":
         end = _end(_KEY, text, view.offset)
-        again = view.place_at(end)
+        again = view.cursor_at(end)
         word = text[again.start : end]
         is_key = _COLON.match(text, end) is not None  # otherwise it may be a value on its own line
         return KeyOrValue((*again.path, word) if is_key else again.path, word, again.start, end, is_key)

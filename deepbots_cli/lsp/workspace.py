@@ -32,7 +32,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.settings import Settings, is_scenario, settings
-from deepbots_cli.lsp.cursor import Place, place_at, value_at
+from deepbots_cli.lsp.cursor import Cursor, cursor_at, value_at
 
 _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
@@ -260,11 +260,11 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class CursorView:
-    """A place in the current text of a document, and the last analysis that resolved the names of its
+    """A cursor in the current text of a document, and the last analysis that resolved the names of its
     scenario, if any.
 
-    `source` is the text of the document in that analysis. `known_offset` is the offset of the place in
-    `source`, None if the place was typed later. `is_settled` is true if an analysis of the current text
+    `source` is the text of the document in that analysis. `known_offset` is the offset of the cursor in
+    `source`, None if this text was typed later. `is_settled` is true if an analysis of the current text
     exists.
     """
 
@@ -280,28 +280,28 @@ class CursorView:
         return self.analysis.checked if self.analysis else None
 
     @cached_property
-    def place(self) -> Place:
+    def cursor(self) -> Cursor:
         """The key or value under the cursor; its path starts at the root of the scenario, also in an included
         file."""
-        return self.place_at(self.offset)
+        return self.cursor_at(self.offset)
 
-    def place_at(self, offset: int) -> Place:
-        cursor = place_at(self.document.plain, offset)
+    def cursor_at(self, offset: int) -> Cursor:
+        cursor = cursor_at(self.document.plain, offset)
         return cursor._replace(path=(*self._prefix, *cursor.path), data=_nested(cursor.data, self._prefix))
 
     @property
     def data(self) -> Any:
-        """The scenario of the last analysis as plain values, updated with the text before the place."""
-        return _merged(self.analysis.data, self.place.data) if self.analysis else self.place.data
+        """The scenario of the last analysis as plain values, updated with the text before the cursor."""
+        return _merged(self.analysis.data, self.cursor.data) if self.analysis else self.cursor.data
 
     @property
     def keys(self) -> set[str]:
-        """The other keys of the mapping at the place in this document."""
-        before = value_at(self.place.data, self.place.path)
+        """The other keys of the mapping at the cursor in this document."""
+        before = value_at(self.cursor.data, self.cursor.path)
         keys = set(before) if isinstance(before, dict) else set()
         if self.checked is not None and self.checked.document.root is not None:
-            node, _, steps = descend(self.checked.document.root, self.place.path)
-            if steps == len(self.place.path) and isinstance(node, MappingNode):
+            node, _, steps = descend(self.checked.document.root, self.cursor.path)
+            if steps == len(self.cursor.path) and isinstance(node, MappingNode):
                 keys |= {name for name, entry in node.entries.items() if self._is_elsewhere(entry.key.span)}
         return keys
 
@@ -454,7 +454,7 @@ def _include_path(node: Node | None, source: Source, path: NodePath = ()) -> Nod
     if isinstance(node, MappingNode):
         for entry in node.entries.values():
             if entry.key.span.source is source:
-                within = place_at(source.text, entry.key.span.end).path
+                within = cursor_at(source.text, entry.key.span.end).path
                 return path[: len(path) - len(within)]
         for name, entry in node.entries.items():
             if included := _include_path(entry.value, source, (*path, name)):

@@ -26,7 +26,7 @@ from deepbots_cli.rollout.collector import (
 )
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import by_part
 
 _SEPARATOR = "/"
@@ -61,7 +61,7 @@ class OfferedCollector(FetchingCollector):
         example: The place of an agent, which has the spaces.
     """
 
-    def __init__(self, of_all: Any, example: Place) -> None:
+    def __init__(self, of_all: Any, example: SeatLayout) -> None:
         self._of_all = of_all
         self.times, self.stale, self.agents = CollectTimes(), {}, (_NoWorld(),)
         self.observation_space, self.action_space = example.observation_space, example.action_space
@@ -102,7 +102,7 @@ class OfferedCollector(FetchingCollector):
             yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
 
 
-def own_ending(seat: Place, ending: Ending) -> Ending:
+def own_ending(seat: SeatLayout, ending: Ending) -> Ending:
     """Return the last step of an episode as it was for an agent."""
     has_ended = seat.member.name in ending.episode.agent_endings
     return ending._replace(
@@ -120,7 +120,7 @@ class SeatCollector(OfferedCollector):
         of_all: The collector of the worlds.
     """
 
-    def __init__(self, seat: Place, of_all: Any) -> None:
+    def __init__(self, seat: SeatLayout, of_all: Any) -> None:
         super().__init__(of_all, seat)
         self._seat, self.rows = seat, of_all.rows
 
@@ -156,7 +156,7 @@ class SharedCollector(OfferedCollector):
         of_all: The collector of the worlds.
     """
 
-    def __init__(self, seats: Sequence[Place], of_all: Any) -> None:
+    def __init__(self, seats: Sequence[SeatLayout], of_all: Any) -> None:
         super().__init__(of_all, seats[0])
         self._seats = [SeatCollector(seat, of_all) for seat in seats]
         self.rows = len(seats) * of_all.rows
@@ -201,7 +201,7 @@ class JointActor:
     """
 
     def __init__(
-        self, seats: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
+        self, seats: Mapping[str, SeatLayout], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
     ) -> None:
         self._seats, self._actors, self._masked = seats, actors, masked
 

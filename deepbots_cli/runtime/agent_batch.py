@@ -11,7 +11,7 @@ import numpy as np
 
 from deepbots_cli.program import Program
 from deepbots_cli.program.members import RANDOM, ZERO, joint_name
-from deepbots_cli.runtime.agents import AgentEnvironment, Place, forward_pass, own_info
+from deepbots_cli.runtime.agents import AgentEnvironment, SeatLayout, forward_pass, own_info
 from deepbots_cli.runtime.batch import (
     BatchStep,
     BatchSupervisor,
@@ -55,7 +55,7 @@ class AgentBatch:
         self.singles = [AgentEnvironment(single, scenario, policies=policies) for single in world.singles]
         self.count, self.rows = len(self.singles), WorldRows(1, has_copies=False)
         members = world.scenario.members
-        self._seats = {name: Place(member, world.agent) for name, member in members.items()}
+        self._seats = {name: SeatLayout(member, world.agent) for name, member in members.items()}
         self._own = self._seats[others.agent]
         self.observation_space, self.action_space = self._own.observation_space, self._own.action_space
         self.TERMS = tuple(self._own.member.terms)
@@ -195,7 +195,7 @@ class _PolicyRows:
     """Acts for an agent with a policy, which takes its most likely actions, in all worlds: world i in row i
     mod `FORWARD_BATCH_SIZE` of one of several forward passes."""
 
-    def __init__(self, policy: Predictor, seat: Place, world: BatchSupervisor) -> None:
+    def __init__(self, policy: Predictor, seat: SeatLayout, world: BatchSupervisor) -> None:
         self._policy, self._seat, self._world = policy, seat, world
         count = len(world.singles)
         self._slices = [
@@ -220,7 +220,7 @@ class _PolicyRows:
         return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
 
 
-def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:
+def _driven(world: BatchSupervisor, seat: SeatLayout, driver: str) -> _Act:
     """Return who acts for an agent in all worlds: a script, `random` or `zero`."""
     member, agent, count = seat.member, seat.member.program.agent, len(world.singles)
     options, width = [len(part.options) for part in agent.choices], len(agent.range_names)

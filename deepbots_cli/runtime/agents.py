@@ -33,14 +33,14 @@ Act = Callable[[Any], Any]
 """Returns an action for an observation of an agent."""
 
 
-class Place:
-    """The place of one agent in the observations and the actions of all agents.
+class SeatLayout:
+    """The columns of one agent in the observations and the actions of all agents.
 
     Attributes:
         member: The agent.
         observation_space, action_space: The spaces of the agent, as in a scenario with this agent alone.
         shape: The shape of an action; None for one with choices and ranges.
-        masks: The places of its options in a row of truth values about the options of all agents.
+        masks: The slice of its options in a row of truth values about the options of all agents.
     """
 
     def __init__(self, member: Member, of_all: Agent) -> None:
@@ -48,7 +48,7 @@ class Place:
         agent = member.program.agent
         self.observation_space, self.action_space = observation_space(agent), action_space(agent)
         self.shape = self.action_space.shape
-        self._columns = _places(member.columns)
+        self._columns = _column_index(member.columns)
         self._pictures = {
             entry.key: joint_name(member.name, entry.name).replace(".", "_") for entry in agent.images
         }
@@ -75,7 +75,7 @@ class Place:
         return of_all[..., first:last].reshape(*of_all.shape[:-1], *(self.shape or ()))
 
 
-def _places(columns: Sequence[int]) -> slice | NDArray[np.intp]:
+def _column_index(columns: Sequence[int]) -> slice | NDArray[np.intp]:
     """Return columns as an index of an array: a slice if they follow one another, which is six times as
     fast."""
     first = columns[0] if columns else 0
@@ -84,8 +84,8 @@ def _places(columns: Sequence[int]) -> slice | NDArray[np.intp]:
     return np.array(columns, np.intp)
 
 
-class Seat(Place):
-    """The place of one agent in a world of several."""
+class Seat(SeatLayout):
+    """The seat of one agent in a world of several."""
 
     def __init__(self, world: Supervisor, member: Member) -> None:
         super().__init__(member, world.agent)
@@ -337,7 +337,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         return self.rebuild, ()
 
 
-def forward_pass(policy: Predictor, seat: Place) -> ForwardPass:
+def forward_pass(policy: Predictor, seat: SeatLayout) -> ForwardPass:
     """Return a forward pass of a policy that acts for an agent."""
     options = sum(len(part.options) for part in seat.member.program.agent.choices)
     return ForwardPass(seat.observation_space, options if policy.takes_masks else None)

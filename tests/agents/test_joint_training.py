@@ -24,7 +24,7 @@ from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_agents import SEVERAL
 from tests.learning.interruption import At, outcome
 
@@ -68,7 +68,7 @@ def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> Non
     assert fragment.endings
     with closing(deepbots_cli.parallel_env(tmp_path / "several.yaml")) as environment:
         for name, member in program.members.items():
-            seat = SeatCollector(Place(member, program.agent), collector)
+            seat = SeatCollector(SeatLayout(member, program.agent), collector)
             seat.offer(fragment)
             own = seat.fetch(None, 50)  # type: ignore[arg-type]  # it has acted already
             observed, _ = environment.reset(seed=7)

@@ -17,7 +17,7 @@ from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_endings_alone import ALONE
 from tests.learning.interruption import At, outcome
 
@@ -60,7 +60,7 @@ def test_the_episodes_of_an_agent_end_where_it_ends(carts: Path) -> None:
     assert fragments["batch"] is not None
     for name in NAMES:
         assert of_all.agent_phases[name].tolist() == fragments["batch"].agent_phases[name].tolist()
-    seat = SeatCollector(Place(program.members["left"], program.agent), collector)
+    seat = SeatCollector(SeatLayout(program.members["left"], program.agent), collector)
     seat.offer(of_all)
     own = seat.fetch(None, 90)  # type: ignore[arg-type]  # it has acted already
     assert own.taking_part is not None

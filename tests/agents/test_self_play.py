@@ -20,7 +20,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollector
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.test_joint_training import SHARED, write_scenario
 from tests.learning.interruption import At, outcome
 
@@ -55,19 +55,19 @@ def test_the_policy_learns_from_the_sides_that_it_plays(tmp_path: Path) -> None:
         return Decision(generator.uniform(-1, 1, (4, 2)).astype(np.float32))
 
     terms = {name: [*member.terms.values()] for name, member in program.members.items()}
-    places = [Place(member, program.agent) for member in program.members.values()]
+    seats = [SeatLayout(member, program.agent) for member in program.members.values()]
     sides = Sides.divided(4, 0.5)
     assert (sides.first.tolist(), sides.second.tolist()) == ([0, 1, 2], [0, 1, 3])
     with closing(Worlds([api.build(program) for _ in range(4)], range(4), agent_terms=terms)) as worlds:
         of_all = LocalCollector(worlds)
         fragment = of_all.collect(act, 40)
-        collector = SidesCollector(of_all, places, sides)
+        collector = SidesCollector(of_all, seats, sides)
         assert fragment is not None
         part = collector.part_of(fragment)
     for row, (world, side, name) in enumerate(
         [(0, 0, "left"), (1, 0, "left"), (2, 0, "left"), (0, 1, "right"), (1, 1, "right"), (3, 1, "right")]
     ):
-        seen = places[side].observation(fragment.observations)
+        seen = seats[side].observation(fragment.observations)
         assert part.observations[:, row].tolist() == seen[:, world].tolist()
         assert part.actions[:, row, 0].tolist() == fragment.actions[:, world, side].tolist()
         assert part.rewards[:, row].tolist() == fragment.agent_rewards[name][:, world].tolist()

@@ -18,7 +18,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.seats import SeatCollector, SharedCollector
 from deepbots_cli.rollout.worlds import Worlds
-from deepbots_cli.runtime.agents import Place
+from deepbots_cli.runtime.agents import SeatLayout
 from tests.agents.carts import CARTS
 from tests.learning.interruption import At, outcome
 
@@ -72,9 +72,9 @@ def test_the_policy_learns_from_the_steps_of_both_agents(tmp_path: Path, text: s
         collector = LocalCollector(worlds)
         fragment = collector.collect(act, 80)
         assert fragment is not None
-        places = [Place(member, program.agent) for member in program.members.values()]
-        parts = [SeatCollector(place, collector).part_of(fragment) for place in places]
-        shared = SharedCollector(places, collector)
+        seats = [SeatLayout(member, program.agent) for member in program.members.values()]
+        parts = [SeatCollector(seat, collector).part_of(fragment) for seat in seats]
+        shared = SharedCollector(seats, collector)
         both = shared.part_of(fragment)
     assert shared.rows == 4
     assert both.endings

@@ -13,7 +13,7 @@ from pygls.workspace import PositionCodec
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import MappingNode, ScalarNode, walk
 from deepbots_cli.document.parse import parse
-from deepbots_cli.lsp.cursor import place_at
+from deepbots_cli.lsp.cursor import cursor_at
 from deepbots_cli.lsp.workspace import Lines
 from tests.few import every
 
@@ -71,14 +71,14 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
             isinstance(node, ScalarNode) and node.span not in visited
         ):  # what an alias repeats stands in one place
             visited.add(node.span)
-            place = place_at(text, node.span.end)
-            assert place.path == path
-            assert place.role == "value" or isinstance(path[-1], int)
+            cursor = cursor_at(text, node.span.end)
+            assert cursor.path == path
+            assert cursor.role == "value" or isinstance(path[-1], int)
         for entry in node.entries.values() if isinstance(node, MappingNode) else ():
             if entry.key.span not in visited:
                 visited.add(entry.key.span)
-                place = place_at(text, entry.key.span.end)
-                assert (place.path, place.role) == (path, "key")
+                cursor = cursor_at(text, entry.key.span.end)
+                assert (cursor.path, cursor.role) == (path, "key")
 
 
 @pytest.mark.parametrize(
@@ -102,14 +102,14 @@ def test_the_reader_of_broken_text_finds_the_paths_that_the_parser_finds(file):
     ],
 )
 def test_a_text_that_is_being_written_has_a_path_all_the_same(text, path, role):
-    place = place_at(text, len(text))
-    assert (place.path, place.role) == (path, role)
+    cursor = cursor_at(text, len(text))
+    assert (cursor.path, cursor.role) == (path, role)
 
 
 @given(st.text(st.sampled_from("ab:-[]{},\"'#|>&*!% \n\t😀")), st.integers(0, 200))
 def test_any_text_whatever_has_a_path(text, offset):
-    place = place_at(text, min(offset, len(text)))
-    assert place.start <= max(len(text), 0)
+    cursor = cursor_at(text, min(offset, len(text)))
+    assert cursor.start <= max(len(text), 0)
 
 
 @pytest.mark.parametrize(
@@ -117,4 +117,4 @@ def test_any_text_whatever_has_a_path(text, offset):
 )
 def test_a_hostile_text_is_read_to_its_end(piece):
     text = piece * 50_000
-    assert len(place_at(text, len(text)).path) <= 100
+    assert len(cursor_at(text, len(text)).path) <= 100
