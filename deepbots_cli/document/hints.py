@@ -164,7 +164,9 @@ def _tab(problem: _Problem) -> Finding | None:
         if match := _TAB_INDENT.match(text, start):
             above = problem.line_above(start)
             line = problem.rest_of_line(start).strip()[:_MAX_SHOWN]
-            spaces = "" if above is None else " " * (above.indent + 2 if above.opens else above.indent)
+            spaces = ""
+            if above is not None:
+                spaces = " " * (above.indent + 2 if above.opens else above.indent)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
             indent = _INDENT.match(text, start)
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None

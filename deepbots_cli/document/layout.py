@@ -139,9 +139,11 @@ def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
     joined = _BLANK_LINES.sub("\n\n", joined)
     if first:
         joined = joined.lstrip("\n")
-    return (
-        f"{(joined + indentation if indentation.strip() and last else joined).rstrip()}\n" if last else joined
-    )
+    if not last:
+        return joined
+    if indentation.strip():
+        joined += indentation
+    return f"{joined.rstrip()}\n"
 
 
 class _Columns:

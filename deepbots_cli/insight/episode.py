@@ -358,13 +358,11 @@ def action_limits(trace: Trace) -> Numbers | None:
 
 def _shares(by_name: Mapping[str, float]) -> Numbers | None:
     """Return shares by name, the largest first. The sentence shows those that are not 0 %."""
+    if not by_name:
+        return None
     shares = dict(sorted(by_name.items(), key=lambda entry: -entry[1]))
     parts = [f"{name} in {share:.0%}" for name, share in shares.items() if share >= 0.005]
-    return (
-        {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"}
-        if shares
-        else None
-    )
+    return {"shares": shares, "parts": list_text(parts[:MAX_LISTED]) if parts else "none (0%)"}
 
 
 @statement("choices", "Actions, as a fraction of steps: {parts}.")

@@ -226,12 +226,11 @@ def _law(joint: Joint) -> str:
     """Return the law of a joint that follows another one, such as `-1 * left + 0.01`."""
     if joint.mimic is None:
         return ""
-    offset = (
-        f" {'-' if joint.mimic.offset < 0.0 else '+'} {abs(joint.mimic.offset):.4g}"
-        if joint.mimic.offset
-        else ""
-    )
-    return f"{joint.mimic.multiplier:.4g} * {joint.mimic.joint}{offset}"
+    law = f"{joint.mimic.multiplier:.4g} * {joint.mimic.joint}"
+    if not joint.mimic.offset:
+        return law
+    sign = "-" if joint.mimic.offset < 0.0 else "+"
+    return f"{law} {sign} {abs(joint.mimic.offset):.4g}"
 
 
 # Scenarios

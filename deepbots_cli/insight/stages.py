@@ -91,11 +91,8 @@ def criterion_value(evidence: TrainingEvidence) -> float | None:
     if until.metric == "steps":
         return float(evidence.stage_steps)
     if until.episodes is None:
-        values = (
-            evidence.evaluations[-1]["successes" if until.metric == "success_rate" else "returns"]
-            if evidence.evaluations
-            else []
-        )
+        outcomes = "successes" if until.metric == "success_rate" else "returns"
+        values = evidence.evaluations[-1][outcomes] if evidence.evaluations else []
     else:
         # The log of a training does not name worlds: with several, this is near what the training counts.
         training = evidence.program.agent.training

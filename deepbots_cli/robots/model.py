@@ -419,11 +419,8 @@ def _element(
 
 
 def _value(value: str | float | tuple[float, ...]) -> str:
-    text = (
-        value
-        if isinstance(value, str)
-        else " ".join(map(repr, value if isinstance(value, tuple) else (value,)))
-    )
+    numbers = value if isinstance(value, tuple) else (value,)
+    text = value if isinstance(value, str) else " ".join(map(repr, numbers))
     return f'"{text.translate(_ESCAPES)}"'
 
 

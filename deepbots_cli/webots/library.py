@@ -160,8 +160,8 @@ def _pit(fields: Fields) -> str:
             su, sv = u * x / radius, v * y / radius
             bell = math.exp(-(su * su + sv * sv) / 2)
             share = 1 - noise + noise * draw(0.0, _PIT_ROUGHNESS)
-            inside = abs(su) < 3 and abs(sv) < 3
-            heights.append(z * bell * (1 - bell) * share if inside else 0.0)
+            is_in_pit = abs(su) < 3 and abs(sv) < 3
+            heights.append(z * bell * (1 - bell) * share if is_in_pit else 0.0)
     grid = " ".join(f"{height:.6g}" for height in heights)
     return f"""Solid {{ translation IS translation rotation IS rotation name "pit"
       children [ DEF GRID Pose {{ translation {-x / 2!r} {-y / 2!r} 0 children [ Shape {{

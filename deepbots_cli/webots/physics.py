@@ -245,36 +245,36 @@ class Physics:
 
     # Readings
 
-    def frame(self, body: Body, inside: Frame = ORIGIN) -> Frame:
+    def frame(self, body: Body, frame_in_body: Frame = ORIGIN) -> Frame:
         """Return a frame of a body."""
         self.update_positions()
         index = self.bodies[body.index]
         x, y, z = self.data.xpos[index].tolist()
         w, qx, qy, qz = self.data.xquat[index].tolist()
         frame = ((x, y, z), (qx, qy, qz, w))
-        return frame if inside is ORIGIN else compose(frame, inside)
+        return frame if frame_in_body is ORIGIN else compose(frame, frame_in_body)
 
     def poses(self) -> Floats:
         """Return the pose of each body, x, y, z (m) and the quaternion w, x, y, z, shape (bodies, 7)."""
         self.update_positions()
         return np.concatenate([self.data.xpos[self.bodies], self.data.xquat[self.bodies]], axis=1)
 
-    def position(self, body: Body, inside: Frame = ORIGIN) -> Triple:
+    def position(self, body: Body, frame_in_body: Frame = ORIGIN) -> Triple:
         """Return the origin of a frame of a body, m."""
-        if inside is not ORIGIN:
-            return self.frame(body, inside)[0]
+        if frame_in_body is not ORIGIN:
+            return self.frame(body, frame_in_body)[0]
         self.update_positions()
         x, y, z = self.data.xpos[self.bodies[body.index]].tolist()
         return x, y, z
 
-    def velocity(self, body: Body, inside: Frame = ORIGIN) -> tuple[Triple, Triple]:
+    def velocity(self, body: Body, frame_in_body: Frame = ORIGIN) -> tuple[Triple, Triple]:
         """Return the velocity of the origin of a frame, m/s, and the angular velocity, rad/s."""
         self.update_velocities()
         index = self.bodies[body.index]
         root = int(self.model.body_rootid[index])
         wx, wy, wz, vx, vy, vz = self.data.cvel[index].tolist()
         x, y, z = self.data.subtree_com[root].tolist()
-        arm = frames.subtract(self.position(body, inside), (x, y, z))
+        arm = frames.subtract(self.position(body, frame_in_body), (x, y, z))
         return frames.add((vx, vy, vz), frames.cross((wx, wy, wz), arm)), (wx, wy, wz)
 
     def center_of_mass(self, body: Body) -> Triple:
@@ -291,8 +291,8 @@ class Physics:
     def radius(self, owner: Node) -> float:
         """Return the radius of the ball around the origin of a solid that has its bounding object, m; 0
         without one."""
-        body, inside = self.scene.attachments[owner]
-        origin = np.array(self.position(body, inside))
+        body, frame_in_body = self.scene.attachments[owner]
+        origin = np.array(self.position(body, frame_in_body))
         geoms = [index for index, (_, geometry) in enumerate(self.geoms) if geometry.owner is owner]
         return max(
             (

@@ -83,8 +83,8 @@ class Radar(Sensor):
         if solid is node:
             return None
         position, rotation = self._frame()
-        body, inside = self._simulation.scene.attachments[solid]
-        offset = frames.subtract(physics.position(body, inside), position)
+        body, frame_in_body = self._simulation.scene.attachments[solid]
+        offset = frames.subtract(physics.position(body, frame_in_body), position)
         distance, radius = math.hypot(*offset), physics.radius(solid)
         near, far = self.getMinRange(), self.getMaxRange()
         if distance == 0 or distance - radius > far or distance + radius < near:
@@ -102,7 +102,7 @@ class Radar(Sensor):
         if power <= 0 or power < _milliwatts(number(node, "minDetectableSignal")):
             return None
         velocity, target_velocity = (
-            physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, inside))
+            physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, frame_in_body))
         )
         speed = frames.dot(frames.subtract(target_velocity, velocity), offset) / distance + self._noise(
             number(node, "speedNoise")

@@ -100,8 +100,8 @@ class Node(_NodeTypes):
         return attachment
 
     def _frame(self, function: str) -> Frame:
-        body, inside = self._attachment(function)
-        return self._simulation.physics.frame(body, inside)
+        body, frame_in_body = self._attachment(function)
+        return self._simulation.physics.frame(body, frame_in_body)
 
     def getPosition(self) -> list[float]:
         return list(self._simulation.physics.position(*self._attachment("getPosition")))
@@ -123,8 +123,8 @@ class Node(_NodeTypes):
 
     def getVelocity(self) -> list[float]:
         """Return the linear (m/s) and angular velocity (rad/s) in the world."""
-        body, inside = self._attachment("getVelocity")
-        linear, angular = self._simulation.physics.velocity(body, inside)
+        body, frame_in_body = self._attachment("getVelocity")
+        linear, angular = self._simulation.physics.velocity(body, frame_in_body)
         return [*linear, *angular]
 
     def setVelocity(self, velocity: list[float]) -> None:

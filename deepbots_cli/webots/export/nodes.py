@@ -24,15 +24,15 @@ class NodeText:
     def lines(self, indent: str = "") -> Iterator[str]:
         """Yield the lines of the node."""
         head = f"DEF {self.name} {self.type}" if self.name else self.type
-        inside = indent + "  "
+        inner_indent = indent + "  "
         fields = {name: value for name, value in self.fields.items() if value is not None}
         if not fields:
             yield f"{head} {{ }}"
             return
         yield f"{head} {{"
         for name, value in fields.items():
-            first, *later_lines = _value_lines(value, inside)
-            yield f"{inside}{name} {first}"
+            first, *later_lines = _value_lines(value, inner_indent)
+            yield f"{inner_indent}{name} {first}"
             yield from later_lines
         yield f"{indent}}}"
 
@@ -45,11 +45,11 @@ def _value_lines(value: Any, indent: str) -> list[str]:
     if isinstance(value, NodeText):
         return list(value.lines(indent))
     if isinstance(value, list):
-        inside = indent + "  "
+        inner_indent = indent + "  "
         lines = ["["]
         for item in value:
-            first, *later_lines = _value_lines(item, inside)
-            lines += [inside + first, *later_lines]
+            first, *later_lines = _value_lines(item, inner_indent)
+            lines += [inner_indent + first, *later_lines]
         return [*lines, f"{indent}]"]
     return [_scalar(value)]
 

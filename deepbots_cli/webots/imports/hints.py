@@ -120,11 +120,11 @@ class _Finder:
         self._searched.add(id(function))
         frame = self._frame(module, local)
         self._assign(frame, function)
-        inside = [node for root in roots for node in ast.walk(root)]
-        for node in inside:
+        nodes = [node for root in roots for node in ast.walk(root)]
+        for node in nodes:
             if isinstance(node, ast.Call):
                 self._call(frame, node, depth)
-        self._attributes({*_loaded(inside)})
+        self._attributes({*_loaded(nodes)})
 
     def _attributes(self, names: set[str]) -> None:
         """Add hints for attributes that are numbers, and for attributes that store values for later steps."""

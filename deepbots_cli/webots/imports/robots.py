@@ -136,8 +136,8 @@ def _link(
 ) -> urdf.Link:
     geometries = [geometry for geometry in body.geometries if geometry.owner not in apart]
     origin = _inverse(_link_frame(body))
-    inside = [node for solid in apart for node in walk([solid])]
-    visuals = [visual for visual in _visuals(scene, body) if visual.node not in inside]
+    nodes_of_solids = [node for solid in apart for node in walk([solid])]
+    visuals = [visual for visual in _visuals(scene, body) if visual.node not in nodes_of_solids]
     masses = [
         _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix)
         for inertia in body.inertias
@@ -151,8 +151,8 @@ def _fixed_link(
 ) -> urdf.Link:
     geometries = [geometry for geometry in body.geometries if geometry.owner is node]
     origin = _inverse(scene.attachments[node][1])
-    inside = list(walk([node]))
-    visuals = [visual for visual in _visuals(scene, body) if visual.node in inside]
+    nodes_of_solid = list(walk([node]))
+    visuals = [visual for visual in _visuals(scene, body) if visual.node in nodes_of_solid]
     link = _link_of(parts.links[node], geometries, origin, [], built, scene, findings, body)
     return _as_seen(link, visuals, origin, built, scene)
 

@@ -91,12 +91,12 @@ def _accuracy(device: Device, unit: str) -> str:
 
 def _pose(device: Device, parts: RobotParts) -> str:
     pose = pose_of(parts.frame_in_link(device.body, device.frame))
-    inside = []
+    pose_entries = []
     if hypot(*pose.xyz) > 1e-9:
-        inside.append(f"xyz: {plain(*pose.xyz)} m")
+        pose_entries.append(f"xyz: {plain(*pose.xyz)} m")
     if hypot(*pose.rpy) > 1e-9:
-        inside.append(f"rpy: {plain(*pose.rpy)} rad")
-    return f", pose: {{{', '.join(inside)}}}" if inside else ""
+        pose_entries.append(f"rpy: {plain(*pose.rpy)} rad")
+    return f", pose: {{{', '.join(pose_entries)}}}" if pose_entries else ""
 
 
 def _distance(device: Device, mount: str) -> SensorEntry | None:
