@@ -309,7 +309,8 @@ class Runner:
             controller.turn.acquire()
 
     def _next(self) -> Controller:
-        """Advance the physics until the step of a controller ends, and return that controller."""
+        """Advance the physics until the step of a controller ends, and return this controller; at the end of
+        the run, return the first one that still runs."""
         simulation = self.simulation
         waiting = [controller for controller in self.controllers if not controller.has_ended]
         while not self.is_over:
