@@ -534,7 +534,7 @@ class _Probes:
     def _idle_action(self) -> Any:
         """Return the action that commands zeros; None where a range has no zero."""
         agent = self._training.program.agent
-        has_zeros = all(part.low <= 0.0 <= part.high for part in agent.ranges)
+        has_zeros = all(interval.low <= 0.0 <= interval.high for interval in agent.ranges)
         return idle_action(agent.action) if has_zeros else None
 
     def _policy_driver(self) -> Callable[[], Driver] | None:
@@ -608,7 +608,8 @@ def _constant(env: Supervisor) -> dict[str, dict[str, Any]]:
     choice, both ends of a range."""
     agent = env.scenario.agent
     picks = {
-        part.name: {option.name: n for n, option in enumerate(part.options[:4])} for part in agent.choices
+        choice.name: {option.name: n for n, option in enumerate(choice.options[:4])}
+        for choice in agent.choices
     }
     values: dict[str, Mapping[str, float]] = {
         **picks,

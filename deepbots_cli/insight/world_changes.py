@@ -154,7 +154,11 @@ def action_gains(program: Program) -> Iterator[tuple[str, Callable[[float], Act]
     # The value of an action is its middle plus a share of its half width, so a gain also moves the share
     # where the middle is not 0.
     middles = np.array(
-        [(part.high + part.low) / (part.high - part.low) for part in program.agent.ranges for _ in part.names]
+        [
+            (interval.high + interval.low) / (interval.high - interval.low)
+            for interval in program.agent.ranges
+            for _ in interval.names
+        ]
     )
     for name, is_part in _parts(program).items():
         yield f"the action {name}", partial(_scaled, is_part, middles)
@@ -164,7 +168,10 @@ def _parts(program: Program) -> dict[str, NDArray[np.bool_]]:
     """Return, by name, each range, and each component of a vector unless there are many, as a mask over the
     numbers of an action."""
     names = program.agent.range_names
-    parts = {part.name: np.array([name in part.names for name in names]) for part in program.agent.ranges}
+    parts = {
+        interval.name: np.array([name in interval.names for name in names])
+        for interval in program.agent.ranges
+    }
     components = {name: np.array([name == other for other in names]) for name in names}
     return parts | components if len(names) <= _MAX_MOTORS else parts
 

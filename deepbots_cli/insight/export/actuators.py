@@ -141,15 +141,20 @@ def _safe(kind: str, low: float | None, high: float | None) -> float | None:
 def linear(program: Program, targets: Sequence[Scalar]) -> tuple[Array, Array] | None:
     """Return a matrix (targets, numbers of the action) and an offset if each target is matrix @ action +
     offset, with the action in [-1, 1]; else None."""
-    parts = [(part, component) for part in program.agent.ranges for component in part.components or (None,)]
+    parts = [
+        (interval, component)
+        for interval in program.agent.ranges
+        for component in interval.components or (None,)
+    ]
     count = len(parts)
     dice = np.random.default_rng(0).uniform(-1.0, 1.0, (20, count))
     actions = np.concatenate([np.zeros((1, count)), np.eye(count), dice])
     values = _evaluated(
         targets,
         {
-            Name(part.name, component): (part.high + part.low) / 2 + (part.high - part.low) / 2 * column
-            for (part, component), column in zip(parts, actions.T, strict=True)
+            Name(interval.name, component): (interval.high + interval.low) / 2
+            + (interval.high - interval.low) / 2 * column
+            for (interval, component), column in zip(parts, actions.T, strict=True)
         },
     )
     if values is None:

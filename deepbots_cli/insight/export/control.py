@@ -154,12 +154,12 @@ class ControlStep:
         if decision.scores is None:
             whole = Value(graph.cast(graph.reshape(decision.action, -1), np.float64), len(agent.range_names))
             offset = 0
-            for part in agent.ranges:
-                size = len(part.names)
+            for interval in agent.ranges:
+                size = len(interval.names)
                 value = self._math.picked([Item(whole, offset + index) for index in range(size)])
-                half, middle = (part.high - part.low) / 2, (part.high + part.low) / 2
+                half, middle = (interval.high - interval.low) / 2, (interval.high + interval.low) / 2
                 value = self._math.binary("Mul", value, self._math.constant([half])) if half != 1.0 else value
-                decoded[part.name] = (
+                decoded[interval.name] = (
                     self._math.binary("Add", value, self._math.constant([middle])) if middle else value
                 )
                 offset += size

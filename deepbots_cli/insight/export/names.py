@@ -35,8 +35,12 @@ class ObservedNames:
         self.math, self.memories = math, memories
         self.readings: dict[str, Reading] = {}
         self.printer = TreePrinter(math, self, memories.per_timestep)
-        parts = {name: part.components for part in program.agent.ranges for name in part.variables}
-        variables = {name: parts.get(name, ()) for part in program.agent.action for name in part.variables}
+        components = {
+            name: interval.components for interval in program.agent.ranges for name in interval.variables
+        }
+        variables = {
+            name: components.get(name, ()) for part in program.agent.action for name in part.variables
+        }
         self.acted: dict[str, Sequence[str]] = {
             **variables,
             "previous_action": action_names(program.agent.action),

@@ -217,7 +217,8 @@ class Calls:
             return Quantity(reading, entry.unit, sensor=(device, ""))
         if name in ("getValues", "getQuaternion") and entry.components:
             return [
-                Quantity(f"{reading}.{part}", entry.unit, sensor=(device, part)) for part in entry.components
+                Quantity(f"{reading}.{component}", entry.unit, sensor=(device, component))
+                for component in entry.components
             ]
         return None if name in ("enable", "disable") else Unknown(location)
 
