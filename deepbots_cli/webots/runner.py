@@ -220,8 +220,8 @@ class Runner:
         name = self._speaker
         streams = tuple(Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
         sys.stdout, sys.stderr = streams
-        for name_, value in CONTROLLER_ENVIRONMENT.items():
-            os.environ.setdefault(name_, value)
+        added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
+        os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
         base = [str(SITE), *self.packages, *sys.path]
         for controller in self.controllers:
             controller.folder = str(controller.program.parent)
@@ -236,6 +236,8 @@ class Runner:
             sys.path[:], sys.argv = path, argv
             os.chdir(folder)
             sys.stdout, sys.stderr = stdout, stderr
+            for variable in added_variables:
+                os.environ.pop(variable, None)
             for module in {module for controller in self.controllers for module in controller.private}:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - modules_before:

@@ -326,6 +326,27 @@ def test_a_reward(tmp_path: Path, body: str, entry: str) -> None:
 
 
 @pytest.mark.parametrize(
+    "value",
+    [
+        "-{x}",
+        "{x} + 1",
+        "2 * {x}",
+        "{x} / 2",
+        "{x} ** 2",
+        "{x} / {x}",
+        "abs({x})",
+        "max({x}, 0.5)",
+        "({x} if {x} > 0 else 0)",
+    ],
+)
+def test_the_remark_about_rounding_stays_with_what_is_computed_from_it(tmp_path: Path, value: str) -> None:
+    text = value.format(x="round(self.cart.getPosition()[0], 2)")
+    _, scenario = imported(tmp_path, reward=f"return {text}")
+    (line,) = (line for line in scenario.splitlines() if line.strip().startswith("task:"))
+    assert "the project rounds to 2 digits" in line
+
+
+@pytest.mark.parametrize(
     ("body", "entries"),
     [
         (

@@ -286,6 +286,17 @@ def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
     assert [(outcome.exit_code, outcome.steps) for outcome in outcomes] == [(0, 40)]
 
 
+def test_a_run_leaves_the_environment_of_the_process_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+    path = tmp_path / "program.py"
+    path.write_text("import os\nassert os.environ['OMP_NUM_THREADS'] == '1'\n", encoding="utf-8")
+    simulation = simulate('Robot { name "box" controller "program" }')
+    runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))])
+    assert runner.run().exit_code == 0
+    assert dict(os.environ) == before
+
+
 def test_a_restart_ends_a_paused_run_and_shows_the_next_one(tmp_path):
     path = tmp_path / "program.py"
     path.write_text(

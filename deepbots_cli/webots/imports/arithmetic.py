@@ -14,6 +14,7 @@ from deepbots_cli.webots.imports.values import (
     Value,
     is_number,
     number_text,
+    with_note_of,
 )
 
 MAX_ITEMS = 1000
@@ -35,12 +36,12 @@ def operated(op: ast.operator, left: Value, right: Value, location: CodeLocation
         return Unknown(location)
     match op:
         case ast.Add() | ast.Sub():
-            return _sum(op, left, right, location)
+            return with_note_of((left, right), _sum(op, left, right, location))
         case ast.Mult() | ast.Div():
-            return _product(op, left, right, location)
+            return with_note_of((left, right), _product(op, left, right, location))
         case ast.Pow() if isinstance(left, Quantity) and right == 2 and left.unit in ("", "m"):
             unit = f"{left.unit}^2" if left.unit else ""
-            return short(Quantity(f"{left.operand}^2", unit, False), location)
+            return short(Quantity(f"{left.operand}^2", unit, False, left.note), location)
     return Unknown(location)
 
 
@@ -78,19 +79,16 @@ def _sum(op: ast.operator, left: Value, right: Value, location: CodeLocation) ->
     if first is None or second is None or first.unit != second.unit:
         return Unknown(location)
     symbol = "+" if isinstance(op, ast.Add) else "-"
-    note = first.note or second.note
-    return short(Quantity(f"{first.operand} {symbol} {second.operand}", first.unit, False, note), location)
+    return short(Quantity(f"{first.operand} {symbol} {second.operand}", first.unit, False), location)
 
 
 def _product(op: ast.operator, left: Value, right: Value, location: CodeLocation) -> Value:
     if isinstance(left, Quantity) and is_number(right) and isfinite(right):
         symbol = "*" if isinstance(op, ast.Mult) else "/"
         text = f"{left.operand} {symbol} {number_text(right)}"
-        return short(Quantity(text, left.unit, False, left.note), location)
+        return short(Quantity(text, left.unit, False), location)
     if is_number(left) and isfinite(left) and isinstance(right, Quantity) and isinstance(op, ast.Mult):
-        return short(
-            Quantity(f"{number_text(left)} * {right.operand}", right.unit, False, right.note), location
-        )
+        return short(Quantity(f"{number_text(left)} * {right.operand}", right.unit, False), location)
     if not (isinstance(left, Quantity) and isinstance(right, Quantity)):
         return Unknown(location)
     if isinstance(op, ast.Div) and left.unit == right.unit:

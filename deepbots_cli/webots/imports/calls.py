@@ -26,6 +26,7 @@ from deepbots_cli.webots.imports.values import (
     WorldNode,
     is_number,
     number_text,
+    with_note_of,
 )
 from deepbots_cli.webots.nodes import numbers, parameters, real, text, walk
 
@@ -390,13 +391,13 @@ def _calculated(name: str, arguments: list[Value], location: CodeLocation) -> Va
     if name == "clip" and isinstance(first, list):
         return [_calculated(name, [item, *arguments[1:]], location) for item in first]
     if isinstance(first, Quantity):
-        return _of_quantity(name, first, arguments, location)
+        return with_note_of(arguments, _of_quantity(name, first, arguments, location))
     if name in ("min", "max", "hypot") and all(
         isinstance(argument, Quantity) or is_number(argument) for argument in arguments
     ):
-        return _joined(name, arguments, location)
+        return with_note_of(arguments, _joined(name, arguments, location))
     if name == "norm" and isinstance(first, list):
-        return _joined("hypot", first, location)
+        return with_note_of(first, _joined("hypot", first, location))
     return Unknown(location)
 
 
@@ -419,7 +420,7 @@ def _number(name: str, arguments: list[Value], location: CodeLocation) -> Value:
 
 def _of_quantity(name: str, value: Quantity, arguments: list[Value], location: CodeLocation) -> Value:
     if name in ("abs", "fabs", "absolute"):
-        return Quantity(f"abs({value.text})", value.unit, note=value.note)
+        return Quantity(f"abs({value.text})", value.unit)
     if name == "sqrt" and value.unit in ("", "m^2"):
         return Quantity(f"sqrt({value.text})", "m" if value.unit else "")
     if name in ("sin", "cos", "tan") and value.unit == "rad":

@@ -16,6 +16,7 @@ from deepbots_cli.webots.imports.values import (
     Value,
     is_number,
     number_text,
+    with_note_of,
 )
 
 _COMPARISONS: dict[type, str] = {
@@ -43,9 +44,8 @@ def merged(condition: Condition | Unknown, then: Value, otherwise: Value, locati
     first, second = amount(then, otherwise), amount(otherwise, then)
     if first is None or second is None or first.unit != second.unit:
         return Unknown(location)
-    return short(
-        Quantity(f"{first.operand} if {condition.text} else {second.operand}", first.unit, False), location
-    )
+    text = f"{first.operand} if {condition.text} else {second.operand}"
+    return with_note_of((first, second), short(Quantity(text, first.unit, False), location))
 
 
 def _merged_unknown(condition: Unknown, then: Value, otherwise: Value) -> Value:

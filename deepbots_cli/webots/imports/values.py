@@ -5,7 +5,8 @@ Numbers, texts, None, lists and dicts of Python stand for themselves. Everything
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -55,6 +56,13 @@ class Quantity:
     @property
     def operand(self) -> str:
         return self.text if self.is_simple else f"({self.text})"
+
+
+def with_note_of(operands: Iterable[Value], result: Value) -> Value:
+    """Return the result of an operation with the first remark of its operands."""
+    notes = (operand.note for operand in operands if isinstance(operand, Quantity) and operand.note)
+    note = next(notes, "")
+    return replace(result, note=note) if note and isinstance(result, Quantity) else result
 
 
 @dataclass(frozen=True)
