@@ -14,8 +14,11 @@ session.py        the state of the studio, free of the page: files, robot, tasks
 gate.py           the checks in front of the server, and the page of the robot behind its address
 page.py           the page: the text and its findings, and the parts around it
 robot_pane.py     the robot on the page
-panels.py         the tabs of the page: training, runs, commands
+training_tab.py   the tab for training, with the learning curve
+runs_tab.py       the tab with the runs, and their diagnosis
 inspect_tab.py    the tab with the tables of `deepbots inspect`
+outputs.py        the outputs of commands, and the tab with all of them
+charts.py         the charts of learning curves
 dialogs.py        the dialogs for a new scenario and for two versions of a file
 explain.py        explanations of words and findings, with links
 editor.py         the text editor of the page, with `editor.js`

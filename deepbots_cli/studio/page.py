@@ -17,9 +17,11 @@ from deepbots_cli.studio.explain import linked, rule_page, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.language import EditorFinding
-from deepbots_cli.studio.panels import CommandTab, RunsTab, TrainingTab
+from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
+from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session, Topic
+from deepbots_cli.studio.training_tab import TrainingTab
 
 _MAX_FINDINGS, _MAX_FIXES = 50, 3
 _STYLE = Path(__file__).with_name("studio.css")

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from deepbots_cli.studio.panels import _options
+from deepbots_cli.studio.charts import training_chart
 from deepbots_cli.studio.trainings import Curves
 
 
 def _axis(curves: Curves) -> dict[str, Any]:
-    return _options(curves, has_successes=False, dark=False)["yAxis"][0]
+    return training_chart(curves, has_successes=False, dark=False)["yAxis"][0]
 
 
 def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before():
@@ -26,7 +26,7 @@ def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before()
 
 def test_the_axis_reaches_up_to_the_goal():
     curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
-    options = _options(curves, has_successes=False, dark=False)
+    options = training_chart(curves, has_successes=False, dark=False)
     heights = [value for line in options["series"] for _, value in line["data"]]
     assert max(heights) == 50.0
     assert options["legend"]["data"] == ["return in training"]

@@ -1,0 +1,119 @@
+"""The outputs of commands: a place that shows what a button has brought, and the tab Commands."""
+
+from __future__ import annotations
+
+from nicegui import ui
+
+from deepbots_cli.studio.session import Session
+from deepbots_cli.studio.tasks import Task
+
+
+class TaskOutput:
+    """The output of a command, with a link to the file that it has written."""
+
+    def __init__(self) -> None:
+        self._link = ui.link("open the result", "", new_tab=True)
+        self._link.set_visibility(False)
+        self._output = (
+            ui.element("pre").classes("studio-output").props('tabindex="0" role="region" aria-label="Output"')
+        )
+        with self._output:
+            self._text = ui.label("")
+        self._shown: tuple[object, ...] = ()
+
+    def show(self, task: Task) -> None:
+        """Show the present output of a command."""
+        code = task.exit_code
+        shown = (task.path, code, task.output())
+        if shown == self._shown:
+            return
+        self._shown = shown
+        starting = "starting ..." if code is None and not shown[2] else ""
+        ended = "" if code in (None, 0) else f"\nended with exit code {code}"
+        self._text.set_text(f"{starting}{shown[2]}{ended}")
+        # The element is missing until its tab is opened.
+        self._output.client.run_javascript(
+            f"const output = getHtmlElement({self._output.id});"
+            " if (output) output.scrollTop = output.scrollHeight"
+        )
+        self._link.set_visibility(code == 0 and bool(task.record.output))
+        self._link.props(f'href="studio/output/{task.path.name}"')
+
+
+class Result:
+    """A place for what a button has brought, such as the output of a command, until the person closes it."""
+
+    def __init__(self) -> None:
+        self._task: Task | None = None
+        self._output: TaskOutput | None = None
+        self._box = ui.element("div").classes("studio-result")
+        self._box.set_visibility(False)
+
+    def fill(self, title: str) -> ui.element:
+        """Empty the place and open it. Returns the element for its new content."""
+        self._task = None
+        self._box.clear()
+        self._box.set_visibility(True)
+        with self._box, ui.element("div").classes("studio-bar"):
+            ui.label(title).classes("studio-heading").props('role="status"')
+            ui.button("Close", on_click=self.close).props("dense flat no-caps")
+        self._box.client.run_javascript(f"getHtmlElement({self._box.id})?.scrollIntoView({{block: 'start'}})")
+        return self._box
+
+    def watch(self, task: Task, title: str = "") -> None:
+        """Show the output of a command while it runs; with a title, below what is here."""
+        with self._box if title else self.fill(task.command):
+            self._output = TaskOutput()
+        self._task = task
+        self.update()
+
+    def update(self) -> None:
+        if self._task is not None and self._output is not None:
+            self._output.show(self._task)
+
+    def close(self) -> None:
+        self._task = None
+        self._box.set_visibility(False)
+
+
+class CommandTab:
+    """The output of a command, and the command to copy."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        with ui.element("div").classes("studio-bar"):
+            self._choice = ui.select({}, on_change=lambda event: self._choose(event.value)).props(
+                'dense outlined label="Command" aria-label="Command"'
+            )
+            self._choice.classes("studio-files")
+            self._copy = ui.button("Copy", on_click=self._copy_command).props("dense flat no-caps")
+            self._stop = ui.button("Stop", on_click=self._stop_command).props("dense outline no-caps")
+        self._command = ui.label("").classes("studio-command")
+        self._output = TaskOutput()
+
+    def update(self) -> None:
+        task = self._session.commands.task
+        options = {
+            entry.path.name: f"{entry.path.name} {entry.command}"
+            for entry in self._session.commands.tasks.all[-30:]
+        }
+        options = dict(reversed(options.items()))
+        if options != self._choice.options:
+            self._choice.set_options(options, value=task.path.name if task else None)
+        if task is not None:
+            self._output.show(task)
+            self._command.set_text(task.command)
+            self._stop.set_enabled(task.is_running)
+
+    def _choose(self, name: str | None) -> None:
+        task: Task | None = next((t for t in self._session.commands.tasks.all if t.path.name == name), None)
+        if task is not None and task is not self._session.commands.task:
+            self._session.commands.show(task)
+
+    def _copy_command(self) -> None:
+        if self._session.commands.task is not None:
+            ui.clipboard.write(self._session.commands.task.command)
+
+    def _stop_command(self) -> None:
+        if self._session.commands.task is not None:
+            self._session.commands.task.stop()

@@ -1,0 +1,174 @@
+"""The tab for training: its buttons, and the learning curve."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from nicegui import ui
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.learning.listing import ListedRun
+from deepbots_cli.learning.report import duration
+from deepbots_cli.studio.charts import training_chart
+from deepbots_cli.studio.outputs import Result
+from deepbots_cli.studio.session import Session
+from deepbots_cli.studio.trainings import Curves
+
+Guarded = Callable[[Callable[[], Any]], None]
+_FIRST_STEPS = (
+    "Open a scenario at the top, or press New ... for one. Change its text, and save it with Ctrl+S: the robot"
+    " begins anew. Below the text is what deepbots finds in it.",
+    "Press Try: the robot plays a few episodes with random actions, and Commands shows their results.",
+    "Press Train: the robot learns, and its learning curve appears here.",
+    "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn.",
+)
+_EXPLORING = (
+    "Lines are the training, where the policy also tries actions at random, so its return is lower. Dots are"
+    " evaluations without them."
+)
+
+
+class TrainingTab:
+    """Buttons for the scenario, and the curve of a training; `diagnose` shows why a run is not solved."""
+
+    def __init__(
+        self, session: Session, guarded: Guarded, diagnose: Callable[[Path], Awaitable[None]]
+    ) -> None:
+        self._session, self._guarded, self._show_diagnosis = session, guarded, diagnose
+        with ui.element("div").classes("studio-bar"):
+            for verb, words, tip in (
+                ("Try", ["try"], "run a few episodes with random actions"),
+                ("Test", ["test"], "run the tests of the scenario"),
+            ):
+                ui.button(verb, on_click=lambda words=words: self._run(words)).props(
+                    f'dense outline no-caps title="{tip}"'
+                )
+            ui.button("Train", on_click=self.train).props('dense no-caps title="Ctrl+Enter"')
+            self._stop = ui.button("Stop", on_click=self._stop_training).props("dense outline no-caps")
+            self._timesteps = ui.input("Timesteps", placeholder="from the file").props("dense outlined")
+            self._seed = ui.input("Seed", placeholder="0").props("dense outlined")
+            for field in (self._timesteps, self._seed):
+                field.classes("studio-number")
+            self._follows = ui.checkbox(
+                "Robot follows",
+                value=session.following.is_on,
+                on_change=lambda event: session.following.turn(bool(event.value), session.current),
+            ).props('dense title="show the newest policy of the training in the robot"')
+        self._result = Result()
+        with ui.element("div").classes("studio-bar"):
+            self._text = ui.label("").classes("studio-status").props('role="status"')
+            self._why = ui.button("Why is it not solved?", on_click=self._diagnose_training)
+            self._why.props("dense outline no-caps")
+            self._why.set_visibility(False)
+        self._command = ui.label("").classes("studio-command")
+        self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
+        with self._steps:
+            for step in _FIRST_STEPS:
+                with ui.element("li"):
+                    ui.label(step)
+        self._is_dark = False
+        self._note = ui.label(_EXPLORING).classes("studio-status")
+        self._note.set_visibility(False)
+        self._chart = ui.echart(training_chart(Curves(), has_successes=False, dark=False)).classes(
+            "studio-chart"
+        )
+        self._chart.set_visibility(False)
+        self._drawn: object = None
+
+    def train(self) -> None:
+        """Train the scenario with the options of the tab."""
+        options = []
+        for field, name in ((self._timesteps, "--timesteps"), (self._seed, "--seed")):
+            text = str(field.value or "").strip()
+            if text:
+                options += [name, text]
+
+        def train() -> None:
+            try:
+                task = self._session.commands.train(self._session.saved_name(), options)
+                self._session.following.begin(self._session.folder / task.record.run)
+                self._result.close()
+            except UsageError as error:
+                self._text.set_text(str(error))
+                raise
+
+        self._guarded(train)
+
+    def update(self) -> None:
+        training, task = self._session.commands.training, self._session.commands.training_task
+        self._stop.set_enabled(task is not None and task.is_running)
+        self._result.update()
+        self._follows.set_value(self._session.following.is_on)
+        self._command.set_text("" if task is None else task.command)
+        is_running = task is not None and task.is_running
+        run = None if training is None else training.listed
+        is_unsolved = run is not None and run.solved is False and not is_running
+        self._why.set_visibility(is_unsolved)
+        self._text.classes(
+            add="studio-unsolved" if is_unsolved else None, remove=None if is_unsolved else "studio-unsolved"
+        )
+        if training is None:
+            self._text.set_text("")
+            return
+        self._steps.set_visibility(False)
+        if run is None:
+            self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
+            self._chart.set_visibility(False)
+            self._note.set_visibility(False)
+            self._drawn = None
+            return
+        is_evaluating = is_running and (run.state == "finished" or training.stands_still)
+        evaluates = ", evaluating ..." if is_evaluating else ""
+        text = training.problem or status(run, None if is_evaluating else training.seconds_left)
+        self._text.set_text(f"{run.path.name}: {text}{evaluates}")
+        key = (run.path, training.curves, self._is_dark)
+        if key != self._drawn:
+            self._drawn = key
+            self._chart.set_visibility(bool(training.curves.returns))
+            self._note.set_visibility(bool(training.curves.returns and training.curves.evaluations))
+            self._chart.options.clear()
+            self._chart.options.update(
+                training_chart(
+                    training.curves, has_successes=run.success_rate is not None, dark=self._is_dark
+                )
+            )
+            self._chart.update()
+
+    async def _diagnose_training(self) -> None:
+        training = self._session.commands.training
+        if training is not None:
+            await self._show_diagnosis(training.path)
+
+    def set_dark(self, dark: bool) -> None:
+        self._is_dark = dark
+        self.update()
+
+    def _run(self, words: list[str]) -> None:
+        def run() -> None:
+            self._result.watch(self._session.commands.run([*words, self._session.saved_name()], words[0]))
+
+        self._guarded(run)
+
+    def _stop_training(self) -> None:
+        task = self._session.commands.training_task
+        if task is not None:
+            task.stop()
+
+
+def status(run: ListedRun, seconds_left: float | None) -> str:
+    """Return the state and the results of a run in one line."""
+    parts: list[str] = [run.state]
+    if run.steps is not None:
+        suffix = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
+        parts.append(f"{run.steps:,}{suffix} steps")
+    if run.mean_return is not None:
+        parts.append(f"return {run.mean_return:.4g}")
+    if run.success_rate is not None:
+        parts.append(f"success {run.success_rate:.0%}")
+    if run.solved is not None:
+        parts.append("solved" if run.solved else "not solved")
+    if seconds_left is not None:
+        parts.append(f"at most {duration(seconds_left)} to go")
+    return ", ".join(parts)
