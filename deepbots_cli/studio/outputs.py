@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from nicegui import ui
 
+from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
 
@@ -20,6 +21,9 @@ class TaskOutput:
         with self._output:
             self._text = ui.label("")
         self._shown: tuple[object, ...] = ()
+
+    def set_visibility(self, shown: bool) -> None:
+        self._output.set_visibility(shown)
 
     def show(self, task: Task) -> None:
         """Show the present output of a command."""
@@ -48,21 +52,24 @@ class Result:
         self._output: TaskOutput | None = None
         self._box = ui.element("div").classes("studio-result")
         self._box.set_visibility(False)
+        self._body = self._box
 
     def fill(self, title: str) -> ui.element:
         """Empty the place and open it. Returns the element for its new content."""
         self._task = None
         self._box.clear()
         self._box.set_visibility(True)
-        with self._box, ui.element("div").classes("studio-bar"):
+        with self._box, ui.element("div").classes("studio-bar studio-result-head"):
             ui.label(title).classes("studio-heading").props('role="status"')
             ui.button("Close", on_click=self.close).props("dense flat no-caps")
         self._box.client.run_javascript(f"getHtmlElement({self._box.id})?.scrollIntoView({{block: 'start'}})")
-        return self._box
+        with self._box:
+            self._body = ui.element("div").classes("studio-result-body")
+        return self._body
 
     def watch(self, task: Task, title: str = "") -> None:
         """Show the output of a command while it runs; with a title, below what is here."""
-        with self._box if title else self.fill(task.command):
+        with self._body if title else self.fill(task.command):
             self._output = TaskOutput()
         self._task = task
         self.update()
@@ -83,12 +90,15 @@ class CommandTab:
         self._session = session
         with ui.element("div").classes("studio-bar"):
             self._choice = ui.select({}, on_change=lambda event: self._choose(event.value)).props(
-                'dense outlined label="Command" aria-label="Command"'
+                'dense outlined aria-label="Command"'
             )
-            self._choice.classes("studio-files")
-            self._copy = ui.button("Copy", on_click=self._copy_command).props("dense flat no-caps")
-            self._stop = ui.button("Stop", on_click=self._stop_command).props("dense outline no-caps")
+            self._choice.classes("studio-files studio-grow")
+            self._copy = ui.button("Copy", on_click=self._copy_command).props("dense outline no-caps")
+            self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_command)
+            self._stop.props("dense outline no-caps")
         self._command = ui.label("").classes("studio-command")
+        self._empty = ui.label("No command has run yet. Try, Test and Train start one.")
+        self._empty.classes("studio-empty")
         self._output = TaskOutput()
 
     def update(self) -> None:
@@ -100,6 +110,10 @@ class CommandTab:
         options = dict(reversed(options.items()))
         if options != self._choice.options:
             self._choice.set_options(options, value=task.path.name if task else None)
+        self._empty.set_visibility(task is None)
+        self._output.set_visibility(task is not None)
+        for button in (self._copy, self._stop):
+            button.set_enabled(task is not None)
         if task is not None:
             self._output.show(task)
             self._command.set_text(task.command)

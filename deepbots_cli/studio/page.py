@@ -17,6 +17,7 @@ from deepbots_cli.studio.explain import linked, rule_page, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.language import EditorFinding
+from deepbots_cli.studio.layout import ICONS, Division, Notices
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab
@@ -28,9 +29,15 @@ _STYLE = Path(__file__).with_name("studio.css")
 _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
 _TOPICS_OF_TABS: tuple[Topic, ...] = ("training", "runs", "task")
-_PREFERS_DARK = """(() => { const chosen = localStorage.getItem("deepbots-studio-dark");
-  return chosen ? chosen == "yes" : matchMedia("(prefers-color-scheme: dark)").matches; })()"""
+_PREFERENCES = """(() => { const kept = (name) => localStorage.getItem(`deepbots-studio-${name}`);
+  const dark = kept("dark") ? kept("dark") == "yes" : matchMedia("(prefers-color-scheme: dark)").matches;
+  return { dark, text: kept("size-text"), robot: kept("size-robot") }; })()"""
+"""A script for the browser: whether the colors are dark, and the sizes of areas that it has kept, if any."""
 _REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
+
+
+def _section(name: str, label: str) -> ui.element:
+    return ui.element("section").classes(f"studio-{name}").props(f'aria-label="{label}"')
 
 
 def add_style() -> None:
@@ -52,11 +59,14 @@ class StudioPage:
         ui.page_title(f"deepbots studio: {session.folder.name}")
         self._add_header()
         with ui.element("div").classes("studio-main"):  # in the element `main` of NiceGUI
-            with ui.element("section").classes("studio-text").props('aria-label="Text"'):
+            self._columns = Division("text", "Width of the text", 46)
+            with self._columns.splitter.before, _section("text", "Text"):
                 self._add_text()
-            with ui.element("section").classes("studio-robot").props('aria-label="Robot"'):
+            with self._columns.splitter.after:
+                self._rows = Division("robot", "Height of the robot", 48, horizontal=True)
+            with self._rows.splitter.before, _section("robot", "Robot"):
                 self._robot = RobotPane(session, self._guarded)
-            with ui.element("section").classes("studio-work").props('aria-label="Training and commands"'):
+            with self._rows.splitter.after, _section("work", "Training and commands"):
                 self._add_work()
         with ui.element("nav").classes("studio-jump").props('aria-label="Parts of the page"'):
             for name, label in (("text", "Text"), ("robot", "Robot"), ("work", "Training")):
@@ -73,7 +83,10 @@ class StudioPage:
         for topic in _TOPICS_OF_TABS:
             self._changed(topic)
         with suppress(TimeoutError):  # of a busy browser; the page works with the defaults
-            self._set_dark(bool(await ui.run_javascript(_PREFERS_DARK, timeout=_BROWSER_S)))
+            preferences = await ui.run_javascript(_PREFERENCES, timeout=_BROWSER_S)
+            self._set_dark(bool(preferences["dark"]))
+            self._columns.restore(preferences)
+            self._rows.restore(preferences)
         self._robot.begin()
         with suppress(TimeoutError):
             self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
@@ -87,17 +100,19 @@ class StudioPage:
                 'dense outlined aria-label="File"'
             )
             self._files.classes("studio-files")
-            self._save = ui.button("Save", on_click=self._save_file).props('dense no-caps title="Ctrl+S"')
-            ui.button("Format", on_click=self._format).props("dense flat no-caps")
+            self._save = ui.button("Save", on_click=self._save_file).props(
+                'dense no-caps unelevated title="Ctrl+S"'
+            )
             ui.button("New ...", on_click=self._new).props("dense flat no-caps")
+            ui.button("Format", on_click=self._format).props("dense flat no-caps")
             ui.button("Explain ...", on_click=lambda: self._explain()).props("dense flat no-caps")
             self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
-                'dense outlined label="Go to" aria-label="Go to a section"'
+                'dense outlined display-value="Go to" aria-label="Go to a section"'
             )
             self._outline.classes("studio-outline")
-            self._status = ui.label("").classes("studio-status").props('role="status"')
-            ui.space()
-            self._theme = ui.button("Dark", on_click=self._switch_dark)
+            self._status = ui.label("").classes("studio-status studio-state").props('role="status"')
+            self._notices = Notices()
+            self._theme = ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
             self._theme.props("dense flat no-caps")
 
     def _add_text(self) -> None:
@@ -155,8 +170,7 @@ class StudioPage:
             self._runs.update_output()
             self._command.update()
         elif topic == "notice" and self._session.notice:
-            with self._list:
-                ui.notify(self._session.notice, position="top", multi_line=True)
+            self._notices.show(self._session.notice)
 
     def _show_files(self) -> None:
         session = self._session
@@ -221,7 +235,7 @@ class StudioPage:
         if self._session.scenarios() or len(self._session.files) > 1:
             self._guarded(lambda: self._session.close_file(file.path))
         else:
-            ui.notify("write another scenario first: New ...", position="top")
+            self._notices.show("write another scenario first: New ...")
 
     def _resolve(self, act: Callable[[], None]) -> None:
         if self._file is not None:
@@ -249,6 +263,8 @@ class StudioPage:
                 if number
             )
         self._status.set_text(text)
+        kind = "error" if errors else "warning" if warnings else "good"
+        self._status.classes(replace=f"studio-status studio-state studio-state-{kind}")
         sections = {line: name for name, line in language.outline(file)}
         if sections and sections != self._outline.options:
             self._outline.set_options(sections, value=None)
@@ -290,7 +306,7 @@ class StudioPage:
         fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
         fix = next(fixes, None)
         if fix is None:
-            ui.notify("the text has changed since; try again", position="top")
+            self._notices.show("the text has changed since; try again")
         else:
             self._apply(file, fix.edits)
 
@@ -305,7 +321,7 @@ class StudioPage:
         try:
             act()
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="top", multi_line=True)
+            self._notices.show(str(error), is_warning=True)
 
     def _typed(self, path: Path, base: int | str, text: str) -> OpenFile | None:
         file = self._session.files.get(path)
@@ -330,7 +346,7 @@ class StudioPage:
             if edits:
                 self._apply(self._file, edits)
             else:
-                ui.notify("the layout is canonical already, or the file has errors", position="top")
+                self._notices.show("the layout is canonical already, or the file has errors")
 
     def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""

@@ -10,6 +10,8 @@ from nicegui import ui
 
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.studio.gate import ROBOT_PATH
+from deepbots_cli.studio.layout import ICONS
+from deepbots_cli.studio.robot_process import RobotState
 from deepbots_cli.studio.session import Session
 
 DRAWS = """(() => {
@@ -24,11 +26,15 @@ KEYS = """<script>addEventListener("keydown", (event) => {
   if (event.key != "F6") return;
   event.preventDefault();
   document.querySelector(".studio-frame")?.contentWindow.focus();
-});</script>"""
+});
+const markKeys = () => setTimeout(() => document.documentElement.classList.toggle(
+  "studio-robot-has-keys", document.activeElement?.classList.contains("studio-frame")));
+for (const name of ["focus", "blur", "focusin"]) addEventListener(name, markKeys);</script>"""
 """The key that leads into the page of the robot, which Tab passes over; `gate.py` has the keys that lead
-out."""
+out. A class of the page says where the keys go, because the browser does not apply `:focus` to a frame."""
 _ENTER = "() => document.querySelector('.studio-frame').contentWindow.focus()"
 _CLOSING_MS = 300
+_KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
 _ROBOT_TEXTS = {
     None: "starting",
     "running": "runs the saved file",
@@ -52,14 +58,15 @@ class RobotPane:
         self._waits = True
         self._shows_picture = False
         self._picture_key: tuple[object, ...] = ()
+        self._shown_keys: tuple[object, ...] = ()
         with ui.element("div").classes("studio-bar"):
             self._shown = ui.select({}, on_change=lambda event: self._show_source(event.value)).props(
-                'dense outlined label="Robot of" aria-label="Robot of"'
+                'dense outlined prefix="Robot of" aria-label="Robot of"'
             )
             self._driver = ui.select([], on_change=lambda event: self._set_driver(event.value)).props(
-                'dense outlined label="Driver" aria-label="Driver"'
+                'dense outlined prefix="Driver" aria-label="Driver"'
             )
-            ui.button("Restart", on_click=self._session.robot.restart).props("dense flat no-caps")
+            ui.button("Restart", icon=ICONS["restart"], on_click=self._restart).props("dense flat no-caps")
             enter = ui.button("Keys to the robot").props(
                 'dense flat no-caps title="F6; Escape leads back" aria-label="Keyboard into the page of the robot"'
             )
@@ -67,7 +74,11 @@ class RobotPane:
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
         self._parameters = ui.element("div").classes("studio-bar")
         self._parameters.set_visibility(False)
-        self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"').classes("studio-frame")
+        with ui.element("div").classes("studio-scene"):
+            self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"')
+            self._frame.classes("studio-frame")
+            self._keys = ui.element("div").classes("studio-keys")
+            self._keys.set_visibility(False)
         self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
         self._picture.classes("studio-picture").set_visibility(False)
 
@@ -123,6 +134,7 @@ class RobotPane:
         if drivers != self._driver.options or driver != self._driver.value:
             self._driver.set_options(drivers, value=driver)
         self._show_parameters(dict(state.changed) if state else {})
+        self._show_keys(state)
         if self._shows_picture:
             self._show_picture()
         elif not self._waits and robot.address != self._address:
@@ -142,6 +154,27 @@ class RobotPane:
             self._picture.set_visibility(True)
             self._picture.props(f'src="studio/picture?change={abs(hash(key)) % 10**8}"')
             self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
+
+    def _show_keys(self, state: RobotState | None) -> None:
+        """Show over the scene which keys drive, while a person does."""
+        keys = state.keys if state is not None and state.driver == HAND else ()
+        shown = (keys, state is not None and state.waiting)
+        if shown == self._shown_keys:
+            return
+        self._shown_keys = shown
+        self._keys.set_visibility(bool(keys))
+        self._keys.clear()
+        with self._keys:
+            ui.label("Press a key to begin" if shown[1] else "You drive").classes("studio-keys-title")
+            for effect in dict.fromkeys(effect for _, effect in keys):
+                with ui.element("div").classes("studio-keys-row"):
+                    for name in (
+                        name for names, its_effect in keys if its_effect == effect for name in names
+                    ):
+                        with ui.element("kbd"):
+                            ui.label(_KEY_SIGNS.get(name, name))
+                    ui.label(effect)
+            ui.label("Click into the picture, or press F6: then the keys drive.").classes("studio-keys-hint")
 
     def _show_parameters(self, changed: dict[str, str]) -> None:
         if changed == self._changed_parameters:
@@ -165,8 +198,18 @@ class RobotPane:
         if name and state is not None and name != state.driver:
             self._session.robot.set_driver(name)
             if name == HAND:
-                # The closing list takes the focus back first.
-                ui.run_javascript(f"setTimeout({_ENTER}, {_CLOSING_MS})")
+                self._drive()
+
+    def _restart(self) -> None:
+        self._session.robot.restart()
+        state = self._session.robot.state
+        if state is not None and state.driver == HAND:
+            self._drive()
+
+    def _drive(self) -> None:
+        """Lead the keyboard into the page of the robot, whose keys drive."""
+        # A list that is closing takes the focus back first.
+        ui.run_javascript(f"setTimeout({_ENTER}, {_CLOSING_MS})")
 
     def _write_parameters(self) -> None:
         self._guarded(self._session.write_parameters)

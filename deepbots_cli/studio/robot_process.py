@@ -17,6 +17,7 @@ from pydantic import BaseModel
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.page import Page
 
@@ -62,6 +63,8 @@ class RobotState(BaseModel, strict=True, frozen=True):
         loaded: The number of times that the files were read.
         changed: The values that replace parameters of the file.
         note: What the driver says about itself, such as the steps of a policy in training.
+        keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
+        waiting: Whether the episode waits for the first key of the person.
     """
 
     address: str = ""
@@ -73,6 +76,8 @@ class RobotState(BaseModel, strict=True, frozen=True):
     parameters: dict[str, str] = {}
     changed: dict[str, str] = {}
     note: str = ""
+    keys: tuple[tuple[tuple[str, ...], str], ...] = ()
+    waiting: bool = False
 
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
@@ -154,6 +159,8 @@ def _state(page: Page, loaded: int) -> RobotState:
         parameters=dict(player.opened.parameters),
         changed=dict(page.changed_parameters),
         note=player.driver.note,
+        keys=tuple(page.playback.manual_input.effects()) if player.driver_name == HAND else (),
+        waiting=page.playback.waiting,
     )
 
 

@@ -89,19 +89,28 @@ class RunsTab:
             ):
                 self._buttons[label] = ui.button(label, on_click=act)
                 self._buttons[label].props("dense outline no-caps")
-            self._timesteps = ui.input("Resume up to", placeholder="timesteps").props("dense outlined")
+            self._timesteps = ui.input(placeholder="timesteps").props(
+                'dense outlined prefix="Resume up to" aria-label="Resume up to"'
+            )
             self._timesteps.classes("studio-number")
+        self._scroll = ui.element("div").classes("studio-scroll")
+        with self._scroll:
+            self._add_table(columns)
+        self._show_buttons()
+
+    def _add_table(self, columns: list[dict[str, Any]]) -> None:
         self._result = Result()
         self._table = ui.table(
             columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
-        ).props('dense flat wrap-cells hide-pagination hide-selected-banner no-data-label="no runs yet"')
+        )
+        self._table.props("dense flat wrap-cells hide-pagination hide-selected-banner")
+        self._table.props('no-data-label="No runs yet: press Train in the tab Train"')
         self._table.classes("studio-table")
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
         self._table.on("rowClick", self._select, [["ctrlKey", "metaKey", "shiftKey"], ["name"], None])
         self._table.on_select(lambda _: self._show_buttons())
-        self._show_buttons()
 
     def set_dark(self, dark: bool) -> None:
         self._is_dark = dark
@@ -216,7 +225,7 @@ class RunsTab:
             paths = self._selected(2)
             task = self._session.commands.run(["compare", *map(str, paths)], "compare")
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="top")
+            self._session.say(str(error))
             return
         folder = self._session.folder
         curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in paths}
@@ -228,7 +237,7 @@ class RunsTab:
         try:
             (path,) = self._selected()
         except UsageError as error:
-            ui.notify(str(error), type="warning", position="top")
+            self._session.say(str(error))
             return
         await self.diagnose(path)
 

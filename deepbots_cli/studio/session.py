@@ -50,6 +50,8 @@ class Session:
         run_changes: The begin and the changes of each run, by its path.
         notice: The last message for the person.
         following: The training that the robot follows.
+        training_options: The options for the next training, by name, such as `--seed`; empty texts for those
+            of the file.
     """
 
     def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
@@ -64,6 +66,7 @@ class Session:
         self._changes = RunChanges()
         self.notice = ""
         self.following = Following(self.robot, self.commands)
+        self.training_options: dict[str, str] = {}
         self._problem = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None

@@ -12,21 +12,23 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.listing import ListedRun
 from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.charts import training_chart
+from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.outputs import Result
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import Curves
 
 Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
-    "Open a scenario at the top, or press New ... for one. Change its text, and save it with Ctrl+S: the robot"
-    " begins anew. Below the text is what deepbots finds in it.",
-    "Press Try: the robot plays a few episodes with random actions, and Commands shows their results.",
-    "Press Train: the robot learns, and its learning curve appears here.",
-    "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn.",
+    (
+        "Write",
+        "Change the text, and save it with Ctrl+S: the robot begins anew. Mistakes are listed below the text.",
+    ),
+    ("Try", "The robot plays a few episodes with random actions, and their results appear here."),
+    ("Train", "The robot learns, and its learning curve appears here."),
+    ("Look", "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn."),
 )
 _EXPLORING = (
-    "Lines are the training, where the policy also tries actions at random, so its return is lower. Dots are"
-    " evaluations without them."
+    "Lines: the training, in which random actions lower the return. Dots: evaluations without random actions."
 )
 
 
@@ -38,52 +40,66 @@ class TrainingTab:
     ) -> None:
         self._session, self._guarded, self._show_diagnosis = session, guarded, diagnose
         with ui.element("div").classes("studio-bar"):
-            for verb, words, tip in (
-                ("Try", ["try"], "run a few episodes with random actions"),
-                ("Test", ["test"], "run the tests of the scenario"),
+            for verb, words, icon, tip in (
+                ("Try", ["try"], "play", "run a few episodes with random actions"),
+                ("Test", ["test"], "check", "run the tests of the scenario"),
             ):
-                ui.button(verb, on_click=lambda words=words: self._run(words)).props(
+                ui.button(verb, icon=ICONS[icon], on_click=lambda words=words: self._run(words)).props(
                     f'dense outline no-caps title="{tip}"'
                 )
-            ui.button("Train", on_click=self.train).props('dense no-caps title="Ctrl+Enter"')
-            self._stop = ui.button("Stop", on_click=self._stop_training).props("dense outline no-caps")
-            self._timesteps = ui.input("Timesteps", placeholder="from the file").props("dense outlined")
-            self._seed = ui.input("Seed", placeholder="0").props("dense outlined")
-            for field in (self._timesteps, self._seed):
-                field.classes("studio-number")
+            ui.button("Train", icon=ICONS["curve"], on_click=self.train).props(
+                'dense no-caps unelevated title="Ctrl+Enter"'
+            )
+            self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_training)
+            self._stop.props("dense outline no-caps")
+            self._timesteps = self._option("Timesteps", "--timesteps", "from the file")
+            self._seed = self._option("Seed", "--seed", "0")
             self._follows = ui.checkbox(
                 "Robot follows",
                 value=session.following.is_on,
                 on_change=lambda event: session.following.turn(bool(event.value), session.current),
             ).props('dense title="show the newest policy of the training in the robot"')
-        self._result = Result()
-        with ui.element("div").classes("studio-bar"):
+        with ui.element("div").classes("studio-bar studio-line"):
             self._text = ui.label("").classes("studio-status").props('role="status"')
             self._why = ui.button("Why is it not solved?", on_click=self._diagnose_training)
             self._why.props("dense outline no-caps")
             self._why.set_visibility(False)
-        self._command = ui.label("").classes("studio-command")
+            self._command = ui.label("").classes("studio-command")
+        self._is_dark = False
+        self._drawn: object = None
+        with ui.element("div").classes("studio-scroll"):
+            self._result = Result()
+            self._add_steps()
+            options = training_chart(Curves(), has_successes=False, dark=False)
+            self._chart = ui.echart(options).classes("studio-chart")
+            self._chart.set_visibility(False)
+            self._note = ui.label(_EXPLORING).classes("studio-note")
+            self._note.set_visibility(False)
+
+    def _option(self, label: str, name: str, placeholder: str) -> ui.input:
+        """Add a field for an option of the command; the session keeps its text."""
+        options = self._session.training_options
+        field = ui.input(
+            value=options.get(name, ""),
+            placeholder=placeholder,
+            on_change=lambda event: options.update({name: str(event.value or "").strip()}),
+        )
+        field.props(f'dense outlined prefix="{label}" aria-label="{label}"')
+        return field.classes(f"studio-number studio{name}")
+
+    def _add_steps(self) -> None:
         self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
         with self._steps:
-            for step in _FIRST_STEPS:
+            for title, step in _FIRST_STEPS:
                 with ui.element("li"):
+                    ui.label(title).classes("studio-step")
                     ui.label(step)
-        self._is_dark = False
-        self._note = ui.label(_EXPLORING).classes("studio-status")
-        self._note.set_visibility(False)
-        self._chart = ui.echart(training_chart(Curves(), has_successes=False, dark=False)).classes(
-            "studio-chart"
-        )
-        self._chart.set_visibility(False)
-        self._drawn: object = None
 
     def train(self) -> None:
         """Train the scenario with the options of the tab."""
-        options = []
-        for field, name in ((self._timesteps, "--timesteps"), (self._seed, "--seed")):
-            text = str(field.value or "").strip()
-            if text:
-                options += [name, text]
+        options = [
+            word for name, text in self._session.training_options.items() if text for word in (name, text)
+        ]
 
         def train() -> None:
             try:

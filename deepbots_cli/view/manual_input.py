@@ -129,17 +129,23 @@ class ManualInput:
             (codes, option) for codes, words in _OPTION_KEYS if (option := _option(field, words)) is not None
         ]
 
-    def help(self) -> str:
-        """Return a line with the keys and their effects."""
-        parts = []
+    def effects(self) -> list[tuple[tuple[str, ...], str]]:
+        """Return the names of keys, such as `W`, and what they do while they are held."""
+        effects = []
         for name, bindings in self.bindings.items():
             for more, less, *_ in bindings:
                 # The keys are listed from left to right.
-                effects = sorted([(more, "more"), (less, "less")], key=lambda effect: "KeyA" not in effect[0])
-                parts += [f"{' / '.join(map(_key_name, keys))}: {word} {name}" for keys, word in effects]
+                ends = sorted([(more, "more"), (less, "less")], key=lambda end: "KeyA" not in end[0])
+                effects += [(tuple(map(_key_name, keys)), f"{word} {name}") for keys, word in ends]
         for field in self._choices:
-            parts += [f"{codes[0][-1]}: {field.options[option]}" for codes, option in self._keys_of(field)]
-        return "; ".join(parts)
+            effects += [
+                ((_key_name(codes[0]),), field.options[option]) for codes, option in self._keys_of(field)
+            ]
+        return effects
+
+    def help(self) -> str:
+        """Return a line with the keys and their effects."""
+        return "; ".join(f"{' / '.join(keys)}: {effect}" for keys, effect in self.effects())
 
 
 def turns_left(player: Player, seed: int, episode: int) -> bool:

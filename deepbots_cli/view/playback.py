@@ -131,7 +131,8 @@ class Playback:
 
     def show_first_frame(self) -> None:
         """Show the beginning of an episode that the players have begun."""
-        self.ended_at, self.stopped, self.waiting = 0.0, None, self.by_hand
+        self.ended_at, self.stopped = 0.0, None
+        self.waiting = self.by_hand or (self.player is not None and self.player.driver_name == HAND)
         for world in self.worlds:
             world.show_newest(after_reset=True)
             world.scene.draw(1.0)

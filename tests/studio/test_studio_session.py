@@ -282,6 +282,7 @@ def test_a_crashed_robot_is_named_and_started_again(folder):
             session.show(Path("mine.yaml"))
             await running.runs()
             for number in range(3):
+                await running.until(lambda: session.robot._process is not None)
                 pid = running.robot_pid
                 os.kill(pid, signal.SIGKILL)
                 await running.until(lambda number=number: session.robot.crashes == number + 1)
