@@ -4,14 +4,18 @@ of a file."""
 from __future__ import annotations
 
 import re
+from collections.abc import Awaitable, Callable
 from difflib import unified_diff
+from enum import StrEnum
+from functools import cache
+from itertools import count
 from pathlib import Path
 
 from nicegui import events, ui
+from nicegui.elements.mixins.validation_element import ValidationElement
 
 from deepbots_cli.cli.commands.new import Template, from_template
 from deepbots_cli.document.shipped import scenario_names, scenario_path
-from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.session import Session
 
@@ -21,113 +25,209 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
 _SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
 
 
-def _templates() -> dict[str, str]:
+class Kind(StrEnum):
+    """What a scenario begins with; the value is the option of `deepbots new`."""
+
+    template = "--template"
+    shipped = "--from"
+    robot = "--urdf"
+
+
+_KIND_NAMES = {
+    Kind.template: "a template",
+    Kind.shipped: "a copy of a shipped scenario",
+    Kind.robot: "a robot file",
+}
+
+
+@cache
+def templates() -> dict[str, str]:
     """Return the templates, each with its summary."""
     texts = {
         template.value: next(iter(from_template(template.value, "mine").values())) for template in Template
     }
-    return {name: _described(name, text.decode()) for name, text in texts.items()}
+    return {name: _summary(text.decode()) for name, text in texts.items()}
 
 
-def _shipped_scenarios() -> dict[str, str]:
+@cache
+def shipped_scenarios() -> dict[str, str]:
     """Return the shipped scenarios, each with its summary."""
     paths = {name: scenario_path(name) for name in scenario_names()}
-    return {name: _described(name, path.read_text("utf-8")) for name, path in paths.items() if path}
+    return {name: _summary(path.read_text("utf-8")) for name, path in paths.items() if path}
 
 
-def _described(name: str, text: str) -> str:
+def _summary(text: str) -> str:
     summary = _SUMMARY.search(text)
-    return f"{name}: {summary[1]}" if summary else name
+    return summary[1] if summary else ""
 
 
-async def new_scenario(session: Session) -> Path | None:
-    """Ask for name and origin, and write the scenario. Returns its file, None if nothing was written."""
+def _described(summaries: dict[str, str]) -> dict[str, str]:
+    return {name: f"{name}: {summary}" if summary else name for name, summary in summaries.items()}
+
+
+async def new_scenario(session: Session, kind: Kind = Kind.template, choice: str = "cartpole") -> Path | None:
+    """Ask for name and origin, and write the scenario. Returns its file, None if nothing was written.
+
+    Args:
+        kind: What is chosen first.
+        choice: The template, the shipped scenario, or the robot file that is chosen first.
+    """
     with ui.dialog().props('aria-label="A new scenario"') as dialog, ui.card().classes("studio-dialog"):
-        ui.label("A new scenario").classes("studio-name")
-        name = ui.input("Name", placeholder="mine").props("autofocus")
-        kind = ui.radio(["template", "copy of a shipped scenario", "robot file"], value="template")
-        template = ui.select(_templates(), value=next(iter(Template)).value, label="Template")
-        template.classes("studio-wide")
-        template.bind_visibility_from(kind, "value", value="template")
-        shipped = ui.select(_shipped_scenarios(), value="cartpole", label="Scenario", with_input=True)
-        shipped.classes("studio-wide")
-        shipped.bind_visibility_from(kind, "value", value="copy of a shipped scenario")
-        robot = _RobotUpload(session)
-        robot.element.bind_visibility_from(kind, "value", value="robot file")
-        problem = ui.label("").classes("studio-message-error").props('role="alert"')
-
-        async def write() -> None:
-            origin = {
-                "template": ["--template", template.value],
-                "robot file": ["--urdf", str(robot.path or "")],
-            }.get(kind.value, ["--from", shipped.value])
-            problem.set_text("")
-            button.set_enabled(False)
-            state.set_text("writing ...")
-            try:
-                dialog.submit(await write_new(session, str(name.value or "").strip(), origin))
-            except UsageError as error:
-                problem.set_text(str(error))
-            finally:
-                button.set_enabled(True)
-                state.set_text("")
-
-        name.on("keydown.enter", write)
-        name.on_value_change(lambda: problem.set_text(""))
-        with ui.row():
-            button = ui.button("Write", on_click=write).props("no-caps")
-            ui.button("Cancel", on_click=lambda: dialog.submit(None)).props("flat no-caps")
-            state = ui.label("").classes("studio-status").props('role="status"')
+        dialog_of = _NewScenario(session, kind, choice, dialog.submit)
+    dialog_of.focus()
     written: Path | None = await dialog
     return written
 
 
-async def write_new(session: Session, name: str, origin: list[str]) -> Path:
-    """Write a scenario by `deepbots new`.
+class _NewScenario:
+    """The content of the dialog. An error is shown beside the field that it is about."""
 
-    Raises:
-        UsageError: The name is not possible, or the command has failed.
-    """
+    def __init__(
+        self, session: Session, kind: Kind, choice: str, submit: Callable[[Path | None], object]
+    ) -> None:
+        self._session, self._submit = session, submit
+        ui.label("A new scenario").classes("studio-heading")
+        self._name = ui.input("Name", value=_free_name(session, Path(choice).stem))
+        self._name.classes("studio-wide").props('hint="The file is NAME.yaml."').on(
+            "keydown.enter", self._write
+        )
+        self._name.on_value_change(lambda: self._show_problem(self._name, ""))
+        self._kind = ui.radio(_KIND_NAMES, value=kind).props('inline dense aria-label="It begins with"')
+        first = choice if kind == Kind.template else "cartpole"
+        self._template = ui.select(_described(templates()), value=first, label="Template")
+        first = choice if kind == Kind.shipped else "cartpole"
+        shipped = _described(shipped_scenarios())
+        self._shipped = ui.select(shipped, value=first, label="Scenario", with_input=True)
+        self._robot = RobotUpload(session, lambda path: self._suggest(path.stem))
+        if kind == Kind.robot:
+            self._robot.path = Path(choice)
+            self._robot.show(f"{self._robot.path.name} is in the folder")
+        self._origins: dict[Kind, ui.element] = {
+            Kind.template: self._template.classes("studio-wide"),
+            Kind.shipped: self._shipped.classes("studio-wide"),
+            Kind.robot: self._robot.element.classes("studio-wide"),
+        }
+        for each, element in self._origins.items():
+            element.bind_visibility_from(self._kind, "value", value=each)
+        self._template.on_value_change(lambda event: self._suggest(event.value))
+        self._shipped.on_value_change(lambda event: self._suggest(event.value))
+        with ui.element("div").classes("studio-bar studio-dialog-buttons"):
+            self._state = ui.label("").classes("studio-status").props('role="status"')
+            ui.button("Cancel", on_click=lambda: submit(None)).props("flat no-caps")
+            self._button = ui.button("Write", on_click=self._write).props("no-caps unelevated")
+
+    def focus(self) -> None:
+        """Lead the keyboard to the name."""
+        self._name.run_method("select")
+
+    def _suggest(self, name: str | None) -> None:
+        """Suggest a name in place of another suggestion."""
+        if name and str(self._name.value or "").partition("-")[0] in ("", *templates(), *shipped_scenarios()):
+            self._name.set_value(_free_name(self._session, name))
+
+    @property
+    def _origin(self) -> str:
+        """The template, the shipped scenario, or the robot file that is chosen; empty without one."""
+        value = {
+            Kind.template: self._template.value,
+            Kind.shipped: self._shipped.value,
+            Kind.robot: self._robot.path,
+        }[self._kind.value]
+        return str(value or "")
+
+    async def _write(self) -> None:
+        session, name, kind = self._session, str(self._name.value or "").strip(), Kind(self._kind.value)
+        origin = self._origins[kind]
+        problem = _problem_of_name(session, name)
+        self._show_problem(self._name, problem)
+        missing = "" if self._origin else f"choose {_KIND_NAMES[kind]} first"
+        self._show_problem(origin, missing)
+        if problem or missing:
+            return
+        self._button.set_enabled(False)
+        self._state.set_text("writing ...")
+        text, code = await session.commands.call(["new", name, kind.value, self._origin])
+        self._button.set_enabled(True)
+        self._state.set_text("")
+        if code:
+            self._show_problem(origin, text.strip().partition("\n\n")[0])
+        else:
+            self._submit(session.folder / f"{name}.yaml")
+
+    def _show_problem(self, field: ui.element, text: str) -> None:
+        """Show what is wrong with a field, or nothing, beside it."""
+        if isinstance(field, ValidationElement):
+            field.error = text or None
+        else:
+            self._robot.show(text, is_error=True)
+
+
+def _problem_of_name(session: Session, name: str) -> str:
+    """Return what is wrong with the name of a new scenario; empty for a possible name."""
     if not name:
-        raise UsageError("write a name")
+        return "write a name"
     if not _NAME.fullmatch(name):
-        raise UsageError("the name begins with a letter, and has letters, digits, _ and - only")
-    if not origin[1]:
-        raise UsageError("choose a robot file first")
-    text, code = await session.commands.call(["new", name, *origin])
-    if code:
-        raise UsageError(text.strip().partition("\n\n")[0])
-    return session.folder / f"{name}.yaml"
+        return "the name begins with a letter, and has letters, digits, _ and - only"
+    if (session.folder / f"{name}.yaml").exists():
+        return f"{name}.yaml exists already; choose another name"
+    return ""
 
 
-class _RobotUpload:
-    """The control for a robot file; `path` is the file once it has been written into the folder."""
+def _free_name(session: Session, name: str) -> str:
+    """Return a name for a new scenario: this one, or with a number if there is such a file."""
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).lstrip("0123456789_-") or "mine"
+    names = (f"{stem}-{number}" if number > 1 else stem for number in count(1))
+    return next(candidate for candidate in names if not (session.folder / f"{candidate}.yaml").exists())
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+
+class RobotUpload:
+    """The control for a robot file.
+
+    Attributes:
+        element: The element of it.
+        path: The file once it has been written into the folder; None before.
+    """
+
+    def __init__(self, session: Session, on_robot: Callable[[Path], Awaitable[object] | None]) -> None:
+        """`on_robot` is called with the file, and awaited."""
+        self._session, self._on_robot = session, on_robot
         self.path: Path | None = None
-        self.element = ui.upload(
-            label="a robot file (.urdf), dropped here",
-            on_upload=self._take,
-            auto_upload=True,
-            max_file_size=MAX_ROBOT_BYTES,
-        ).props('accept=".urdf" flat bordered')
+        with ui.element("div").classes("studio-upload") as self.element:
+            ui.upload(
+                label="Drop a robot file (.urdf) here, or choose one with +",
+                on_upload=self._take,
+                on_rejected=lambda: self.show(
+                    "a robot file ends in .urdf, and has up to 10 MB", is_error=True
+                ),
+                auto_upload=True,
+                max_file_size=MAX_ROBOT_BYTES,
+            ).props('accept=".urdf" flat bordered').classes("studio-wide")
+            self._text = ui.label("").props('role="alert"')
+
+    def show(self, text: str, *, is_error: bool = False) -> None:
+        """Show a sentence below the control."""
+        self._text.set_text(text)
+        self._text.classes(replace="studio-problem" if is_error else "studio-status")
 
     async def _take(self, event: events.UploadEventArguments) -> None:
         name = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(event.file.name).name)
         path = self._session.folder / name
         if path.suffix != ".urdf" or name.startswith("."):
-            ui.notify("a robot file ends in .urdf", type="warning")
-        elif path.exists():
-            ui.notify(f"{name} exists already; choose another name for the file", type="warning")
+            self.show("a robot file ends in .urdf", is_error=True)
+            return
+        try:
+            with path.open("xb") as file:  # which follows no link
+                file.write(await event.file.read())
+        except FileExistsError:
+            self.show(f"{name} exists already; choose another name for the file", is_error=True)
+        except OSError as error:
+            self.show(f"{name} cannot be written: {error.strerror}", is_error=True)
         else:
-            try:
-                with path.open("xb") as file:  # which follows no link
-                    file.write(await event.file.read())
-            except OSError as error:
-                ui.notify(f"{name} cannot be written: {error.strerror}", type="warning")
-                return
             self.path = path
+            self.show(f"{name} is in the folder")
+            following = self._on_robot(path)
+            if following is not None:
+                await following
 
 
 def compare_versions(file: OpenFile) -> None:

@@ -91,6 +91,7 @@ export default {
     const keys = CM.keymap.of([
       { key: "Mod-s", preventDefault: true, run: () => this.command("save") },
       { key: "Mod-Enter", preventDefault: true, run: () => this.command("train") },
+      { key: "F1", preventDefault: true, run: () => this.command("explain") },
       { key: "F8", preventDefault: true, run: () => this.nextFinding() },
       { key: "Alt-Tab", run: CM.indentMore },
     ]);
@@ -320,6 +321,14 @@ export default {
       this.view.dispatch({ selection: { anchor },
         effects: CM.EditorView.scrollIntoView(anchor, { y: "center" }) });
       this.view.focus();
+    },
+    // The text, the cursor, and what is selected or the word at the cursor
+    cursor() {
+      const { from, to, head } = this.view.state.selection.main;
+      const range = from == to ? this.view.state.wordAt(head) : { from, to };
+      const selected = range ? this.view.state.sliceDoc(range.from, range.to) : "";
+      const word = selected.includes("\n") ? "" : selected.trim();
+      return { text: this.text(), word, ...this.place(range ? range.from : head) };
     },
     nextFinding() {
       const at = this.view.state.selection.main.head;

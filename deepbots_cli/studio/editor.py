@@ -6,7 +6,8 @@ meanwhile. This one sends the text with the revision that it is based on (`files
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,25 @@ from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.language import EditorFinding
 
 _BUNDLE = Path(nicegui.__file__).parent / "elements" / "codemirror" / "dist"
-
+_ANSWER_S = 5.0
+"""The time in s within which the browser tells its text."""
 
 OnChange = Callable[[Path, int | str, str], OpenFile | None]
+
+
+@dataclass(frozen=True)
+class CursorPlace:
+    """The text of the browser, and its cursor.
+
+    Attributes:
+        line, column: The place of the cursor, from 0.
+        word: What is selected, or the word at the cursor; may be empty.
+    """
+
+    text: str
+    line: int
+    column: int
+    word: str
 
 
 class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUNDLE)}):
@@ -29,9 +46,9 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
     Completion and hover are fetched from `complete` and `hover` of the server, with the path of the file.
     """
 
-    def __init__(self, on_change: OnChange, on_key: Callable[[str], None]) -> None:
+    def __init__(self, on_change: OnChange, on_key: Callable[[str], Awaitable[None]]) -> None:
         """`on_change` gets a path, the revision or the text that a text is based on, and the text; it returns
-        the file, None if the path is not open. `on_key` gets `save` or `train`."""
+        the file, None if the path is not open. `on_key` gets `save`, `train` or `explain`."""
         super().__init__()
         self._file: OpenFile | None = None
         self._sent = 0
@@ -57,6 +74,15 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
     def go_to(self, line: int, column: int = 0) -> None:
         """Put the cursor at a place, from 0."""
         self.run_method("goTo", line, column)
+
+    async def place(self) -> CursorPlace:
+        """Return the present text and cursor.
+
+        Raises:
+            TimeoutError: The browser does not answer.
+        """
+        answer = await self.run_method("cursor", timeout=_ANSWER_S)
+        return CursorPlace(str(answer["text"]), answer["line"], answer["column"], str(answer["word"]))
 
     def set_dark(self, dark: bool) -> None:
         self.run_method("setDark", dark)

@@ -8,30 +8,55 @@ from __future__ import annotations
 
 import re
 import urllib.parse
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from nicegui import ui
 
-from deepbots_cli.cli.commands.explain import entry_names, explain_word, misspelled_word, unknown_word_message
+from deepbots_cli.cli.commands.explain import (
+    entry_names,
+    explain_word,
+    misspelled_word,
+    related_entries,
+    unknown_word_message,
+)
 from deepbots_cli.diagnostics.registry import RULES, matching_rules
 from deepbots_cli.lint.pages import pages_of
+from deepbots_cli.studio.meanings import Meaning, line_link
 
 _PAGES = Path(__file__).parents[2] / "docs"
 """The pages of a clone; an installed package has none."""
 _LINK = "#explain:"
+_MAX_NAMES = 6
+_HINT = "Put the cursor on a word of the text and press F1, or write a word here: a key, a unit, a term."
 _FENCED = re.compile(r"(```.*?```|^(?: {4}.*\n?)+)", re.DOTALL | re.MULTILINE)
 _WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3})\b")
 _PAGE = re.compile(r"\bdocs/([\w-]+\.md)(#[\w-]+)?")
 _PAGE_LINK = re.compile(r"\]\(([\w-]+\.md)(#[\w-]+)?\)")
 _HEADING = re.compile(r"^(#{1,4}) +(.+)$", re.MULTILINE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\([^)]*\)")
-_ON_CLICK = f"""(event) => {{
+_ON_CLICK = """(event) => {
   const link = event.target.closest("a[href]");
-  if (!link?.hash.startsWith("{_LINK}")) return;
+  if (!/^#(explain|line):/.test(link?.hash ?? "")) return;
   event.preventDefault();
-  emit(decodeURIComponent(link.hash.slice({len(_LINK)})));
-}}"""
+  emit(decodeURIComponent(link.hash.slice(1)));
+}"""
+
+
+@dataclass(frozen=True)
+class OfText:
+    """What the open text says about words.
+
+    Attributes:
+        fixes: Title and action of each fix of the findings with a code.
+        names: The names of the text that have a word of a phrase, with the line of each, from 0.
+        go_to: It leads the cursor to a line, from 0.
+    """
+
+    fixes: Callable[[str], Iterable[tuple[str, Callable[[], object]]]]
+    names: Callable[[str], Sequence[tuple[str, int]]]
+    go_to: Callable[[int], object]
 
 
 def explanation(word: str) -> str:
@@ -49,6 +74,8 @@ def explanation(word: str) -> str:
     explained = explain_word(word)
     if not explained.entries and (nearest := misspelled_word(word)):
         return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
+    if not explained.entries and (related := related_entries(word)):
+        return f"There is no entry `{word}`. About its words: {', '.join(map(_link, related))}."
     if not explained.entries:
         return _with_links(unknown_word_message(word))
     parts = [_entry(title, text) for title, *text in explained.entries]
@@ -62,10 +89,19 @@ def rule_page(code: str) -> str:
     return _with_links("\n\n".join(page.markdown() for page in pages_of(code))) if code in RULES else ""
 
 
-def linked(on_word: Callable[[str], object]) -> ui.markdown:
-    """Return an element for such Markdown, whose links call a function with the word."""
+def linked(on_word: Callable[[str], object], on_line: Callable[[int], object] | None = None) -> ui.markdown:
+    """Return an element for such Markdown, whose links call a function with the word, or with the line, from
+    0."""
     shown = ui.markdown().classes("studio-answer")
-    shown.on("click", lambda event: on_word(str(event.args)), js_handler=_ON_CLICK)
+
+    def follow(link: str) -> None:
+        kind, _, target = link.partition(":")
+        if kind == "explain":
+            on_word(target)
+        elif on_line is not None and target.isdecimal():
+            on_line(int(target) - 1)
+
+    shown.on("click", lambda event: follow(str(event.args)), js_handler=_ON_CLICK)
     return shown
 
 
@@ -133,14 +169,13 @@ def _section(text: str, anchor: str) -> str:
     return ""
 
 
-def show_explanation(
-    wanted: str, fixes_of: Callable[[str], Iterable[tuple[str, Callable[[], object]]]]
-) -> None:
+def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -> None:
     """Open a dialog that explains words.
 
     Args:
         wanted: The first word; empty to ask for one.
-        fixes_of: It returns title and action of each fix of the findings with a code.
+        of_text: What the open text says about words.
+        own: What the first word means at the cursor.
     """
     earlier: list[str] = []
 
@@ -149,9 +184,9 @@ def show_explanation(
             return
         earlier.append(query)
         word.set_value(query)
-        answer.set_content(explanation(query))
+        answer.set_content(_answer(query, of_text, own if len(earlier) == 1 else None))
         back.set_enabled(len(earlier) > 1)
-        offered = list(fixes_of(query))
+        offered = list(of_text.fixes(query))
         fixes.clear()
         fixes.set_visibility(bool(offered))
         with fixes:
@@ -165,14 +200,34 @@ def show_explanation(
         earlier.pop()
         show(earlier.pop())
 
+    def go_to(line: int) -> None:
+        dialog.close()
+        of_text.go_to(line)
+
     with ui.dialog().props('aria-label="Explain"') as dialog, ui.card().classes("studio-dialog"):
         with ui.row().classes("studio-wide"):
             word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
             word.classes("studio-grow").props("autofocus").on("keydown.enter", show_typed)
-            ui.button("Explain", on_click=show_typed).props("no-caps")
+            ui.button("Explain", on_click=show_typed).props("no-caps unelevated")
             back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
             ui.button("Close", on_click=dialog.close).props("flat no-caps")
         fixes = ui.element("div").classes("studio-bar")
-        answer = linked(show).props('role="region" aria-label="Explanation" tabindex="0"')
+        fixes.set_visibility(False)
+        answer = linked(show, go_to).props('role="region" aria-label="Explanation" tabindex="0"')
+        answer.set_content(_HINT)
     show(wanted)
     dialog.open()
+
+
+def _answer(query: str, of_text: OfText, own: Meaning | None) -> str:
+    """Return the explanation of a word: what it means in the text, and its entries."""
+    here = own.markdown() if own is not None else ""
+    has_entry = bool(matching_rules(query) or explain_word(query).entries)
+    names = [] if here else of_text.names(query)
+    parts = [f"**{query}** in this file\n\n{here}"] if here else []
+    if names:
+        listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
+        parts.append(f"In this file: {listed}.")
+    if has_entry or not here:
+        parts.append(explanation(query))
+    return "\n\n---\n\n".join(parts)

@@ -30,6 +30,7 @@ from deepbots_cli.lsp.workspace import (
     uri_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
+from deepbots_cli.studio.meanings import Meaning, meaning, names_like
 
 _NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
 
@@ -198,6 +199,15 @@ class Language:
             "start": _pair(shown.range.start),
             "end": _pair(shown.range.end),
         }
+
+    def meaning(self, path: Path, text: str, line: int, column: int, word: str) -> Meaning:
+        """Return what the word at a place means."""
+        view = self._view(path, text, line, column)
+        return Meaning(word) if view is None else meaning(view, word)
+
+    def names_like(self, file: OpenFile, phrase: str) -> list[tuple[str, int]]:
+        """Return the names of a file that have a word of a phrase, with the line of each, from 0."""
+        return names_like(Document(uri_of(file.path), file.revision, file.text, file.path), phrase)
 
     def fixes(self, file: OpenFile, finding: EditorFinding) -> list[EditorFix]:
         """Return the fixes that the language server offers for a finding, those of this file alone."""

@@ -11,17 +11,19 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from deepbots_cli.errors import UsageError
-from deepbots_cli.studio.dialogs import compare_versions, new_scenario
+from deepbots_cli.studio.dialogs import Kind, compare_versions, new_scenario
 from deepbots_cli.studio.editor import Editor
-from deepbots_cli.studio.explain import linked, rule_page, show_explanation
+from deepbots_cli.studio.explain import OfText, linked, rule_page, show_explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.language import EditorFinding
 from deepbots_cli.studio.layout import ICONS, Division, Notices
+from deepbots_cli.studio.meanings import Meaning
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session, Topic
+from deepbots_cli.studio.start import StartPage
 from deepbots_cli.studio.training_tab import TrainingTab
 
 _MAX_FINDINGS, _MAX_FIXES = 50, 3
@@ -58,7 +60,9 @@ class StudioPage:
         self._is_dark = False
         ui.page_title(f"deepbots studio: {session.folder.name}")
         self._add_header()
-        with ui.element("div").classes("studio-main"):  # in the element `main` of NiceGUI
+        self._start_page = StartPage(session, self._new)
+        self._main = ui.element("div").classes("studio-main")
+        with self._main:  # in the element `main` of NiceGUI
             self._columns = Division("text", "Width of the text", 46)
             with self._columns.splitter.before, _section("text", "Text"):
                 self._add_text()
@@ -103,14 +107,17 @@ class StudioPage:
             self._save = ui.button("Save", on_click=self._save_file).props(
                 'dense no-caps unelevated title="Ctrl+S"'
             )
-            ui.button("New ...", on_click=self._new).props("dense flat no-caps")
-            ui.button("Format", on_click=self._format).props("dense flat no-caps")
-            ui.button("Explain ...", on_click=lambda: self._explain()).props("dense flat no-caps")
+            ui.button("New ...", on_click=lambda: self._new()).props("dense flat no-caps")
+            layout = ui.button("Format", on_click=self._format).props("dense flat no-caps")
+            ui.button("Explain ...", on_click=self._explain_here).props(
+                'dense flat no-caps title="the word at the cursor (F1)"'
+            )
             self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
                 'dense outlined display-value="Go to" aria-label="Go to a section"'
             )
             self._outline.classes("studio-outline")
             self._status = ui.label("").classes("studio-status studio-state").props('role="status"')
+            self._of_text = (self._files, self._save, layout, self._outline, self._status)
             self._notices = Notices()
             self._theme = ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
             self._theme.props("dense flat no-caps")
@@ -184,6 +191,10 @@ class StudioPage:
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
+        self._start_page.element.set_visibility(self._file is None)
+        self._main.set_visibility(self._file is not None)
+        for element in self._of_text:
+            element.set_visibility(self._file is not None)
         self._robot.update_sources()
 
     def _show_file(self, file: OpenFile | None) -> None:
@@ -329,9 +340,11 @@ class StudioPage:
             self._guarded(lambda: self._session.change(file, base, text))
         return file
 
-    def _key(self, command: str) -> None:
+    async def _key(self, command: str) -> None:
         if command == "save":
             self._save_file()
+        elif command == "explain":
+            await self._explain_here()
         elif command == "train":
             self._training.train()
 
@@ -370,28 +383,43 @@ class StudioPage:
         """Write values of a diagnosis into the text."""
         self._guarded(lambda: self._session.write_values(values))
 
-    async def _new(self) -> None:
-        path = await new_scenario(self._session)
+    async def _new(self, kind: Kind = Kind.template, choice: str = "cartpole") -> None:
+        path = await new_scenario(self._session, kind, choice)
         if path is not None:
             self._guarded(lambda: self._session.show(path))
             self._show_file(self._session.files.get(path))
             self._show_files()
 
-    def _explain(self, word: str = "") -> None:
+    async def _explain_here(self) -> None:
+        """Explain the word at the cursor, or what is selected."""
+        file, place = self._file, None
+        if file is not None:
+            with suppress(TimeoutError):
+                place = await self._editor.place()
+        if file is None or place is None:
+            self._explain()
+            return
+        language = self._session.language
+        meaning = language.meaning(file.path, place.text, place.line, place.column, place.word)
+        self._explain(place.word, meaning)
+
+    def _explain(self, word: str = "", own: Meaning | None = None) -> None:
         """Open the explanation of a word, with the fixes of the findings that have it as their code."""
+        file, language = self._file, self._session.language
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
-            file, language = self._file, self._session.language
             if file is None:
                 return
-            for finding in [entry for entry in language.findings(file.path) if entry.code == code][
-                :_MAX_FIXES
-            ]:
+            findings = [finding for finding in language.findings(file.path) if finding.code == code]
+            for finding in findings[:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._fix, file, finding, fix.title)
 
-        show_explanation(word, fixes)
+        def names(phrase: str) -> list[tuple[str, int]]:
+            return [] if file is None else language.names_like(file, phrase)
+
+        show_explanation(word, OfText(fixes, names, self._editor.go_to), own)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

@@ -100,9 +100,7 @@ class RunsTab:
 
     def _add_table(self, columns: list[dict[str, Any]]) -> None:
         self._result = Result()
-        self._table = ui.table(
-            columns=columns, rows=[], row_key="name", selection="multiple", pagination=0
-        )
+        self._table = ui.table(columns=columns, rows=[], row_key="name", selection="multiple", pagination=0)
         self._table.props("dense flat wrap-cells hide-pagination hide-selected-banner")
         self._table.props('no-data-label="No runs yet: press Train in the tab Train"')
         self._table.classes("studio-table")

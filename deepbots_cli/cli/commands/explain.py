@@ -341,6 +341,31 @@ def unknown_word_message(word: str) -> str:
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
 
 
+def related_entries(phrase: str) -> list[str]:
+    """Return the entries that have a word of a phrase in their names, or all of them in their texts, the best
+    first; empty if there is none."""
+    wanted = {word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING}
+    scores = {}
+    for name, text in _texts().items():
+        in_name = len(wanted & set(_plain(name).split()))
+        in_text = len(wanted & set(re.findall(r"\w+", _plain(text))))
+        if in_name or in_text == len(wanted) > 0:
+            scores[name] = (in_name, in_text)
+    return sorted(scores, key=lambda name: scores[name], reverse=True)[:_MAX_SHOWN]
+
+
+@cache
+def _texts() -> dict[str, str]:
+    """Return the concepts and the keys, each with its text."""
+    texts = {topic.name: f"{', '.join(topic.names)} {topic.about}" for topic in topics()}
+    for _, part, mark in walk_sections(Scenario):
+        if not isinstance(part, Kinds):
+            for key in section_fields(part):
+                if key != mark:
+                    texts[key] = f"{texts.get(key, '')} {key_description(part, key)}"
+    return texts
+
+
 def _beginning_of(word: str) -> str | None:
     """Return the longest word of the language with which `word` begins, such as `gyro` of `gyroscope`."""
     return max(

@@ -1,0 +1,61 @@
+"""What the page shows in a folder without a scenario: what to begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+
+from nicegui import ui
+
+from deepbots_cli.studio.dialogs import Kind, RobotUpload, shipped_scenarios, templates
+from deepbots_cli.studio.layout import ICONS
+from deepbots_cli.studio.session import Session
+
+_ABOUT = (
+    "A scenario is one YAML file: a robot, what its policy sees and does, and its reward. Begin with one of these;"
+    " you can change all of it. Then press Train, and the robot learns."
+)
+_FIRST = "cartpole"
+"""The template for those who begin."""
+
+Begin = Callable[[Kind, str], Awaitable[object]]
+
+
+class StartPage:
+    """The choices for a first scenario; `begin` is called with what was chosen."""
+
+    def __init__(self, session: Session, begin: Begin) -> None:
+        self._begin = begin
+        with (
+            ui.element("section")
+            .classes("studio-start")
+            .props('aria-label="A first scenario"') as self.element,
+            ui.element("div").classes("studio-start-inside"),
+        ):
+            ui.label("What do you want to begin with?").classes("studio-title").props(
+                'role="heading" aria-level="2"'
+            )
+            ui.label(_ABOUT).classes("studio-about")
+            _heading("template", "Templates", "short scenarios with comments")
+            self._add_choices(Kind.template, templates(), "studio-choices-large")
+            _heading("robot", "Your own robot", "deepbots writes a scenario for it")
+            RobotUpload(session, lambda path: begin(Kind.robot, str(path)))
+            _heading("gallery", "Gallery", "whole tasks, each trained and tested; you get a copy")
+            self._add_choices(Kind.shipped, shipped_scenarios(), "")
+
+    def _add_choices(self, kind: Kind, summaries: Mapping[str, str], classes: str) -> None:
+        with ui.element("div").classes(f"studio-choices {classes}"):
+            for name, summary in summaries.items():
+                with ui.element("button").classes("studio-choice").props('type="button"') as choice:
+                    with ui.element("span").classes("studio-choice-name"):
+                        ui.label(name)
+                        if kind == Kind.template and name == _FIRST:
+                            ui.label("begin here").classes("studio-badge")
+                    ui.label(summary).classes("studio-choice-about")
+                choice.on("click", lambda name=name: self._begin(kind, name))
+
+
+def _heading(icon: str, title: str, about: str) -> None:
+    with ui.element("div").classes("studio-choices-head"):
+        ui.icon(ICONS[icon])
+        ui.label(title).props('role="heading" aria-level="3"')
+        ui.label(about).classes("studio-choice-about")
