@@ -26,8 +26,11 @@ class InspectTab:
         self._session = session
         self._read: tuple[object, ...] = ()
         self.is_shown = False
-        ui.label(_INTRODUCTION).classes("studio-status")
-        self._tables = ui.element("div").classes("studio-tables")
+        with (
+            ui.element("div").classes("studio-scroll").props('tabindex="0" role="region" aria-label="Tables"')
+        ):
+            ui.label(_INTRODUCTION).classes("studio-note studio-introduction")
+            self._tables = ui.element("div").classes("studio-tables")
 
     async def update(self) -> None:
         """Read the tables if the saved text has changed since."""

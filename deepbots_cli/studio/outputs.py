@@ -78,8 +78,12 @@ class Result:
         if self._task is not None and self._output is not None:
             self._output.show(self._task)
 
+    def shows(self, place: ui.element) -> bool:
+        """Return whether an element that `fill` has returned is still the one for content."""
+        return self._body is place
+
     def close(self) -> None:
-        self._task = None
+        self._task, self._body = None, self._box
         self._box.set_visibility(False)
 
 

@@ -76,6 +76,7 @@ class StudioPage:
             for name, label in (("text", "Text"), ("robot", "Robot"), ("work", "Training")):
                 scroll = f"() => document.querySelector('.studio-{name}').scrollIntoView()"
                 ui.button(label).props("flat no-caps").on("click", js_handler=scroll)
+        self._show_areas(has_file=session.current is not None)
         ui.context.client.on_delete(session.listen(self._changed))
         ui.timer(0, self._start, once=True)
 
@@ -191,11 +192,14 @@ class StudioPage:
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
-        self._start_page.element.set_visibility(self._file is None)
-        self._main.set_visibility(self._file is not None)
-        for element in self._of_text:
-            element.set_visibility(self._file is not None)
+        self._show_areas(has_file=self._file is not None)
         self._robot.update_sources()
+
+    def _show_areas(self, *, has_file: bool) -> None:
+        """Show the areas of a file, or in a folder without one, what to begin with."""
+        self._start_page.element.set_visibility(not has_file)
+        for element in (self._main, *self._of_text):
+            element.set_visibility(has_file)
 
     def _show_file(self, file: OpenFile | None) -> None:
         self._file, self._findings = file, None

@@ -241,8 +241,10 @@ class RunsTab:
 
     async def diagnose(self, path: Path) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
-        self._result.fill(f"looking at {path.name} ...")
+        place = self._result.fill(f"looking at {path.name} ...")
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
+        if not self._result.shows(place):  # it was closed, or shows something newer
+            return
         with self._result.fill(f"Diagnosis of {path.name}").classes("studio-advice"):
             try:
                 (report, *_) = json.loads(text)["runs"] if not code else [None]
