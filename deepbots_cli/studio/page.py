@@ -278,7 +278,7 @@ class StudioPage:
                 if number
             )
         self._status.set_text(text)
-        kind = "error" if errors else "warning" if warnings else "good"
+        kind = findings[0].severity if findings else "good"  # errors come first
         self._status.classes(replace=f"studio-status studio-state studio-state-{kind}")
         sections = {line: name for name, line in language.outline(file)}
         if sections and sections != self._outline.options:

@@ -24,6 +24,7 @@ import deepbots_cli.codegen
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
+from deepbots_cli.program.members import RANDOM
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import Recording
@@ -138,6 +139,23 @@ def test_the_right_arrow_turns_the_robot_to_the_right(tmp_path, monkeypatch, nam
         assert yaws[1] > 0.05
 
 
+def test_an_episode_waits_for_the_first_key_of_the_person_who_was_chosen_as_driver():
+    with closing(Page(Showing("cartpole"), port=0)) as page:
+        playback = page.playback
+        playback.set_driver(HAND)
+        playback.pass_time(0.5, continues=True)
+        assert playback.waiting
+        assert len(playback.worlds[0].frames) == 1
+        playback.manual_input.hold(frozenset({"Digit1"}), ())
+        playback.pass_time(0.5, continues=True)
+        assert not playback.waiting
+        assert len(playback.worlds[0].frames) > 1
+        playback.begin()
+        assert playback.waiting
+        playback.set_driver(RANDOM)
+        assert not playback.waiting
+
+
 def test_released_keys_give_zero_where_the_range_holds_it():
     hand = ManualInput(
         [PlottedField("gas", "gas", -0.3, 1.0, ""), PlottedField("turn", "turn", 0.5, 1.0, "rad")],
@@ -149,6 +167,7 @@ def test_released_keys_give_zero_where_the_range_holds_it():
         == "W / up arrow: more gas; S / down arrow: less gas; A / left arrow: more turn; D / right arrow:"
         " less turn"
     )
+    assert hand.effects()[0] == (("W", "up arrow"), "more gas")
     for keys, axes, values in (
         ({"KeyW", "KeyD"}, (), (1.0, -1.0)),
         ({"KeyS", "KeyA"}, (), (-1.0, 1.0)),
