@@ -12,7 +12,10 @@ trainings.py      the learning curve and the time left of a training, from its f
 changes.py        what each run changed against the run before it
 session.py        the state of the studio, free of the page: files, robot, tasks, runs
 gate.py           the checks in front of the server, and the page of the robot behind its address
-page.py           the page: the text and its findings, and the parts around it
+page.py           the page: the text, and the parts around it
+layout.py         the areas of the page, the bars between them, and the notices
+start.py          what a folder without a scenario can begin with
+finding_list.py   the findings below the text, with explanations and fixes
 robot_pane.py     the robot on the page
 training_tab.py   the tab for training, with the learning curve
 runs_tab.py       the tab with the runs, and their diagnosis
@@ -21,6 +24,7 @@ outputs.py        the outputs of commands, and the tab with all of them
 charts.py         the charts of learning curves
 dialogs.py        the dialogs for a new scenario and for two versions of a file
 explain.py        explanations of words and findings, with links
+meanings.py       what a word of the text means, where it is defined, and what uses it
 editor.py         the text editor of the page, with `editor.js`
 application.py    the application of the web server
 server.py         the web server

@@ -13,10 +13,10 @@ from nicegui import background_tasks, ui
 from deepbots_cli.errors import UsageError
 from deepbots_cli.studio.dialogs import Kind, compare_versions, new_scenario
 from deepbots_cli.studio.editor import Editor
-from deepbots_cli.studio.explain import OfText, linked, rule_page, show_explanation
+from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.finding_list import FindingList
 from deepbots_cli.studio.inspect_tab import InspectTab
-from deepbots_cli.studio.language import EditorFinding
 from deepbots_cli.studio.layout import ICONS, Division, Notices
 from deepbots_cli.studio.meanings import Meaning
 from deepbots_cli.studio.outputs import CommandTab
@@ -26,7 +26,7 @@ from deepbots_cli.studio.session import Session, Topic
 from deepbots_cli.studio.start import StartPage
 from deepbots_cli.studio.training_tab import TrainingTab
 
-_MAX_FINDINGS, _MAX_FIXES = 50, 3
+_MAX_FIXES = 3
 _STYLE = Path(__file__).with_name("studio.css")
 _BROWSER_S = 60.0
 """The time in s within which a browser answers."""
@@ -54,7 +54,6 @@ class StudioPage:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._file: OpenFile | None = None
-        self._findings: tuple[EditorFinding, ...] | None = None
         self._banner_key: tuple[object, ...] = ()
         self._dark = ui.dark_mode(value=None)
         self._is_dark = False
@@ -127,7 +126,7 @@ class StudioPage:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
         self._banner.set_visibility(False)
         self._editor = Editor(self._typed, self._key)
-        self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
+        self._list = FindingList(self._session, self._editor.go_to, self._explain, self._notices.show)
 
     def _add_work(self) -> None:
         with ui.tabs().props("dense no-caps align=left") as tabs:
@@ -202,7 +201,7 @@ class StudioPage:
             element.set_visibility(has_file)
 
     def _show_file(self, file: OpenFile | None) -> None:
-        self._file, self._findings = file, None
+        self._file = file
         if file is not None:
             if str(file.path) in self._files.options:
                 self._files.set_value(str(file.path))
@@ -283,47 +282,7 @@ class StudioPage:
         sections = {line: name for name, line in language.outline(file)}
         if sections and sections != self._outline.options:
             self._outline.set_options(sections, value=None)
-        if findings == self._findings:
-            return
-        self._findings = findings
-        self._list.clear()
-        with self._list:
-            for finding in findings[:_MAX_FINDINGS]:
-                self._add_finding(file, finding)
-
-    def _add_finding(self, file: OpenFile, finding: EditorFinding) -> None:
-        with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
-            with ui.element("details") as details:
-                with ui.element("summary").on("click", lambda: self._editor.go_to(*finding.start)):
-                    ui.label(finding.place).classes("studio-place")
-                    ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
-                    ui.label(finding.message).classes("studio-text-line")
-                body = ui.element("div").classes("studio-explanation")
-            details.on("toggle", lambda: self._explain_finding(body, file, finding))
-            if finding.severity == "error":
-                for fix in self._session.language.fixes(file, finding)[:1]:
-                    self._add_fix(file, finding, fix.title)
-
-    def _explain_finding(self, body: ui.element, file: OpenFile, finding: EditorFinding) -> None:
-        """Fill the explanation of a finding and its fixes when it is opened."""
-        body.clear()
-        language = self._session.language
-        with body:
-            for fix in language.fixes(file, finding):
-                self._add_fix(file, finding, fix.title)
-            linked(self._explain).set_content(rule_page(finding.code))
-
-    def _add_fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
-        ui.button(title, on_click=lambda: self._fix(file, finding, title)).props("dense outline no-caps")
-
-    def _fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
-        """Apply a fix to the present text, in which the places of its edits may have moved."""
-        fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
-        fix = next(fixes, None)
-        if fix is None:
-            self._notices.show("the text has changed since; try again")
-        else:
-            self._apply(file, fix.edits)
+        self._list.show(file, findings)
 
     def _apply(self, file: OpenFile, edits: Any) -> None:
         file.edit(edits)
@@ -418,7 +377,7 @@ class StudioPage:
             for finding in findings[:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
-                    yield title, partial(self._fix, file, finding, fix.title)
+                    yield title, partial(self._list.fix, file, finding, fix.title)
 
         def names(phrase: str) -> list[tuple[str, int]]:
             return [] if file is None else language.names_like(file, phrase)

@@ -1,0 +1,80 @@
+"""The list of findings below the text, with their explanations and fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from deepbots_cli.studio.explain import linked, rule_page
+from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.language import EditorFinding
+from deepbots_cli.studio.session import Session
+
+_MAX_FINDINGS = 50
+
+
+class FindingList:
+    """The findings of the file that one browser shows."""
+
+    def __init__(
+        self,
+        session: Session,
+        go_to: Callable[[int, int], object],
+        explain: Callable[[str], object],
+        say: Callable[[str], object],
+    ) -> None:
+        """Create the list.
+
+        Args:
+            go_to: It leads the cursor to a line and a column, from 0.
+            explain: It opens the explanation of a word.
+            say: It shows a message.
+        """
+        self._session, self._go_to, self._explain, self._say = session, go_to, explain, say
+        self._shown: tuple[OpenFile, tuple[EditorFinding, ...]] | None = None
+        self._list = ui.element("ul").classes("studio-findings").props('aria-label="Findings"')
+
+    def show(self, file: OpenFile, findings: tuple[EditorFinding, ...]) -> None:
+        """Show the findings of a file."""
+        if self._shown == (file, findings):
+            return
+        self._shown = (file, findings)
+        self._list.clear()
+        with self._list:
+            for finding in findings[:_MAX_FINDINGS]:
+                self._add(file, finding)
+
+    def fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        """Apply a fix to the present text, in which the places of its edits may have moved."""
+        fixes = (fix for fix in self._session.language.fixes(file, finding) if fix.title == title)
+        fix = next(fixes, None)
+        if fix is None:
+            self._say("the text has changed since; try again")
+        else:
+            file.edit(fix.edits)
+            self._session.edited(file)
+
+    def _add(self, file: OpenFile, finding: EditorFinding) -> None:
+        with ui.element("li").classes(f"studio-row studio-row-{finding.severity}"):
+            with ui.element("details") as details:
+                with ui.element("summary").on("click", lambda: self._go_to(*finding.start)):
+                    ui.label(finding.place).classes("studio-place")
+                    ui.label(f"{finding.severity} {finding.code}").classes("studio-code-name")
+                    ui.label(finding.message).classes("studio-text-line")
+                body = ui.element("div").classes("studio-explanation")
+            details.on("toggle", lambda: self._fill(body, file, finding))
+            if finding.severity == "error":
+                for fix in self._session.language.fixes(file, finding)[:1]:
+                    self._add_fix(file, finding, fix.title)
+
+    def _fill(self, body: ui.element, file: OpenFile, finding: EditorFinding) -> None:
+        """Fill the explanation of a finding and its fixes when it is opened."""
+        body.clear()
+        with body:
+            for fix in self._session.language.fixes(file, finding):
+                self._add_fix(file, finding, fix.title)
+            linked(self._explain).set_content(rule_page(finding.code))
+
+    def _add_fix(self, file: OpenFile, finding: EditorFinding, title: str) -> None:
+        ui.button(title, on_click=lambda: self.fix(file, finding, title)).props("dense outline no-caps")
