@@ -207,7 +207,7 @@ def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -
     with ui.dialog().props('aria-label="Explain"') as dialog, ui.card().classes("studio-dialog"):
         with ui.row().classes("studio-wide"):
             word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
-            word.classes("studio-grow").props("autofocus").on("keydown.enter", show_typed)
+            word.classes("studio-grow").on("keydown.enter", show_typed)
             ui.button("Explain", on_click=show_typed).props("no-caps unelevated")
             back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
             ui.button("Close", on_click=dialog.close).props("flat no-caps")
@@ -217,6 +217,7 @@ def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -
         answer.set_content(_HINT)
     show(wanted)
     dialog.open()
+    word.run_method("select")  # a letter replaces the word
 
 
 def _answer(query: str, of_text: OfText, own: Meaning | None) -> str:
