@@ -225,10 +225,11 @@ def _answer(query: str, of_text: OfText, own: Meaning | None) -> str:
     here = own.markdown() if own is not None else ""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
     names = [] if here else of_text.names(query)
-    parts = [f"**{query}** in this file\n\n{here}"] if here else []
-    if names:
-        listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
-        parts.append(f"In this file: {listed}.")
-    if has_entry or not here:
-        parts.append(explanation(query))
+    listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
+    in_file = [f"In this file: {listed}."] if names else []
+    if here:
+        in_file = [f"**{query}** in this file\n\n{here}"]
+    entries = [explanation(query)] if has_entry or not here else []
+    # The name of a section, such as `reward`, is a word of the language first.
+    parts = [*entries, *in_file] if has_entry and not here else [*in_file, *entries]
     return "\n\n---\n\n".join(parts)
