@@ -9,6 +9,15 @@ from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
 
 
+def text_with_code(text: str) -> ui.element:
+    """Show a text, in which backticks enclose code, without reading it as HTML."""
+    box = ui.element("div")
+    with box:
+        for index, piece in enumerate(text.split("`")):
+            ui.label(piece).classes("studio-code" if index % 2 else "studio-inline")
+    return box
+
+
 class TaskOutput:
     """The output of a command, with a link to the file that it has written."""
 

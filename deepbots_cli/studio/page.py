@@ -344,7 +344,15 @@ class StudioPage:
 
     def _write_advice(self, values: dict[str, str]) -> None:
         """Write values of a diagnosis into the text."""
-        self._guarded(lambda: self._session.write_values(values))
+
+        def write() -> None:
+            self._session.write_values(values)
+            names = ", ".join(
+                f"{name}: {value}" if value else f"{name} removed" for name, value in values.items()
+            )
+            self._notices.show(f"{names} in the text; save it, and train again")
+
+        self._guarded(write)
 
     async def _new(self, kind: Kind = Kind.template, choice: str = "cartpole") -> None:
         path = await new_scenario(self._session, kind, choice)

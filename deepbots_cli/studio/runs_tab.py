@@ -15,8 +15,9 @@ from nicegui import events, ui
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.studio.charts import comparison_chart
 from deepbots_cli.studio.commands import RUNS_FOLDER
-from deepbots_cli.studio.outputs import Result
+from deepbots_cli.studio.outputs import Result, text_with_code
 from deepbots_cli.studio.session import Session
+from deepbots_cli.studio.training_tab import return_text
 from deepbots_cli.studio.trainings import Curves, read_curves
 
 Guarded = Callable[[Callable[[], Any]], None]
@@ -126,7 +127,7 @@ class RunsTab:
                 "change": change.text if change else "",
                 "state": run.problem or run.state,
                 "steps": f"{run.steps:,}" if run.steps is not None else "",
-                "return": f"{run.mean_return:.4g}" if run.mean_return is not None else "",
+                "return": return_text(run),
                 "success": f"{run.success_rate:.0%}" if run.success_rate is not None else "",
                 "solved": {True: "yes", False: "no", None: ""}[run.solved],
             }
@@ -261,10 +262,10 @@ class RunsTab:
 
     def _add_cause(self, path: Path, cause: dict[str, Any]) -> None:
         """Show a cause of a run, with buttons for what is advised."""
-        ui.label(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
+        text_with_code(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
         advice = str(cause.get("advice") or "").replace(" RUN", f" {shlex.quote(str(path))}")
         if advice:
-            ui.label(advice)
+            text_with_code(advice)
         with ui.element("div").classes("studio-bar"):
             for text in dict.fromkeys([str(cause.get("command") or ""), *_COMMAND.findall(advice)]):
                 self._add_advised_command(shlex.split(text)[1:])

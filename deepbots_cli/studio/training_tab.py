@@ -135,10 +135,11 @@ class TrainingTab:
             self._note.set_visibility(False)
             self._drawn = None
             return
-        is_evaluating = is_running and (run.state == "finished" or training.stands_still)
-        evaluates = ", evaluating ..." if is_evaluating else ""
-        text = training.problem or status(run, None if is_evaluating else training.seconds_left)
-        self._text.set_text(f"{run.path.name}: {text}{evaluates}")
+        activity = task.activity if task is not None and is_running else ""
+        if is_running and not activity and (run.state == "finished" or training.stands_still):
+            activity = "evaluating ..."
+        text = training.problem or status(run, None if activity else training.seconds_left)
+        self._text.set_text(", ".join(filter(None, (f"{run.path.name}: {text}", activity))))
         key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
             self._drawn = key
@@ -173,6 +174,15 @@ class TrainingTab:
             task.stop()
 
 
+def return_text(run: ListedRun) -> str:
+    """Return the mean return of a run, and whether it is that of the training, in which the policy
+    explores; empty without one."""
+    if run.mean_return is None:
+        return ""
+    explores = " exploring" if run.score == "training" and run.state != "training" else ""
+    return f"{run.mean_return:.4g}{explores}"
+
+
 def status(run: ListedRun, seconds_left: float | None) -> str:
     """Return the state and the results of a run in one line."""
     parts: list[str] = [run.state]
@@ -180,7 +190,7 @@ def status(run: ListedRun, seconds_left: float | None) -> str:
         suffix = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
         parts.append(f"{run.steps:,}{suffix} steps")
     if run.mean_return is not None:
-        parts.append(f"return {run.mean_return:.4g}")
+        parts.append(f"return {return_text(run)}")
     if run.success_rate is not None:
         parts.append(f"success {run.success_rate:.0%}")
     if run.solved is not None:
