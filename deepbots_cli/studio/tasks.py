@@ -30,7 +30,7 @@ _MAX_RECORD_BYTES = 100_000
 MAX_LOG_BYTES = 200_000
 """The number of bytes at the end of an output that the page shows."""
 _MAX_LINE_BYTES = 1_000
-_BESIDE_LEARNING = re.compile(r"[\d,]+ of [\d,]+ steps  (.+) \.\.\.")
+_BESIDE_LEARNING = re.compile(r"[\d,]+ of [\d,]+ steps  (.+?)(, needs .+)? \.\.\.")
 _EPISODES = re.compile(r"[\d,]+ of [\d,]+ episodes")
 _START_S = 10.0
 """The time in s within which a process locks its folder."""

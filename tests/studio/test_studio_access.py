@@ -405,7 +405,7 @@ def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
         confirms = Activity("confirming on 200 new starts", "40 played, needs 90 % of them")
         reporter.update(replace(progress, activity=confirms))
         log.flush()
-        assert task.activity == "confirming on 200 new starts: 40 played, needs 90 % of them"
+        assert task.activity == "confirming on 200 new starts: 40 played"
         reporter.update(replace(progress, steps=9_000))
         log.flush()
         assert task.activity == ""
