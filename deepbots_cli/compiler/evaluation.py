@@ -57,7 +57,7 @@ from deepbots_cli.program.task import (
 )
 from deepbots_cli.program.values import Expression
 from deepbots_cli.scenario.agent import DiscreteAction
-from deepbots_cli.scenario.fields import read_schedule, read_until
+from deepbots_cli.scenario.fields import REFERENCE_KINDS, read_schedule, read_until
 from deepbots_cli.scenario.keys import listed
 from deepbots_cli.scenario.scenario import Expectation, Scenario
 from deepbots_cli.scenario.scenario import ScenarioTest as TestSpec
@@ -499,7 +499,7 @@ class _VariantCompiler:
 MAX_TESTS = 200
 MAX_STEPS = 1_000_000
 """The maximum number of timesteps of a test: a few minutes in a light world."""
-PLAIN_DRIVERS = ("random", "zero")
+PLAIN_DRIVERS = tuple(REFERENCE_KINDS["driver"].words)
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
 _MAX_SHOWN_VALUES = 4

@@ -6,41 +6,24 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.evaluation import PLAIN_DRIVERS
 from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
 from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
-from deepbots_cli.document.nodes import MappingNode, NodePath, descend
+from deepbots_cli.document.nodes import (
+    MappingNode,
+    Node,
+    NodePath,
+    ScalarNode,
+    SequenceNode,
+    descend,
+    node_at,
+)
 from deepbots_cli.expressions.types import Context, Kind
 from deepbots_cli.robots.model import Joint
-from deepbots_cli.scenario.agent import DiscreteAction
-from deepbots_cli.scenario.fields import with_article
+from deepbots_cli.scenario.agent import ALL_AGENTS, DiscreteAction
+from deepbots_cli.scenario.fields import REFERENCE_KINDS, with_article
 from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
 from deepbots_cli.scenario.scenario import Scenario
-
-_OF_ROBOTS = {
-    "joint": ("joints",),
-    "joints": ("joints",),
-    "link": ("links",),
-    "links": ("links",),
-    "joint or link": ("joints", "links"),
-    "sensor": ("sensors",),
-    "actuator": ("actuators",),
-    "sensor, reading or actuator": ("sensors", "actuators"),
-    "group": ("groups", "actuators"),
-    "bodies or links": ("links",),
-    "body or link": ("links",),
-    "body": (),
-    "bodies": (),
-}
-"""The parts of a robot that each kind may name."""
-_ORIGINS = {
-    "robot": (Origin.ROBOT,),
-    "line": (Origin.LINE,),
-    "object": (Origin.OBJECT,),
-    "setting": (Origin.PARAMETER,),
-    "parameter or signal": (Origin.PARAMETER, Origin.SIGNAL),
-}
 
 
 class NameEntry(NamedTuple):
@@ -58,52 +41,58 @@ def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[N
 
     Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
     """
-    namespace = checked.namespace
-    if namespace is None or checked.spec is None:
+    agent = next((str(step) for step in path if step in checked.agents), "")
+    of_agent = checked.agents.get(agent, checked)
+    namespace = of_agent.namespace
+    if namespace is None or of_agent.spec is None:
         return []
-    if kind in _OF_ROBOTS:
-        return list(_of_robots(namespace, kind, path))
-    if kind in ("action", "choice", "option", "layout", *_OF_TESTS):
-        return _keys(namespace, kind, path)
-    if kind == "region":
-        return [NameEntry("arena", "the floor of the arena")]
-    if kind == "value":
-        return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
-    return _defined(namespace, namespace.names_of(*_ORIGINS.get(kind, ())))
+    reference = REFERENCE_KINDS[kind]
+    robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else ""
+    match kind:
+        case "choice" | "option":
+            return _options(namespace, kind, path[2:] if path[:2] == ("agents", agent) else path)
+        case "message field":
+            fields = namespace.names_of(Origin.FIELD)
+            return _defined(namespace, (name for name in fields if name.partition(".")[0] != robot))
+        case "value":
+            return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
+    words = dict(reference.words)
+    if kind == "agent" and path[:1] in (("endings",), ("truncation",)):
+        words[ALL_AGENTS] = "all agents"
+    felt = namespace.walls if kind == "bodies or links" else ()  # by a touch sensor
+    entries = (
+        *_of_sections(namespace.values.root, reference.sections),
+        *_of_sections(checked.document.root, reference.sections),  # those of all agents
+        *_defined(namespace, felt),
+        *_parts(namespace, "" if ("robots",) in reference.sections else robot, reference.parts),
+        *(NameEntry(word, meaning) for word, meaning in words.items()),
+    )
+    return list({entry.name: entry for entry in reversed(entries)}.values())[::-1]
 
 
-def _of_robots(namespace: Namespace, kind: str, path: NodePath) -> Iterator[NameEntry]:
-    robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else None
-    if kind.startswith(("body", "bodies")):
-        yield from _bodies(namespace)
-        robot = None
-    if kind == "bodies or links":  # the parts that a touch sensor feels
-        yield NameEntry("ground", "the ground")
-        yield from _defined(namespace, namespace.walls)
-    yield from _parts(namespace, robot, _OF_ROBOTS[kind])
+def _of_sections(root: Node | None, sections: Mapping[NodePath, str]) -> Iterator[NameEntry]:
+    """Yield the keys of sections, or the names of their items."""
+    for path, noun in sections.items():
+        match node_at(root, *path):
+            case MappingNode(entries=entries):
+                yield from (NameEntry(name, noun, entry.key.span) for name, entry in entries.items())
+            case SequenceNode(items=items):
+                names = (item.get("name") for item in items if isinstance(item, MappingNode))
+                yield from (
+                    NameEntry(name.text, noun, name.span) for name in names if isinstance(name, ScalarNode)
+                )
 
 
-def _keys(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
-    """Return the names that are keys of one section."""
-    if kind == "action":
-        return [_keyed(namespace, ("action", name), "an action") for name in namespace.scenario.action]
-    if kind == "layout":
-        return [
-            _keyed(namespace, ("reset", "layouts", name), "a layout")
-            for name in namespace.scenario.reset.layouts
-        ]
-    if kind in _OF_TESTS:
-        return _of_tests(namespace, kind)
+def _options(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
+    """Return the options of the action at `path`, or the components of a range for each member of a group."""
     only = [*namespace.scenario.action] if len(namespace.scenario.action) == 1 else [""]
     name = action_at(path) or only[0]  # an action of one part needs no name
     part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
-        return [
-            _keyed(namespace, ("action", name, "choices", option), "an option") for option in part.choices
-        ]
-    if kind == "option":
+        return list(_of_sections(namespace.values.root, {("action", name, "choices"): "an option"}))
+    if kind == "option" or part is None:
         return []
-    symbol = namespace.resolve(name) if part is not None else None  # a range for each member of a group
+    symbol = namespace.resolve(name)
     components = symbol.type.components if symbol is not None and symbol.type is not None else None
     return [
         _keyed(namespace, ("action", name), f"a component of `{name}`", component)
@@ -116,30 +105,6 @@ def action_at(path: NodePath) -> str:
     to; empty for none."""
     index = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[index]) if len(path) > index else ""
-
-
-_OF_TESTS = ("driver", "case", "stage", "ending")
-
-
-def _of_tests(namespace: Namespace, kind: str) -> list[NameEntry]:
-    """Return the names that a test may use."""
-    spec = namespace.scenario
-    limits = spec.truncation.model_fields_set if spec.truncation else ()
-    keys: dict[str, list[tuple[NodePath, str, str]]] = {
-        "driver": [(("scripts", name), "a script", name) for name in spec.scripts],
-        "case": [
-            (("evaluation", "cases", name), "a case of the evaluation", name)
-            for name in spec.evaluation.cases
-        ],
-        "stage": [
-            (("curriculum", index, "name"), "a stage of the curriculum", stage.name)
-            for index, stage in enumerate(spec.stages)
-        ],
-        "ending": [(("truncation", name), "a limit", name) for name in limits],
-    }
-    free = {"driver": [NameEntry(name, "actions without a script") for name in PLAIN_DRIVERS]}
-    endings = _defined(namespace, namespace.names_of(Origin.ENDING)) if kind == "ending" else []
-    return [*endings, *(_keyed(namespace, *key) for key in keys[kind]), *free.get(kind, ())]
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
@@ -216,11 +181,7 @@ def _keyed(namespace: Namespace, path: NodePath, noun: str, name: str | None = N
     return NameEntry(name or str(path[-1]), noun, namespace.values.key_span(path))
 
 
-def _bodies(namespace: Namespace) -> list[NameEntry]:
-    return _defined(namespace, namespace.names_of(Origin.ROBOT, Origin.OBJECT))
-
-
-def _parts(namespace: Namespace, robot: str | None, sections: tuple[str, ...]) -> Iterator[NameEntry]:
+def _parts(namespace: Namespace, robot: str, sections: tuple[str, ...]) -> Iterator[NameEntry]:
     """Yield the parts of robots, by short names of one `robot`, or by full names of all."""
     for resolved in [namespace.robots.get(robot)] if robot else namespace.robots.values():
         for part in _parts_of(namespace, resolved, sections) if resolved is not None else ():
@@ -248,22 +209,8 @@ def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, .
 _MAX_NAMES = 500
 _MAX_ROBOTS = 12
 
-_PLACES: Mapping[str, NodePath] = {
-    "body": ("reset", "place"),
-    "body or link": ("disturbances",),
-    "bodies": ("robots",),
-    "bodies or links": ("robots",),
-    "robot": ("agent", "each"),
-    "group": ("action",),
-    "line": ("reset", "place"),
-    "object": ("reset", "place"),
-    "layout": ("reset", "layout"),
-    "setting": ("curriculum",),
-    "action": ("scripts",),
-    **dict.fromkeys(_OF_TESTS, ("tests",)),
-    "value": ("observation",),
-    "parameter or signal": ("augment",),
-}
+_ON_BOARD = frozenset({"actuator", "joint", "joints", "link", "links", "sensor"})
+"""The kinds whose names differ between robots."""
 _SUPERVISED = {
     "signal": Context.SIGNAL,
     "reward": Context.REWARD,
@@ -281,7 +228,7 @@ def scenario_names(checked: CheckedScenario) -> ScenarioNames:
     namespace, spec = checked.namespace, checked.spec
     if namespace is None or spec is None:
         return ScenarioNames()
-    everywhere = {kind: _offer(_named(checked, kind, path)) for kind, path in _PLACES.items()}
+    everywhere = {kind: _offer(_named(checked, kind)) for kind in REFERENCE_KINDS if kind not in _ON_BOARD}
     choices = {
         option: "an option"
         for part in spec.action.values()

@@ -54,6 +54,7 @@ from deepbots_cli.scenario.base import (
 from deepbots_cli.scenario.fields import (
     COLORS,
     MEASURES,
+    REFERENCE_KINDS,
     ColorValue,
     Column,
     Expression,
@@ -64,6 +65,7 @@ from deepbots_cli.scenario.fields import (
     Quantity,
     Range,
     Reference,
+    ReferenceKind,
     Word,
 )
 from deepbots_cli.scenario.scenario import VERSION
@@ -337,6 +339,7 @@ _REPEATS = {
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
 _ROBOT_CONTEXTS = ("emit", "apply")
 _BODY = "body or link"
+_VALUE_ON_BOARD = "value on board"
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
 """The number of characters before the cursor that are searched for an open bracket."""
@@ -387,7 +390,7 @@ def _expected_kind(text: str, field: FieldType) -> str:
         return _BODY
     if not isinstance(field, Expression) or field.context in _CONTEXTS:
         return "setting"
-    return "value on board" if field.context in _ROBOT_CONTEXTS else "value"
+    return _VALUE_ON_BOARD if field.context in _ROBOT_CONTEXTS else "value"
 
 
 def _expression_choices(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
@@ -522,60 +525,59 @@ def _open_call(before: str) -> tuple[str, int] | None:
 
 # Names in the text, whether or not an analysis knows them
 
-_SECTIONS: dict[str, tuple[NodePath, ...]] = {
-    "action": (("action",),),
-    "layout": (("reset", "layouts"),),
-    "robot": (("robots",),),
-    "body": (("robots",), ("objects",)),
-    "body or link": (("robots",), ("objects",)),
-    "bodies": (("robots",), ("objects",)),
-    "bodies or links": (("robots",), ("objects",)),
-    "line": (("world", "lines"),),
-    "value on board": (("parameters",), ("action",)),
-    "setting": (("parameters",),),
-    "parameter or signal": (("parameters",), ("signals",)),
-    "driver": (("scripts",),),
-    "ending": (("termination", "success"), ("termination", "failure")),
-    "case": (("evaluation", "cases"),),
-    "value": (("parameters",), ("augment",), ("signals",)),
-}
-"""The mappings whose keys are the names of each kind."""
-_ROBOT_SECTIONS = {
-    "sensor": ("sensors",),
-    "actuator": ("actuators",),
-    "value on board": ("sensors", "receive"),
-}
+_ON_BOARD = ReferenceKind({("parameters",): "a parameter", ("action",): "an action"}, ("sensors", "receive"))
+"""The names in expressions of a robot controller."""
+_WRITTEN_PARTS = ("sensors", "actuators", "receive")
+"""The sections of a robot whose keys are names, not names or patterns of parts of its file."""
 
 
 def _names_in_text(kind: str, path: NodePath, data: Any) -> Iterator[str]:
     """Yield the names in `data` that a reference of this kind may name at `path`."""
     for section in _sections(kind, path):
         value = value_at(data, section)
-        yield from (name for name in value if not _defines(path, name)) if isinstance(value, dict) else ()
-    robots = value_at(data, ("robots",)) if kind == "value" else ""
+        if isinstance(value, dict):
+            yield from (name for name in value if not _defines(path, name))
+        elif isinstance(value, list):
+            names = (value_at(item, ("name",)) for item in value)
+            yield from (name for name in names if isinstance(name, str) and name)
+    if kind == "value":
+        yield from _sent(data)
+    if kind == "message field":
+        yield from (name for name in _sent(data) if not name.startswith(f"{path[1]}."))
+    if kind == "letter":
+        cells = dict.fromkeys(str(value_at(data, (*path[:3], "map"))).split())
+        yield from (letter for letter in cells if letter != ".")
+
+
+def _sent(data: Any) -> Iterator[str]:
+    """Yield the full names of what robots send."""
+    robots = value_at(data, ("robots",))
     for robot in robots if isinstance(robots, dict) else ():
         sent = value_at(data, ("robots", robot, "emit")) or value_at(data, ("robots", robot, "sensors"))
-        yield from (
-            (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
-            if isinstance(sent, (dict, list))
-            else ()
-        )
+        if isinstance(sent, (dict, list)):
+            yield from (f"{robot}.{name}" for name in sent if isinstance(name, str) and name)
 
 
 def _defines(path: NodePath, name: str) -> bool:
     """Return whether `path` is the definition of the name, which cannot refer to itself."""
-    return path[:-1] in _SECTIONS["value"] and path[-1] == name
+    return path[:-1] in REFERENCE_KINDS["value"].sections and path[-1] == name
 
 
-def _sections(kind: str, path: NodePath) -> tuple[NodePath, ...]:
+def _sections(kind: str, path: NodePath) -> Iterator[NodePath]:
     if kind in ("choice", "option"):
-        action = action_at(path)
-        return (("action", action, "choices"),) if action else ()
+        if action := action_at(path):
+            yield ("action", action, "choices")
+        return
     if kind == "value" and path[:1] == ("observation",):
-        return (("augment",),)
+        yield ("augment",)
+        return
+    reference = _ON_BOARD if kind == _VALUE_ON_BOARD else REFERENCE_KINDS[kind]
     robot = path[:2] if path[:1] == ("robots",) and len(path) > 1 else ()
-    robot_sections = tuple((*robot, section) for section in _ROBOT_SECTIONS.get(kind, ())) if robot else ()
-    return (*robot_sections, *_SECTIONS.get(kind, ()))
+    if robot:
+        yield from ((*robot, part) for part in reference.parts if part in _WRITTEN_PARTS)
+    yield from reference.sections
+    if path[:1] == ("agents",) and len(path) > 1:
+        yield from ((*path[:2], *section) for section in reference.sections)
 
 
 # Files

@@ -16,7 +16,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import (
     AfterValidator,
@@ -35,6 +35,7 @@ from deepbots_cli.diagnostics.nearest import (
     nearest_word,
     suggest_replacement,
 )
+from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
@@ -756,7 +757,71 @@ class Expression(Parsed):
             check_bounds(value)
 
 
-_SINGULAR = {"joints": "joint", "links": "link", "bodies": "body", "bodies or links": "body or link"}
+class ReferenceKind(NamedTuple):
+    """What a reference names.
+
+    Attributes:
+        sections: The sections of the scenario whose keys are the names, or whose items have a `name`; each with
+            the noun of its names.
+        parts: The parts of robots that have a name: sections of a robot, joints and links of its file.
+        words: The names of the language, each with its meaning.
+        singular: The noun of one item, for a kind that takes one or a list of them.
+    """
+
+    sections: Mapping[NodePath, str] = {}
+    parts: tuple[str, ...] = ()
+    words: Mapping[str, str] = {}
+    singular: str = ""
+
+
+_BODIES: dict[NodePath, str] = {("robots",): "a robot", ("objects",): "an object"}
+_PARAMETERS: dict[NodePath, str] = {("parameters",): "a parameter"}
+_SIGNALS: dict[NodePath, str] = {("signals",): "a signal"}
+REFERENCE_KINDS: Mapping[str, ReferenceKind] = {
+    "action": ReferenceKind({("action",): "an action"}),
+    "actuator": ReferenceKind(parts=("actuators",)),
+    "agent": ReferenceKind({("agents",): "an agent"}),
+    "bodies": ReferenceKind(_BODIES, singular="body"),
+    "bodies or links": ReferenceKind(_BODIES, ("links",), {"ground": "the ground"}, singular="body or link"),
+    "body": ReferenceKind(_BODIES),
+    "body or link": ReferenceKind(_BODIES, ("links",)),
+    "case": ReferenceKind({("evaluation", "cases"): "a case of the evaluation"}),
+    "choice": ReferenceKind(),  # an option or a component of an action
+    "driver": ReferenceKind(
+        {("scripts",): "a script"}, words=dict.fromkeys(("random", "zero"), "actions without a script")
+    ),
+    "ending": ReferenceKind(
+        {
+            ("termination", "success"): "an ending",
+            ("termination", "failure"): "an ending",
+            ("endings",): "an ending",
+            ("truncation",): "a limit",
+        }
+    ),
+    "group": ReferenceKind(parts=("groups", "actuators")),
+    "joint": ReferenceKind(parts=("joints",)),
+    "joint or link": ReferenceKind(parts=("joints", "links")),
+    "joints": ReferenceKind(parts=("joints",), singular="joint"),
+    "layout": ReferenceKind({("reset", "layouts"): "a layout"}),
+    "letter": ReferenceKind(),  # a sign of the map
+    "line": ReferenceKind({("world", "lines"): "a line"}),
+    "link": ReferenceKind(parts=("links",)),
+    "links": ReferenceKind(parts=("links",), singular="link"),
+    "message field": ReferenceKind(),  # what robots send
+    "object": ReferenceKind({("objects",): "an object"}),
+    "option": ReferenceKind(),  # an option of an action
+    "parameter": ReferenceKind(_PARAMETERS),
+    "parameter or signal": ReferenceKind({**_PARAMETERS, **_SIGNALS}),
+    "reading": ReferenceKind(),  # a function of the world with its arguments, such as `position(ball)`
+    "region": ReferenceKind(words={"arena": "the floor of the arena"}),
+    "robot": ReferenceKind({("robots",): "a robot"}),
+    "sensor": ReferenceKind(parts=("sensors",)),
+    "sensor, reading or actuator": ReferenceKind(parts=("sensors", "actuators")),
+    "setting": ReferenceKind(_PARAMETERS),  # or the path of any value
+    "stage": ReferenceKind({("curriculum",): "a stage of the curriculum"}),
+    "value": ReferenceKind({**_PARAMETERS, ("augment",): "an entry of `augment`", **_SIGNALS}),
+}
+"""The kinds of references and patterns, by their nouns."""
 
 
 @dataclass(frozen=True)
@@ -770,12 +835,12 @@ class Reference(FieldType):
 
     @property
     def several(self) -> bool:
-        return self.kind in _SINGULAR
+        return bool(REFERENCE_KINDS[self.kind].singular)
 
     @property
     def noun(self) -> str:
         return (
-            f"a list of {_SINGULAR[self.kind]} names"
+            f"a list of {REFERENCE_KINDS[self.kind].singular} names"
             if self.several
             else f"the name of {with_article(self.kind)}"
         )
@@ -795,9 +860,8 @@ class Reference(FieldType):
             raise error("DB107", "is empty")
         for index, item in enumerate(value):
             if not isinstance(item, str) or not item.strip():
-                raise error_at(
-                    index, mismatch(f"the name of {with_article(_SINGULAR[self.kind])}", value=item)
-                )
+                singular = with_article(REFERENCE_KINDS[self.kind].singular)
+                raise error_at(index, mismatch(f"the name of {singular}", value=item))
         return tuple(value)
 
     def json_schema(self) -> JsonSchema:

@@ -156,7 +156,7 @@ class Robot(Section):
     emit: Emitted | None = None
     """Values that the robot sends in each timestep: sensors, or names with expressions. Default: the sensors
     that the supervisor uses."""
-    hear: dict[LocalName, Annotated[str, Reference("reading")]] = {}
+    hear: dict[LocalName, Annotated[str, Reference("message field")]] = {}
     """Values that other robots send to this one, each under a name that you choose: `{mate_angle:
     scout.angle}`. They arrive over the channel `messages.between_robots`, at the earliest in the timestep
     after they were sent."""

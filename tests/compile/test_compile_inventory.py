@@ -3,6 +3,8 @@ defined."""
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from deepbots_cli import api
@@ -45,6 +47,36 @@ def test_the_parts_of_a_robot_go_by_short_names_inside_of_it_and_by_full_ones_el
 )
 def test_what_a_reference_may_name(rocking, kind, path, expected):
     assert [entry.name for entry in names_at(rocking, kind, path)] == expected
+
+
+@pytest.mark.parametrize(
+    ("scenario", "kind", "path", "expected"),
+    [
+        ("tag", "agent", ("agents", "prey", "like"), ["hunter", "prey"]),
+        ("tag", "agent", ("tests", "the_prey_escapes", "agent"), ["hunter", "prey"]),
+        ("tag", "agent", ("endings", "escaped", "success"), ["hunter", "prey", "all"]),
+        ("tag", "driver", ("tests", "the_prey_escapes", "driver", "prey"), ["stroll", "random", "zero"]),
+        (
+            "tag",
+            "ending",
+            ("tests", "the_prey_escapes", "expect", "ends_by"),
+            ["caught", "escaped", "max_time"],
+        ),
+        ("pit_escape", "parameter", ("curriculum", "levels", "set"), ["radius", "time_limit", "speed"]),
+        ("find_ball_random", "object", ("reset", "place", "ball", "on"), ["ball", "obstacle"]),
+    ],
+)
+def test_each_kind_of_reference_names_what_its_section_defines(scenario, kind, path, expected):
+    assert [entry.name for entry in names_at(api.load(scenario), kind, path)] == expected
+
+
+def test_a_robot_hears_what_others_send(tmp_path):
+    scout = {"urdf": "cartpole", "sensors": {"tilt": {"type": "joint_position", "joint": "pole_hinge"}}}
+    (tmp_path / "two.yaml").write_text(
+        json.dumps({"deepbots": 1, "extends": "cartpole", "name": "Two", "robots": {"scout": scout}})
+    )
+    entries = names_at(api.load(tmp_path / "two.yaml"), "message field", ("robots", "cart", "hear", "mate"))
+    assert [entry.name for entry in entries] == ["scout.tilt"]
 
 
 def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_ground(searching):
