@@ -22,6 +22,7 @@ from deepbots_cli.diagnostics.nearest import Replacement
 from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.syntax import (
+    KEYWORDS,
     MAX_LENGTH,
     Binary,
     Call,
@@ -44,7 +45,6 @@ from deepbots_cli.expressions.syntax import (
 )
 from deepbots_cli.expressions.types import FindingReporter
 
-KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
 # Python allows 1000 frames: the parser takes eight per level of nesting, later passes three per level of the
 # tree.
 MAX_NESTING = 64

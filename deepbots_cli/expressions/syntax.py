@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 from deepbots_cli.expressions.dimensions import Unit
 
+KEYWORDS = frozenset({"and", "or", "not", "when", "every", "each", "if", "else", "is", "in", "lambda"})
+"""The words that cannot be names."""
+
 MAX_LENGTH = 10_000
 NUMBER = r"(?:\d+(?:_\d{3})*(?:\.\d+)?|\.\d+)(?:[eE][+-]?\d+)?"
 """A number without a sign, as a regular expression."""

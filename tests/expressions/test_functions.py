@@ -65,7 +65,7 @@ DOUBLE = (
     ' python="2*x", interval=twice)]'
 )
 MODULE = f"""
-from deepbots_cli.expressions.functions import Family, Function, Param
+from deepbots_cli.expressions.functions import Family, Form, Function, Param
 from deepbots_cli.expressions.intervals import Interval
 
 def twice(x):
@@ -143,8 +143,12 @@ BROKEN = [
     ("no_such_module:FUNCTIONS", MODULE, "ModuleNotFoundError: No module named 'no_such_module'"),
     ("raising:FUNCTIONS", "raise RuntimeError('broken\\nin two lines')", "RuntimeError: broken in two lines"),
     ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is not a Function"),
-    ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must hold each of x once"),
-    ("opening:FUNCTIONS", MODULE.replace('"2*x"', '"open(x)"'), "holds open"),
+    ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must contain each of x once"),
+    (
+        "opening:FUNCTIONS",
+        MODULE.replace('"2*x"', '"open(x)"'),
+        "contains open; write it with functions of math",
+    ),
     (
         "power:FUNCTIONS",
         MODULE.replace('"2*x"', '"x ** 2"'),
@@ -157,6 +161,46 @@ BROKEN = [
         "name 'Intervall' is not defined",
     ),
     ("taken:FUNCTIONS", MODULE.replace('"double", ', '"sin", '), "the name 'sin' is taken"),
+    *(
+        (
+            f"named_{name}:FUNCTIONS",
+            MODULE.replace('"double", ', f'"{name}", '),
+            f"'{name}' is a word of the language",
+        )
+        for name in ("if", "every", "true")
+    ),
+    (
+        "helped:FUNCTIONS",
+        MODULE.replace("interval=", 'helper="nope", interval='),
+        "cannot have `helper`; write its meaning as `python`",
+    ),
+    *(
+        (
+            f"{form}:FUNCTIONS",
+            MODULE.replace('Param("x")', f'Param("x", Form.{form})'),
+            f"cannot take the form {form}; write Form.VALUE or Form.RANGE",
+        )
+        for form in ("SUBJECT", "OPTIONS", "SPREAD")
+    ),
+    (
+        "sparing:FUNCTIONS",
+        MODULE.replace('Param("x")', 'Param("x"), Param("y", optional=True)').replace('"2*x"', '"x * y"'),
+        "cannot have an optional argument",
+    ),
+    (
+        "ranges:FUNCTIONS",
+        MODULE.replace('Param("x")', 'Param("x", Form.RANGE), Param("y", Form.RANGE)').replace(
+            '"2*x"', '"high - low"'
+        ),
+        "cannot have two ranges; write the bounds of one as values",
+    ),
+    (
+        "on_arrays:FUNCTIONS",
+        MODULE.replace("interval=", 'array="foo(x)", interval='),
+        "the array of 'double' contains foo; write it with functions of np",
+    ),
+    ("unfinished:FUNCTIONS", MODULE.replace('"2*x"', '"2 *"'), "is no Python expression"),
+    ("comparing:FUNCTIONS", MODULE.replace('"2*x"', '"x > 1"'), "gives a truth value; write boolean=True"),
 ]
 
 
