@@ -7,7 +7,9 @@ it is itself being typed closes a cycle, which is a finding.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path as FilePath
@@ -30,7 +32,12 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.program.resets import ObjectGroup
 from deepbots_cli.scenario.scenario import Scenario
 
+MAX_CHAIN = 100
+"""The maximum number of definitions each of which is typed on the first use by the one before."""
 _MAX_NAMES_IN_CYCLE = 12
+_FRAMES_OF_EXPRESSION = 600
+"""More than the frames of typing an expression: the parser takes eight for each of `parser.MAX_NESTING` levels,
+a pass over the tree three for each of `parser.MAX_DEPTH`."""
 
 
 class Origin(Enum):
@@ -130,18 +137,19 @@ class Namespace:
         if definition.symbol is None and definition in self._being_resolved:
             self._report_cycle(definition)
         elif definition.symbol is None:
-            self._being_resolved.append(definition)
-            try:
-                symbol = definition.make_symbol()
-            except RecursionError:
-                if self._being_resolved[0] is not definition:
-                    raise
-                self._report_too_deep(definition)
-            else:
-                self._being_resolved.pop()
-                definition.symbol = definition.symbol or symbol
-                self.order.append(name)
+            self._type(definition)
         return definition.symbol
+
+    def _type(self, definition: Definition) -> None:
+        assert definition.make_symbol is not None
+        if len(self._being_resolved) >= MAX_CHAIN:
+            self._report_too_deep(definition)
+            return
+        self._being_resolved.append(definition)
+        symbol = _call_with_room(definition.make_symbol)
+        self._being_resolved.pop()
+        definition.symbol = definition.symbol or symbol
+        self.order.append(definition.name)
 
     def _report_cycle(self, definition: Definition) -> None:
         cycle = self._being_resolved[self._being_resolved.index(definition) :]
@@ -160,18 +168,17 @@ class Namespace:
         )
         definition.symbol = Symbol(definition.name, None)
 
-    def _report_too_deep(self, definition: Definition) -> None:
-        """Report that more names build on each other than can be followed: none of them is typed again."""
-        headline = (
-            f"`{definition.name}` depends on a chain of more than {len(self._being_resolved) // 2}"
-            " definitions"
-        )
+    def _report_too_deep(self, last: Definition) -> None:
+        """Report a chain that is too deep. Its names get no type, so that it is reported once."""
+        first = self._being_resolved[0]
         self.values.add_at_key(
-            "DB005", definition.path, headline, "replace some names in the chain by their expressions"
+            "DB005",
+            first.path,
+            f"`{first.name}` depends on a chain of more than {MAX_CHAIN} definitions",
+            "replace some names in the chain by their expressions",
         )
-        for entry in self._being_resolved:
+        for entry in (*self._being_resolved, last):
             entry.symbol = entry.symbol or Symbol(entry.name, None)
-        self._being_resolved.clear()
 
     def is_sent(self, name: str) -> bool:
         """Return whether the supervisor uses this message field, or the robot sends it anyway."""
@@ -236,6 +243,21 @@ class Namespace:
             or self.values.is_invalid(ANY_NAME)
             or (head in self.robots and self.robots[head] is None)
         )
+
+
+def _call_with_room(make_symbol: Callable[[], Symbol]) -> Symbol:
+    """Call a function that types an expression; in a thread, which has a stack of its own, where this one is
+    nearly full.
+
+    Otherwise the longest chain that compiles would depend on the stack of the caller, as of a test runner.
+    """
+    depth, frame = 0, sys._getframe()
+    while frame.f_back is not None:
+        depth, frame = depth + 1, frame.f_back
+    if depth + _FRAMES_OF_EXPRESSION < sys.getrecursionlimit():
+        return make_symbol()
+    with ThreadPoolExecutor(1) as executor:
+        return executor.submit(make_symbol).result()
 
 
 class NamespaceReader:

@@ -8,6 +8,7 @@ import time
 import pytest
 
 from deepbots_cli import api
+from deepbots_cli.compiler.namespace import MAX_CHAIN
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.expressions.scalar import EngineRead, walk
 
@@ -67,6 +68,23 @@ def test_long_chains_of_definitions_end_in_a_value_or_a_finding(workshop, cartpo
     began = time.perf_counter()
     assert set(workshop.codes(text)) <= {"DB005"}
     assert time.perf_counter() - began < 10
+
+
+@pytest.mark.parametrize("frames", [0, 700])
+@pytest.mark.parametrize(("count", "codes"), [(MAX_CHAIN, []), (MAX_CHAIN + 1, ["DB005"])])
+def test_the_longest_chain_does_not_depend_on_the_stack_of_the_caller(
+    workshop, cartpole, count: int, codes: list[str], frames: int
+) -> None:
+    chain = "".join(f"  p{n}: p{n + 1} + 1 mm\n" for n in range(count - 1)) + f"  p{count - 1}: 1 mm\n"
+    text = cartpole(("parameters:\n", f"parameters:\n{chain}"), ("-0.4 .. 0.4 m", "-0.4 m .. p0 + 0.4 m"))
+
+    def codes_below(frames: int) -> list[str]:
+        if frames:
+            return codes_below(frames - 1)
+        checked = api.load(workshop.write(text))
+        return [finding.code for finding in checked.findings]
+
+    assert codes_below(frames) == codes
 
 
 # What one misspelled or broken piece takes away is not reported again where it is used.
