@@ -34,6 +34,25 @@ def evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Array:
         return np.asarray(_evaluate(scalar, values))
 
 
+def larger(a: Any, b: Any) -> Any:
+    """Return the larger of two numbers; of equal numbers the first, as Python's `max` does.
+
+    np.maximum returns either zero for 0.0 and -0.0. A second number other than zero takes 0.1 us more than
+    np.maximum, a column of 256 numbers 3 us more.
+    """
+    result = np.maximum(a, b)
+    return result if isinstance(b, float) and b else np.where(a == b, a, result)
+
+
+def smaller(a: Any, b: Any) -> Any:
+    """Return the smaller of two numbers; of equal numbers the first, as Python's `min` does."""
+    result = np.minimum(a, b)
+    return result if isinstance(b, float) and b else np.where(a == b, a, result)
+
+
+_NAMESPACE = {**vars(math), "np": np, "reduce": reduce, "larger": larger, "smaller": smaller}
+
+
 def _evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Any:
     match scalar:
         case Const(value=value):
@@ -48,4 +67,4 @@ def _evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Any:
 @cache
 def _array_function(name: str) -> Callable[..., Any]:
     function = function_named(name)
-    return function.compiled(function.array or function.python, {**vars(math), "np": np, "reduce": reduce})
+    return function.compiled(function.array or function.python, _NAMESPACE)

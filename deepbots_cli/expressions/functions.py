@@ -164,8 +164,8 @@ class Function(NamedTuple):
             folding evaluates it. An operator of many arguments combines them from left to right.
         helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and
             does the same to the bit.
-        array: The same over numpy arrays: names of the arguments, `np`, `reduce`, `math`'s. Empty where
-            `python` does.
+        array: The same over numpy arrays: names of the arguments, `np`, and the names of `arrays.evaluate`.
+            Empty if `python` serves arrays too.
         reduction: The meaning for a single argument that is a vector.
 
     The meaning of a function of the world is a reading of the engine, unless it has a `tree` or a `method`:
@@ -403,18 +403,18 @@ _ENTRIES = (
     Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .."
                                                                        " 0.5 m)",
              interval=iv.clamp, python="min(max(x, low), high)", helper="clamp",
-             array="np.minimum(np.maximum(x, low), high)"),
+             array="smaller(larger(x, low), high)"),
     Function("wrap", _PURE, (_TURN,), "The same angle, wrapped to more than -180 and up to 180"
                                       " deg.", "wrap(yaw(rover) - 90 deg)",
              _ANGLE, iv.wrap_angle, python="pi - (pi - angle) % tau", helper="wrap_angle"),
     Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of"
                                                          " several values.", "min(rover.near)",
-             interval=iv.minimum, python="min(*x)", array="reduce(np.minimum, x)",
+             interval=iv.minimum, python="min(*x)", array="reduce(smaller, x)",
              reduction=Reduction("min", INF)),
     Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several"
                                                          " values.",
              "max(abs(gas), abs(turn))",
-             interval=iv.maximum, python="max(*x)", array="reduce(np.maximum, x)",
+             interval=iv.maximum, python="max(*x)", array="reduce(larger, x)",
              reduction=Reduction("max", -INF)),
     Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
              reduction=Reduction("add", 0.0, iv.multiply_by_count)),

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepbots_cli.arrays import larger, smaller
 from deepbots_cli.runtime import formulas
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def pick(table: dict[int, Any], options: Any) -> Any:
 
 
 def clamp(x: Any, low: Any, high: Any) -> Any:
-    return np.minimum(np.maximum(x, low), high)
+    return smaller(larger(x, low), high)
 
 
 def clip(value: Any) -> Any:
@@ -39,11 +40,11 @@ def clip(value: Any) -> Any:
 
 
 def minimum(*values: Any) -> Any:
-    return reduce(np.minimum, values)
+    return reduce(smaller, values)
 
 
 def maximum(*values: Any) -> Any:
-    return reduce(np.maximum, values)
+    return reduce(larger, values)
 
 
 any_of, all_of = partial(reduce, np.logical_or), partial(reduce, np.logical_and)
@@ -110,12 +111,10 @@ to_body_frame, total, wrap_angle = formulas.to_body_frame, formulas.total, formu
 
 
 _KEPT: dict[type[formulas.Memory], Callable[..., Any]] = {
-    formulas.RunningMax: lambda before, _, x: np.maximum(before, x),
-    formulas.RunningMin: lambda before, _, x: np.minimum(before, x),
+    formulas.RunningMax: lambda before, _, x: larger(before, x),
+    formulas.RunningMin: lambda before, _, x: smaller(before, x),
     formulas.Hold: lambda before, _, x, condition: np.where(condition, x, before),
-    formulas.Accumulate: lambda before, _, more, low, high, start: np.minimum(
-        np.maximum(before + more, low), high
-    ),
+    formulas.Accumulate: lambda before, _, more, low, high, start: clamp(before + more, low, high),
     formulas.Duration: lambda before, step, condition: np.where(condition, before + step, 0.0),
 }
 """The memories whose code branches on a number, rewritten for columns. All other memories work with columns

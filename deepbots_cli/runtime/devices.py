@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from deepbots_cli.arrays import larger, smaller
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.runtime.readers import ON_COLUMNS, projected_gravity
@@ -99,8 +100,10 @@ class BatchSensorErrors:
         if self._unseen is not None:
             values = np.where(np.isnan(values), self._unseen, values)
         if self._ends is not None:
-            values = np.minimum(np.maximum(values, self._ends[0]), self._ends[1])
-        return values if self._steps is None else self._steps * np.rint(values / self._steps)
+            values = smaller(larger(values, self._ends[0]), self._ends[1])
+        if self._steps is not None:
+            values = self._steps * (np.rint(values / self._steps) + 0.0)  # `round` has no -0.0
+        return values
 
 
 class BatchLookupTable:

@@ -433,6 +433,40 @@ def test_the_episodes_of_a_batch_go_on_after_options_that_were_refused(cartpole:
         assert not np.array_equal(batch.step(np.zeros(2, int))[0], first)
 
 
+def test_zeros_have_the_same_sign_in_a_batch_and_in_single_worlds(tmp_path: Path) -> None:
+    """`atan2` of 0.0 and -0.0 is pi, of 0.0 and 0.0 it is 0."""
+    zero, negative = "0 * time / s", "-0.0 * time / s"
+    zeros = {
+        "larger": f"max({negative}, {zero})",
+        "smaller": f"min({zero}, {negative})",
+        "limited": f"clamp({negative}, 0 .. 1)",
+        "largest": f"running_max({zero} if step < 1 else {negative})",
+        "smallest": f"running_min({negative} if step < 1 else {zero})",
+        "added": f"accumulate({negative}, -1 .. 0, -0.0)",
+        "rounded": "cart.coarse / rad",
+    }
+    sensor = {"type": "joint_position", "joint": "pole_hinge", "resolution": "90 deg", "range": "-1 .. 0 rad"}
+    scenario = {
+        "deepbots": 1,
+        "extends": "cartpole",
+        "name": "Zeros",
+        "robots": {"cart": {"sensors": {"coarse": sensor}}},
+        "reward": {name: f"atan2({zero}, {value}) / rad" for name, value in zeros.items()},
+    }
+    (tmp_path / "zeros.yaml").write_text(json.dumps(scenario))
+    compiled = api.compile(tmp_path / "zeros.yaml")
+    with (
+        closing(api.make(compiled, engine="mujoco")) as single,
+        closing(deepbots_cli.make_vec(compiled, 1)) as batch,
+    ):
+        single.reset(seed=0)
+        batch.reset(seed=[0])
+        for action in (0, 1, 1, 0, 0, 0):
+            _, reward, _, _, info = single.step(action)
+            _, (in_batch,), *_ = batch.step(np.array([action]))
+            assert reward == in_batch, info["reward_terms"]
+
+
 def test_masses_frictions_and_gains_are_those_of_each_world() -> None:
     compiled = api.compile(PUSHED)
     with closing(deepbots_cli.make_vec(compiled, 2)) as batch:

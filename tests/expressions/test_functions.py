@@ -1,6 +1,7 @@
 """The table of functions: both forms of a function agree, and functions of other packages are as good as
 ours."""
 
+import itertools
 import json
 import math
 import os
@@ -48,6 +49,15 @@ def test_floats_and_arrays_agree_to_the_last_place(function, data):
             assert not math.isfinite(value)
             continue
         assert value == expected or abs(value - expected) <= math.ulp(expected)
+
+
+@pytest.mark.parametrize(("name", "count"), [("min", 2), ("max", 2), ("min", 3), ("max", 3), ("clamp", 3)])
+def test_zeros_have_the_same_sign_on_floats_and_arrays(name, count):
+    rows = [*itertools.product((0.0, -0.0, 1.0, -1.0), repeat=count)]
+    names = [Name(f"x{n}") for n in range(count)]
+    values = arrays.evaluate(Op(name, tuple(names)), dict(zip(names, np.array(rows).T, strict=True)))
+    expected = [scalar_function(name)(*row) for row in rows]
+    assert [*map(str, values.tolist())] == [*map(str, expected)]
 
 
 @pytest.mark.parametrize(
