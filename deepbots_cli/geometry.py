@@ -43,14 +43,17 @@ if TYPE_CHECKING:
 # Terrain
 
 Height = Callable[[float, float], float]
-"""The height (m) of the ground at x, y (m); beyond the terrain, the height of its nearest edge."""
+"""The height (m) of the ground at x, y (m), which are numbers; beyond the terrain, the height of its nearest
+edge."""
 Heights = Callable[["Column", "Column"], "Column"]
-"""The same for columns: the heights at x, y, to the bit; NaN where a coordinate is."""
+"""The same for columns, to the bit; NaN where a coordinate is NaN."""
 
 RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
 _PIT_CELLS = 200  # along either side
 _PIT_WIDTH = 0.135  # the width of the bell, as a share of the side
 _LUMPS = 20  # the number of lumps of the noise along either side
+_LEAST_AREA = 1e-12  # m^2, twice that of a triangle seen from above; smaller ones are vertical
+_FAR = 1e6  # m; farther places, also infinite ones, have the height of such a place
 _HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
 
 
@@ -198,7 +201,7 @@ def ground_height(terrain: Terrain | None, diagonal: Diagonal = "falling") -> He
 def ground_heights(terrain: Terrain | None, diagonal: Diagonal = "falling") -> Heights:
     """Return the height of the ground over columns; see `ground_height`."""
     if terrain is None:
-        return lambda x, y: np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+        return lambda x, y: np.where(np.isnan(x) | np.isnan(y), np.nan, 0.0)
     return _heights_of(terrain.shape, diagonal)
 
 
@@ -301,18 +304,39 @@ def _formula(formula: Formula) -> HeightGrid:
 
 
 def _mesh_height(corners: NDArray[np.float64]) -> Height:
-    """Return the highest point of any triangle above or below a place; 0 where there is none."""
+    """Return the highest point of any triangle above or below a place; where there is none, that of the
+    nearest edge of a triangle."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corners[:, corner].T for corner in range(3))
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    level = np.abs(area) > 1e-12
+    level = np.abs(area) > _LEAST_AREA
     area = np.where(level, area, 1.0)
+    beyond = _edge_height(corners[level])
 
     def at(x: float, y: float) -> float:
+        x, y = min(max(x, -_FAR), _FAR), min(max(y, -_FAR), _FAR)
+        # Barycentric coordinates of (x, y) in each triangle, seen from above.
         b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
         c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
         under = level & (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
         top = np.max(np.where(under, az + b * (bz - az) + c * (cz - az), -inf), initial=-inf)
-        return float(top) if top > -inf else 0.0
+        return float(top) if top > -inf else beyond(x, y)
+
+    return at
+
+
+def _edge_height(corners: NDArray[np.float64]) -> Height:
+    """Return the height of the edge that is nearest to a place, seen from above; of several, the highest."""
+    starts = corners.reshape(-1, 3)
+    along = np.roll(corners, -1, axis=1).reshape(-1, 3) - starts
+    squared_lengths = along[:, 0] ** 2 + along[:, 1] ** 2
+
+    def at(x: float, y: float) -> float:
+        away = np.array([x, y]) - starts[:, :2]
+        share = np.clip((away * along[:, :2]).sum(axis=1) / squared_lengths, 0.0, 1.0)
+        distances = np.hypot(*(away - share[:, None] * along[:, :2]).T)
+        nearest = distances <= distances.min(initial=inf) + 1e-9
+        heights = (starts[:, 2] + share * along[:, 2])[nearest]
+        return float(heights.max()) if len(heights) else 0.0 * (x + y)
 
     return at
 

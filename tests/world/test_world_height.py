@@ -20,6 +20,7 @@ from deepbots_cli.program.world import ObjectBody, Pit, Terrain, TerrainShape, T
 from deepbots_cli.robots.model import Pose, Sphere
 
 SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "ground.yaml"
+RAMP = Path(__file__).parents[1] / "data" / "hosts" / "terrain_mesh.yaml"
 STAIRS = Tiles(
     (Tile("stairs", (("height", 0.02, 0.16), ("tread", 0.3, 0.3), ("inverted", 0.0, 0.0))),),
     2,
@@ -81,8 +82,27 @@ def test_each_cell_is_two_triangles(diagonal: Diagonal, inside: list[float]) -> 
     assert grid.heights_function()(x, y) == pytest.approx([0.0, 1.0, 2.0, 9.0, *inside])
 
 
-def test_a_place_that_is_not_finite_has_no_height_in_a_column() -> None:
-    over = ground_heights(Terrain(PIT))
+@pytest.fixture(scope="module")
+def ramp() -> Terrain:
+    """A mesh from -4 to 4 m, which rises from 0 to 0.2 m along y."""
+    program = api.compile(RAMP).program
+    assert program.world.terrain is not None
+    return program.world.terrain
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "height"),
+    [(0.0, 4.1, 0.2), (0.0, -50.0, 0.0), (4.5, 2.0, 0.15), (-9.0, 9.0, 0.2), (math.inf, 0.0, 0.1)],
+)
+def test_beyond_a_mesh_the_ground_has_the_height_of_its_nearest_edge(
+    ramp: Terrain, x: float, y: float, height: float
+) -> None:
+    assert ground_height(ramp)(x, y) == pytest.approx(height)
+
+
+@pytest.mark.parametrize("kind", ["pit", "mesh", "plane"])
+def test_only_a_place_that_is_not_a_number_has_no_height_in_a_column(ramp: Terrain, kind: str) -> None:
+    over = ground_heights({"pit": Terrain(PIT), "mesh": ramp, "plane": None}[kind])
     heights = over(np.array([math.nan, 0.0, math.inf]), np.array([0.0, 0.0, 0.0]))
     assert np.isnan(heights).tolist() == [True, False, False]
 
