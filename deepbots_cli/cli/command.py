@@ -98,6 +98,22 @@ def integer(
     return option(usage, help, group, parser=whole_number(minimum, maximum))
 
 
+def written_options(ctx: typer.Context) -> dict[str, str]:
+    """Return the names of the options that the user wrote, such as `--set`, by their parameters."""
+    options = {
+        parameter.name: parameter.opts[0]
+        for parameter in ctx.command.params
+        if parameter.name is not None and parameter.param_type_name == "option"
+    }
+    sources = {key: ctx.get_parameter_source(key) for key in options}
+    # By name: releases of typer have this class from click, or a copy of their own.
+    return {
+        key: name
+        for key, name in options.items()
+        if (source := sources[key]) is not None and source.name == "COMMANDLINE"
+    }
+
+
 def start_values(given: Sequence[str] | None) -> dict[str, Any]:
     """Return the `options` of `reset` from `--start`: a number, a word, or several numbers with commas
     between them.

@@ -39,6 +39,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.episode import set_random_state
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.rollout.worlds import HistoryRecorder
 from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 
@@ -68,6 +69,14 @@ class Failure(BaseModel, strict=True):
     actions: list[Any]
     ends_at_reset: bool = False
     options: dict[str, Any] | None = None
+
+
+class _FailureKeys(BaseModel):
+    """The keys by which the file of a failed episode is recognized."""
+
+    error: Any
+    start: Any
+    actions: Any
 
 
 class FailureRecorder(HistoryRecorder):
@@ -279,6 +288,18 @@ def is_finite(observation: Any) -> bool:
     )
 
 
+def is_failure(path: Path) -> bool:
+    """Return whether a file is that of a failed episode, by its content; any JSON file in a folder `failures`
+    is one, which may be damaged."""
+    if path.suffix != ".json" or path.absolute().parent.name == FAILURES_FOLDER:
+        return path.suffix == ".json"
+    try:
+        read_json(path, _FailureKeys, _MAX_FILE_BYTES)
+    except RunError:
+        return False
+    return True
+
+
 def read_failure(path: Path) -> tuple[Failure, Run, Program]:
     """Read a file that `FailureRecorder` wrote. Returns the failure, its run, and the scenario, case or stage
     that failed.
@@ -286,7 +307,14 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
-    failure, run = read_json(path, Failure, _MAX_FILE_BYTES), Run.open(path.absolute().parent.parent)
+    failure = read_json(path, Failure, _MAX_FILE_BYTES)
+    folder = path.absolute().parent
+    if folder.name != FAILURES_FOLDER or folder_kind(folder.parent) is not SourceKind.RUN:
+        raise RunError(
+            f"{path} is a failed episode without its run, which has the scenario; copy the file into the folder"
+            f" `{FAILURES_FOLDER}` of the run"
+        )
+    run = Run.open(folder.parent)
     return failure, run, run.program.variant(failure.case, failure.stage)
 
 

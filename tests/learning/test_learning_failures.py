@@ -201,6 +201,61 @@ def test_actions_after_the_end_of_the_episode_are_not_repeated(
     assert len(failure.actions) < 1000
 
 
-def test_a_kept_episode_takes_no_settings(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["try", "failures/0001.json", "--engine", "mujoco"]) == 2
-    assert "already contains its scenario, start and actions" in capsys.readouterr().err
+@pytest.fixture
+def failed(trained: TrainingResult, run_copy: Path) -> Path:
+    """The file of a failed episode in a run of the CartPole."""
+    folder = run_copy / "failures"
+    folder.mkdir()
+    content = {
+        "error": "odd",
+        "step": 2,
+        "episode": 1,
+        "case": None,
+        "stage": None,
+        "start": 0,
+        "actions": [0, 1],
+    }
+    (folder / "0001.json").write_text(json.dumps(content))
+    return folder / "0001.json"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--engine", "mujoco"),
+        ("--lockstep",),
+        ("--speed", "5"),
+        ("--seed", "0"),
+        ("--driver", "zero", "--episodes", "1"),
+    ],
+)
+def test_a_kept_episode_takes_no_settings(
+    failed: Path, words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["try", str(failed), *words]) == 2
+    message = capsys.readouterr().err
+    assert "already contains its scenario, start and actions" in message
+    assert all(word in message for word in words if word.startswith("--"))
+
+
+def test_a_kept_episode_is_repeated_from_within_its_folder(
+    failed: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(failed.parent)
+    assert main(["try", failed.name]) == 0
+    assert "repeated 2 actions: the episode does not fail" in capsys.readouterr().out
+
+
+def test_a_kept_episode_without_its_run_is_refused(
+    failed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = failed.rename(tmp_path / "sent.json")
+    assert main(["try", str(copy)]) == 2
+    assert "copy the file into the folder `failures` of the run" in capsys.readouterr().err
+
+
+def test_a_scenario_in_json_is_no_kept_episode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario = tmp_path / "mine.json"
+    scenario.write_text('{"deepbots": 1, "extends": "cartpole", "name": "Mine"}')
+    assert main(["try", str(scenario), "--episodes", "1"]) == 0
+    assert "episodes" in capsys.readouterr().out

@@ -27,6 +27,7 @@ from deepbots_cli.cli.command import (
     integer,
     option,
     start_values,
+    written_options,
 )
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
@@ -52,6 +53,7 @@ COUNT = 3
 
 
 def command(
+    ctx: typer.Context,
     scenario: Annotated[
         str,
         typer.Argument(
@@ -110,16 +112,7 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Run a few episodes without training."""
-    if scenario.endswith(".json") and Path(scenario).parent.name == "failures":
-        changed = any(
-            (overrides, case, stage, engine, permissions.folders, steps, seed, start, robot, episodes)
-        )
-        if changed or driver is not None:
-            raise UsageError(
-                "the file of a failed episode already contains its scenario, start and actions; only --json"
-                " and --allow-code can be added"
-            )
-        _reproduce(Path(scenario), permissions=permissions, as_json=as_json)
+    if scenario.endswith(".json") and _reproduced(ctx, Path(scenario), permissions, as_json=as_json):
         return
     if robot is None and (lockstep or speed != 1.0):
         raise UsageError("--lockstep and --speed need --robot")
@@ -246,9 +239,18 @@ def _show(
     )
 
 
-def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
+def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_json: bool) -> bool:
+    """Repeat a failed episode; return whether the file is one."""
     from deepbots_cli.learning import failures  # this imports gymnasium
 
+    if not failures.is_failure(path):
+        return False
+    refused = [name for key, name in written_options(ctx).items() if key not in ("as_json", "allow_code")]
+    if refused:
+        raise UsageError(
+            f"leave out {', '.join(refused)}: the file of a failed episode already contains its scenario, start"
+            " and actions; only --json and --allow-code can be added"
+        )
     failure, error = failures.reproduce(path, permissions=permissions)
     repeated = (
         f"repeated {len(failure.actions):,} actions:"
@@ -257,6 +259,7 @@ def _reproduce(path: Path, permissions: Permissions, as_json: bool) -> None:
     terminal.show(
         {**failure.model_dump(), "reproduced": error}, f"{path}: {failure.error}", repeated, as_json=as_json
     )
+    return True
 
 
 def _row(episode: Episode) -> Row:

@@ -27,6 +27,7 @@ from deepbots_cli.cli.command import (
     integer,
     known_engine,
     option,
+    written_options,
 )
 from deepbots_cli.cli.commands.diagnose import FAILED_EPISODES, episodes_or_failed, repeat_failed
 from deepbots_cli.cli.exits import FAILED
@@ -188,7 +189,7 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Evaluate the policy of a run, or of a group."""
-    present = _given_options(ctx)
+    present = written_options(ctx)
     single = ("baselines", "details")
     if episodes == FAILED_EPISODES:
         allowed = ("episodes", "force", "as_json", "allow_paths", "allow_code")
@@ -455,21 +456,6 @@ def _kept(
     if not as_json:
         terminal.print_result(records.kept_text(kept_model))
     return kept_model
-
-
-def _given_options(ctx: typer.Context) -> dict[str, str]:
-    """Return the names of the options that have a value, such as `--set`, by their parameters."""
-    return {
-        parameter.name: parameter.opts[0]
-        for parameter in ctx.command.params
-        if parameter.name is not None
-        and parameter.param_type_name == "option"
-        and _is_set(ctx.params.get(parameter.name))
-    }
-
-
-def _is_set(value: object) -> bool:
-    return value is not None and value is not False and value != ()
 
 
 def _refuse(reason: str, present: Mapping[str, str], options: Iterable[str]) -> None:
