@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,23 @@ def test_a_failed_sequence_of_actions_is_repeated_by_its_command(
     ((miss,),) = [test["misses"] for test in scenario["tests"]]
     assert "--driver=0:1,-1:1,1:0 --steps 3" in miss["command"]
     assert main(miss["command"].split()[1:]) == 0
+
+
+def test_an_agent_may_have_the_name_of_a_column(carts: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = re.sub(r"\bleft\b", "length", re.sub(r"\bright\b", "success", CARTS))
+    carts.write_text(named)
+    assert main(["try", str(carts), "--driver", "zero", "--episodes", "1", "--steps", "3"]) == 0
+    _, columns, _, row = capsys.readouterr().out.splitlines()[:4]
+    assert columns.split("  ")[1:] == [
+        "episode",
+        "return of length",
+        "return of success",
+        "length",
+        "ended_by",
+        "success",
+    ]
+    assert row.split()[0] == "0"
+    assert row.split()[3] == "3"
 
 
 @pytest.mark.parametrize(

@@ -278,7 +278,7 @@ def _agent_columns(program: Program, episode: Episode) -> Row:
     agent_episodes = {name: own_episode(member, episode) for name, member in program.members.items()}
     succeeded = [name for name, agent_episode in agent_episodes.items() if agent_episode.is_success]
     return {
-        **{name: agent_episode.total_return for name, agent_episode in agent_episodes.items()},
+        **{f"return of {name}": agent_episode.total_return for name, agent_episode in agent_episodes.items()},
         "length": episode.length,
         "ended_by": episode.ended_by,
         "success": ", ".join(succeeded) or "no",
