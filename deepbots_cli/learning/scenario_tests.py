@@ -122,7 +122,10 @@ def _first_of_each(
 ) -> Iterator[UnmetExpectation]:
     """Yield the first miss of each expectation, with the number of episodes that miss it, and the position
     of the first miss."""
-    for first in {miss.where: miss for miss in reversed(misses)}.values():
+    first_misses: dict[str, UnmetExpectation] = {}
+    for miss in misses:
+        first_misses.setdefault(miss.where, miss)
+    for first in first_misses.values():
         episodes = {miss.episode for miss in misses if miss.where == first.where}
         many = f"; in {len(episodes)} of {test.episodes} episodes" if len(episodes) > 1 else ""
         step = f", step {first.step:,} ({first.step * period:.4g} s)" if first.step is not None else ""

@@ -107,6 +107,17 @@ def test_a_failed_test_shows_what_was_expected_and_measured(small, expect: str, 
     assert measured in ran.out
 
 
+def test_expectations_are_listed_as_they_are_missed(small) -> None:
+    expect = '{always: ["driven < -1 m", "time < 0 s"], mean_return: 1000 .. 2000}'
+    ran = small(f"  one: {{driver: onward, episodes: 2, expect: {expect}}}\n", "--json")
+    misses = json.loads(ran.out)["scenarios"][0]["tests"][0]["misses"]
+    assert [miss["expected"].split(" (")[0] for miss in misses] == [
+        "always: driven < -1 m",
+        "always: time < 0 s",
+        "mean_return: 1000 .. 2000",
+    ]
+
+
 def test_the_command_of_a_failed_test_shows_its_episode(small, deepbots: Deepbots) -> None:
     """`view` begins an episode as the evaluation does; a sequence of actions is for `run`."""
     ran = small(
