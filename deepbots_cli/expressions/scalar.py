@@ -5,7 +5,8 @@ per component. These trees are part of the compiled scenario (frozen, comparable
 the generated Python is printed from them.
 
 They are named tuples: rules make and look up so many that frozen dataclasses took 4 % of the time of linting.
-No two kinds are equal: they differ in the number of members, or in the type of one of them.
+No two kinds are equal: they differ in the number of members, in the type of one of them, or by their
+`__eq__`. Numbers are equal as in Python: `Const(1.0)` and `Const(True)`, `Const(0.0)` and `Const(-0.0)`.
 """
 
 from __future__ import annotations
@@ -80,6 +81,15 @@ class State(NamedTuple):
     args: tuple[Scalar, ...]
     slot: str
 
+    def __hash__(self) -> int:
+        return tuple.__hash__(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, State) and tuple.__eq__(self, other)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
     @property
     def call(self) -> tuple[str, str]:
         """The item of the scenario and the number of the call in it, which the components of a vector
@@ -98,6 +108,15 @@ class Draw(NamedTuple):
     distribution: str
     args: tuple[Scalar, ...]
     stream: str
+
+    def __hash__(self) -> int:
+        return tuple.__hash__(self)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Draw) and tuple.__eq__(self, other)
+
+    def __ne__(self, other: object) -> bool:
+        return not self == other
 
 
 Scalar = Const | Name | EngineRead | Op | State | Draw

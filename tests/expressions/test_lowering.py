@@ -190,3 +190,12 @@ def test_half_a_turn_wraps_to_plus_half_a_turn(bench):
 )
 def test_a_stream_keeps_its_name_when_a_key_is_renamed(place: str, stream: str) -> None:
     assert stream_name(place) == stream
+
+
+def test_a_draw_never_equals_a_memory() -> None:
+    args = (Const(0.0), Const(1.0))
+    nodes = [State("uniform", args, "s#0"), Draw("uniform", args, "s#0")]
+    for node, other in (nodes, nodes[::-1]):
+        assert node == node._replace()
+        assert node != other
+        assert {node: 1}.get(other) is None
