@@ -122,7 +122,7 @@ class Confirmation:
         else:
             least = solved.mean_return + EXPECTED * (returns[1] - solved.mean_return)
             mean = min(returns[1], max(least, _cautious_mean(evaluated) if evaluated else returns[1]))
-        for episodes in range(solved.episodes, _MAX_EPISODES, solved.episodes):
+        for episodes in range(solved.episodes, _MAX_EPISODES + 1, solved.episodes):
             planned = Confirmation.by(solved, number, returns, episodes)
             if solved.success_rate is not None:
                 halfway = (1 + solved.success_rate) / 2

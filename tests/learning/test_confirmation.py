@@ -131,6 +131,11 @@ def test_the_levels_of_all_confirmations_add_up_to_the_chance_of_a_false_stop() 
     assert sum(error_level(number) for number in range(1, 10_000)) == pytest.approx(FALSE_STOPS, rel=1e-3)
 
 
+def test_a_confirmation_has_up_to_100000_episodes() -> None:
+    plans = [Confirmation.plan(Solved(count, success_rate=0.9), 1, BOUNDS) for count in (100_000, 100_001)]
+    assert [plan and plan.episodes for plan in plans] == [100_000, None]
+
+
 def test_the_lower_bound_is_that_of_student_with_the_worst_returns_added() -> None:
     values = [3.0, 4.0, 5.0, 9.0, 0.0, 0.0]
     half = t.ppf(0.975, 5) * np.std(values, ddof=1) / math.sqrt(6)
