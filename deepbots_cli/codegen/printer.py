@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.code import Code, number_code
-from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import SCALAR, operation_code
 from deepbots_cli.expressions.scalar import (
     Const,
@@ -28,6 +28,7 @@ from deepbots_cli.expressions.scalar import (
     State,
     is_drawn,
 )
+from deepbots_cli.expressions.world_trees import rotation
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys

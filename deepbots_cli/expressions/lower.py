@@ -22,7 +22,6 @@ from deepbots_cli.expressions.functions import (
     Function,
     Reduction,
     function_named,
-    rotation,
     scalar_function,
     whole_exponent,
 )
@@ -39,6 +38,7 @@ from deepbots_cli.expressions.types import (
     Typed,
     Vector,
 )
+from deepbots_cli.expressions.world_trees import rotation
 
 Scalars = tuple[Scalar, ...]
 
