@@ -338,7 +338,8 @@ def _build_batch(
     from deepbots_cli.program.identity import digest
     from deepbots_cli.runtime.copies import make_batch
 
-    name, mark = class_name(program.name), digest(program)[:12]
+    name = class_name(program.name)
+    mark = digest(program)[:12]
     of_batch = load_module(
         generate_module(program, "batch", scripts),
         f"deepbots_batch_{name}",

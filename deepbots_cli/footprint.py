@@ -248,7 +248,8 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
             name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()
         }
         positions = {**followers, **positions}
-    frames_by_link, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
+    frames_by_link = {model.root: frames.IDENTITY_FRAME}
+    waiting = [model.root]
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):

@@ -127,7 +127,8 @@ class HeightGrid:
     def height_function(self) -> Height:
         """Return a function of plain floats, for use in a loop."""
         rows, columns = self.heights.shape
-        z, is_rising = self.heights.tolist(), self.diagonal == "rising"
+        z = self.heights.tolist()
+        is_rising = self.diagonal == "rising"
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
 
         def at(x: float, y: float) -> float:
@@ -137,7 +138,8 @@ class HeightGrid:
             u, v = u - column, v - row
             here, there = z[row], z[row + 1]
             if is_rising:
-                corner, far = here[column], there[column + 1]
+                corner = here[column]
+                far = there[column + 1]
                 if v <= u:
                     return float(corner + u * (here[column + 1] - corner) + v * (far - here[column + 1]))
                 return float(corner + v * (there[column] - corner) + u * (far - there[column]))

@@ -385,7 +385,8 @@ class EngineProxy:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self.name, self.capabilities = engine.name, engine.capabilities
+        self.name = engine.name
+        self.capabilities = engine.capabilities
 
     def body(self, name: str) -> str:
         """Return the name of a body in the other engine."""

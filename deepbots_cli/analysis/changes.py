@@ -72,7 +72,8 @@ class WrittenScenario:
         """Return the patterns of joints and links in a group of a robot; the name itself if it is no
         group."""
         reached: list[str] = []
-        waiting, expanded = [name], set[str]()
+        waiting = [name]
+        expanded: set[str] = set()
         while waiting:
             name = waiting.pop(0)
             group = self._written(f"robots.{robot}.groups.{name}")
@@ -179,7 +180,9 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
         for change in scenario_changes(first, second)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
-    acting, returns, success = set[str](), set[str](), set[str]()
+    acting: set[str] = set()
+    returns: set[str] = set()
+    success: set[str] = set()
     for program in (first.program, second.program):
         agent = program.agent
         acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
@@ -459,7 +462,8 @@ def _altered_names(
     `excluded` are names that are not looked up.
     """
     altered: dict[str, tuple[str, str]] = {}
-    met, waiting = set(excluded), [text]
+    met = set(excluded)
+    waiting = [text]
     while waiting:
         names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
         met |= {*names}

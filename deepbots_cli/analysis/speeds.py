@@ -225,7 +225,8 @@ class SpeedRanges(Ranges):
     """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
 
     def _world(self, node: EngineRead) -> Interval:
-        interval, limit = super()._world(node), INF
+        interval = super()._world(node)
+        limit = INF
         if node.function == "velocity":
             limit = _speed_of(self.analysis, node.subjects[0])
         elif node.function == "joint_velocity":
@@ -283,7 +284,8 @@ def _within(interval: Interval, limit: float) -> Interval:
 
 def highest_return(analysis: Analysis) -> float:
     """Return the highest return of an episode within limits of speed; infinite where nothing bounds it."""
-    reward, highest = analysis.reward, return_range(analysis).high
+    reward = analysis.reward
+    highest = return_range(analysis).high
     if not reward.is_complete:
         return INF
     ranges = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))

@@ -585,7 +585,8 @@ def run_command(arguments: Sequence[str] | None) -> None:
 def without_old_spelling(words: list[str]) -> list[str]:
     """Return `train --resume RUN`, `tune --resume STUDY` and `schema` of earlier versions as the commands
     `resume`, `apply` and `lsp --schema`, with a note."""
-    command, options = (words or [""])[0], words[1:]
+    command = (words or [""])[0]
+    options = words[1:]
     if command == "schema":
         terminal.note(
             "note: `deepbots schema` is now `deepbots lsp --schema`; the next version drops the old spelling"

@@ -38,7 +38,8 @@ class Owed:
     before."""
 
     def __init__(self, worker: Worker, hear: Callable[[str, Any], None] | None = None) -> None:
-        self.worker, self.hear = worker, hear
+        self.worker = worker
+        self.hear = hear
         self.result: tuple[str, Any] | None = None
 
 
@@ -227,7 +228,8 @@ class LocalCalls:
                 self._stopped.add(item)
                 self._running[item].worker.send(None)
         news = News(self._reports, self._notes, self._begun)
-        self._reports, self._notes = {}, []
+        self._reports = {}
+        self._notes = []
         return news
 
     def leave_out(self) -> None:

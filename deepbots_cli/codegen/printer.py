@@ -103,7 +103,8 @@ class Printer:
 
     def method_lines(self, docstring: Sequence[str] = ()) -> list[str]:
         """Return all lines, with the calls of readers."""
-        at, reads = self.reads_at, self.context.readers.call_lines(self.needs)
+        at = self.reads_at
+        reads = self.context.readers.call_lines(self.needs)
         return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
 
     def value(self, tree: Scalar) -> str:

@@ -35,7 +35,8 @@ from deepbots_cli.program.values import Expression, Noise
 def begin_method(supervisor: SupervisorPrinter) -> list[str]:
     """Return the method that draws in order of dependency, then sets variations, places, joints; the
     actuators hold until their first commands."""
-    scenario, reset = supervisor.scenario, supervisor.scenario.reset
+    scenario = supervisor.scenario
+    reset = supervisor.scenario.reset
     printer = supervisor.printer()
     _print_first_draws(supervisor, printer)
     _print_stds(supervisor, printer)

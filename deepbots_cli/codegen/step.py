@@ -227,7 +227,8 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"{names[name]} = self.ranges({ranges})")
         variables[name] = f"*{names[name]}"
     elif vectors:
-        values, index = supervisor.names("values of ranges"), 0
+        values = supervisor.names("values of ranges")
+        index = 0
         printer.line(f"{values} = self.ranges({ranges})")
         for interval in supervisor.ranges:
             end = index + max(1, len(interval.components))
@@ -510,7 +511,8 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     limit = _tick_limit(supervisor)
     if limit is None:
         return
-    reached, name = f"{supervisor.tick} >= {limit[0]}", quoted(limit[1])
+    reached = f"{supervisor.tick} >= {limit[0]}"
+    name = quoted(limit[1])
     goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
     goal = "True" if limit[1] in supervisor.agent.success else goal
     if printer.on_floats:
@@ -523,7 +525,8 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
 def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
     """Print the end of the episode of one of several agents, while the others go on."""
     member = supervisor.scenario.members[agent]
-    ended, acts = supervisor.ended_of(agent), supervisor.acts(agent)
+    ended = supervisor.ended_of(agent)
+    acts = supervisor.acts(agent)
     printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
     holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
     failures = [ending for ending in member.program.endings if ending.name in member.program.failures]

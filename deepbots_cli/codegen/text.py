@@ -107,7 +107,8 @@ class Names:
 
 
 def _unused(base: str, used: set[str]) -> str:
-    name, number = base, 1
+    name = base
+    number = 1
     while name in used:
         name, number = f"{base}_{number}", number + 1
     return name
@@ -339,7 +340,9 @@ def _at_brackets(pad: str, code: str) -> list[str]:
     if not groups:
         return [pad + code]
     start, end = groups[0] if code.startswith("def ") else groups[-1]
-    head, inner, tail = pad + code[: start + 1], code[start + 1 : end], pad + code[end:]
+    head = pad + code[: start + 1]
+    inner = code[start + 1 : end]
+    tail = pad + code[end:]
     is_call = code[start] == "(" and re.search(r"[\w\])]$", code[:start]) is not None
     fits = len(pad) + 4 + len(inner) <= WIDTH and not inner.endswith(",")
     if fits and (is_call or not list(_places(inner, ", "))):
@@ -390,7 +393,9 @@ def _places(code: str, sign: str) -> Iterator[int]:
 def _outside(code: str) -> str:
     """Return the code with a zero for each character in brackets or quotes: a line is searched for about ten
     signs."""
-    pieces, depth, end = [], 0, 0
+    pieces = []
+    depth = 0
+    end = 0
     for match in _BRACKET_OR_QUOTED.finditer(code):
         between = code[end : match.start()]
         pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(match[0])]

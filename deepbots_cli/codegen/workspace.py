@@ -97,7 +97,8 @@ class Readers:
 
     def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         """Return the code of one number."""
-        kind, item = leaf.function, _RESULT_INDEX.get(leaf.function)
+        kind = leaf.function
+        item = _RESULT_INDEX.get(leaf.function)
         if kind in _POSES:
             return f"{self._need(_POSES[kind], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if kind in _SCALAR_READERS:
@@ -117,7 +118,8 @@ class Readers:
     def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
         """Return the code of a sequence and of the part that is taken from each item; None if the facts are
         read separately."""
-        kind, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
+        kind = leaves[0].function
+        subjects = [leaf.subjects for leaf in leaves]
         if any(leaf.function != kind for leaf in leaves):
             return None
         if kind in _POSES or kind in _VECTOR_READERS:
@@ -127,7 +129,8 @@ class Readers:
             code = self._need(_POSES.get(kind, kind), leaves[0].subjects[:1], needs)
             return f"{code}[{_RESULT_INDEX[kind]}]" if kind in _POSES else code, ""
         if kind in ("joint_position", "joint_velocity", "joint_torque"):
-            robot, names = subjects[0][0].partition(".")[0], [name.partition(".")[2] for (name,) in subjects]
+            robot = subjects[0][0].partition(".")[0]
+            names = [name.partition(".")[2] for (name,) in subjects]
             if any(name.partition(".")[0] != robot for (name,) in subjects) or len(names) < 2:
                 return None
             key = _of_joints(leaves[0], names)
@@ -257,7 +260,9 @@ class ClassPrinter(ABC):
     """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
 
     def __init__(self, scenario: Program, constants: Constants, target: Target) -> None:
-        self.scenario, self.constants, self.target = scenario, constants, target
+        self.scenario = scenario
+        self.constants = constants
+        self.target = target
         self.names = Names()
         self.memories: dict[str, str] = {}
         """The code that makes each memory, by its attribute."""
@@ -361,7 +366,8 @@ class SupervisorPrinter(ClassPrinter):
 
     def _values_of_timesteps(self) -> Iterator[Scalar]:
         """Yield the expressions of every timestep, without conditions that forbid options."""
-        agent, goal = self.agent, self.agent.goal
+        agent = self.agent
+        goal = self.agent.goal
         for entry in self.scenario.signals:
             yield from entry.scalars
         yield from (ending.scalar for ending in self.scenario.endings)
@@ -524,7 +530,8 @@ class SupervisorPrinter(ClassPrinter):
     def of_one_world(self) -> SupervisorPrinter:
         """Return the printer of code that runs in one world."""
         printer = copy(self)
-        printer.target, printer.state = SCALAR, {}
+        printer.target = SCALAR
+        printer.state = {}
         return printer
 
     def printer(self) -> Printer:

@@ -285,7 +285,8 @@ def _program(namespace: Namespace) -> Program:
     painted = lines(namespace)
     for name, robot in spec.robots.items():
         namespace.robots[name] = load_robot(name, robot, namespace)
-    actions, goals = Actions(namespace), Goals(namespace)
+    actions = Actions(namespace)
+    goals = Goals(namespace)
     builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
     for builder in builders:
         builder.define_heard()
@@ -296,7 +297,9 @@ def _program(namespace: Namespace) -> Program:
     bare = world(namespace, namespace.resolved_robots, painted)
     timestep = bare.timestep
     reset, walls = compile_reset(namespace, bare)
-    limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
+    limits = truncation(namespace)
+    action = actions.parts()
+    rewards = reward_terms(namespace)
     robot_copies = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
     links = _links(namespace, builders, has_copies=robot_copies is not None)

@@ -27,10 +27,16 @@ from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
 
-AGENTS, ENDINGS, ROLE, TRAIN, TRUNCATION = "agents", "endings", "role", "train", "truncation"
+AGENTS = "agents"
+ENDINGS = "endings"
+ROLE = "role"
+TRAIN = "train"
+TRUNCATION = "truncation"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
-_SIGNALS, _LIKE, _POLICY = "signals", "like", "policy"
+_SIGNALS = "signals"
+_LIKE = "like"
+_POLICY = "policy"
 _OWN_OF_MIRROR = frozenset({_LIKE, _POLICY, "robots", "scripts", "solved", TRAIN})
 """The keys that an agent which mirrors another one exactly may have."""
 _KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {
@@ -246,7 +252,8 @@ class _Mirrors:
     """Resolves `like`."""
 
     def __init__(self, document: Document, entries: Mapping[str, Entry]) -> None:
-        self._document, self._written = document, entries
+        self._document = document
+        self._written = entries
         self._resolved: dict[str, MappingNode] = {}
         self._reported: set[str] = set()
 
@@ -358,7 +365,8 @@ def _drivers(
     """Return the agent that drives each robot."""
     root = document.root
     assert root is not None
-    robots, drivers = list(entries_at(root, "robots")), dict[str, str]()
+    robots = list(entries_at(root, "robots"))
+    drivers: dict[str, str] = {}
     spans: dict[str, Span] = {}
     for agent, section in sections.items():
         node = agents[agent].get("robots")
@@ -648,7 +656,8 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
         return document
     entries = dict(section.entries)
     for name, part in documents.items():
-        train, entry = part.root.entries.get(TRAIN) if part.root is not None else None, entries[name]
+        train = part.root.entries.get(TRAIN) if part.root is not None else None
+        entry = entries[name]
         if train is not None and isinstance(entry.value, MappingNode):
             keys = {**entry.value.entries, TRAIN: train}
             entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
@@ -707,7 +716,8 @@ def among_others(
         agent: The agent.
         models: The files of models that act for other agents.
     """
-    findings, names = document.findings, list(world.members)
+    findings = document.findings
+    names = list(world.members)
     agent_node = node_at(document.root, ROLE, "agent")
     if agent not in world.members:
         assert isinstance(agent_node, ScalarNode)

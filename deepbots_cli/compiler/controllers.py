@@ -122,8 +122,10 @@ class Actuators(NamespaceReader):
         joints = self._robot.joints_of(spec, self._values)
         if not joints:
             return None
-        names, dimension = tuple(joint.name for joint in joints), spec.dimension_of(joints[0])
-        max_torque, max_velocity = self._max_torque(spec, joints), self._max_velocity(spec, joints)
+        names = tuple(joint.name for joint in joints)
+        dimension = spec.dimension_of(joints[0])
+        max_torque = self._max_torque(spec, joints)
+        max_velocity = self._max_velocity(spec, joints)
         motor: Actuator
         match spec:
             case specs.VelocityMotor():
@@ -361,7 +363,8 @@ class Actuators(NamespaceReader):
         """Report DB304 for a limit that the robot file undercuts for every joint."""
         limits = [file_limit for file_limit in file_limits if file_limit is not None]
         if len(limits) == len(file_limits) and limit > max(limits) * (1 + 1e-9):
-            text, allowed = self._values.field(spec, key), Interval(-math.inf, max(limits))
+            text = self._values.field(spec, key)
+            allowed = Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
             help = (
                 "deepbots uses the smaller limit: lower this value or, if the motor is stronger, write"
@@ -381,7 +384,8 @@ def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
 
 
 def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
-    values, moving = namespace.values, robot.drivable_joints
+    values = namespace.values
+    moving = robot.drivable_joints
     positions: dict[str, float] = {}
     sound = True
     for pattern in robot.spec.poses[name]:
@@ -454,7 +458,8 @@ class RobotBuilder:
     # Sent values
 
     def _define_fields(self) -> None:
-        emit, entries = self.robot.spec.emit, list[tuple[str, NodePath]]()
+        emit = self.robot.spec.emit
+        entries: list[tuple[str, NodePath]] = []
         match emit:
             case None:
                 entries = [(name, (*self.path, "sensors", name)) for name in self.robot.spec.sensors]
@@ -475,7 +480,8 @@ class RobotBuilder:
             )
 
     def _heard(self, name: str, source: str, path: NodePath) -> Symbol:
-        full, sender = f"{self.robot.name}.{name}", source.partition(".")[0]
+        full = f"{self.robot.name}.{name}"
+        sender = source.partition(".")[0]
         namespace = self.namespace
         if sender == self.robot.name:
             self.values.add(
@@ -529,7 +535,8 @@ class RobotBuilder:
 
     def _sensor_field(self, name: str, path: NodePath) -> Symbol:
         """Return the field of a sensor that no `emit` lists."""
-        full, sensor = f"{self.robot.name}.{name}", self.own[name]
+        full = f"{self.robot.name}.{name}"
+        sensor = self.own[name]
         if sensor.type is None:
             return Symbol(full, None)
         typed = Reference(sensor.type, 0, len(name), sensor)

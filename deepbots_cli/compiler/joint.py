@@ -183,7 +183,8 @@ class Renaming:
     """Gives the parts of one agent their names in the program of all."""
 
     def __init__(self, program: Program, names: JointNames) -> None:
-        self._program, self._names = program, names
+        self._program = program
+        self._names = names
 
     def agent(self, action: Sequence[ActionPart]) -> Agent:
         """Return the agent with renamed parts; `action` has the names of the program of all."""

@@ -20,7 +20,10 @@ from deepbots_cli.program.members import RANDOM, ZERO, Member
 from deepbots_cli.program.task import ActionPart, ActionRange, FixedAction, ScenarioTest
 from deepbots_cli.scenario.fields import choices_help
 
-_AGENT, _DRIVER, _ACTIONS, _EXPECT = "agent", "driver", "actions", "expect"
+_AGENT = "agent"
+_DRIVER = "driver"
+_ACTIONS = "actions"
+_EXPECT = "expect"
 _NOTHING = "mean_return"
 """The key of an expectation that stands for those of another agent."""
 
@@ -35,7 +38,9 @@ class DividedTests:
     """
 
     def __init__(self, root: MappingNode, scripts: Mapping[str, Sequence[str]], findings: Findings) -> None:
-        self._written, self._scripts, self._findings = entries_at(root, TESTS), scripts, findings
+        self._written = entries_at(root, TESTS)
+        self._scripts = scripts
+        self._findings = findings
         self._agents = [*scripts]
         for entry in self._written.values():
             self._check(entry)
@@ -76,7 +81,8 @@ class DividedTests:
     def _driver(self, agent: str, test_node: MappingNode) -> ScalarNode:
         """Return the driver of an agent: its script of the name that all agents share, else its first script,
         else `random`."""
-        node, scripts = test_node.get(_DRIVER), self._scripts[agent]
+        node = test_node.get(_DRIVER)
+        scripts = self._scripts[agent]
         of_agent = _get(node, agent)
         if isinstance(of_agent, ScalarNode):
             return of_agent
@@ -168,7 +174,9 @@ def _joint_actions(
 
 def _resting(action: Sequence[ActionPart]) -> FixedAction:
     """Return the first option of each choice, and the middle of each range."""
-    choices, ranges, words = list[int](), list[float](), list[str]()
+    choices: list[int] = []
+    ranges: list[float] = []
+    words: list[str] = []
     for part in action:
         if isinstance(part, ActionRange):
             ranges += [0.0] * len(part.names)

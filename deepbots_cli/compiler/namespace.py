@@ -197,7 +197,8 @@ class Namespace:
         if self.is_invalid(name):
             return Subject(name, Kind.BROKEN)
         head, _, part = name.partition(".")
-        definition, robot = self.definitions.get(head), self.robots.get(head)
+        definition = self.definitions.get(head)
+        robot = self.robots.get(head)
         if robot is not None:
             return (
                 robot.subject(part, kinds)

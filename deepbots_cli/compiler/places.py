@@ -164,7 +164,8 @@ class PlacementChecker(NamespaceReader):
 
     def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
         """Return whether a body, or all its copies, are too large for the top of another one: DB105."""
-        kinds, copies = self._footprints(place), self.copies(place)
+        kinds = self._footprints(place)
+        copies = self.copies(place)
         if not kinds or _is_tilted(place):
             return False
         margin = 0.0 if self._is_fixed(place) else place.clearance
@@ -483,7 +484,8 @@ class Places(NamespaceReader):
         if isinstance(pose.region, RegionSpec):
             x, y = self._fields.ends(pose.region, "x"), self._fields.ends(pose.region, "y")
             return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if x and y else None
-        arena, span = self._world.arena, self._values.span((*pose.path, "region"))
+        arena = self._world.arena
+        span = self._values.span((*pose.path, "region"))
         if pose.region != "arena":
             self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
@@ -606,7 +608,8 @@ class Layouts(NamespaceReader):
     def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
         """Return each letter's body on the cells with this letter; the first row is the farthest along y, the
         middle is the origin."""
-        cell, text = self._fields.fixed(layout, "cell"), self._values.field(layout, "map")
+        cell = self._fields.fixed(layout, "cell")
+        text = self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
             return []

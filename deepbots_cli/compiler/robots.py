@@ -422,7 +422,8 @@ class Overrides:
     def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        subject = OfLink(self.robot, link.name)
+        fields = self.namespace.fields
         offset = fields.vector_or_randomized(change, "com", "center_of_mass", subject, per_component=SPACE)
         if offset is None:
             return model
@@ -434,7 +435,8 @@ class Overrides:
     def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        subject = OfLink(self.robot, link.name)
+        fields = self.namespace.fields
         factor = fields.scalar_or_randomized(change, "inertia", "inertia", subject, None)
         if factor is None:
             return model
@@ -449,12 +451,15 @@ class Overrides:
         return new
 
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
-        position, effort, limit = joint_dimension(joint), effort_dimension(joint), joint.limit
+        position = joint_dimension(joint)
+        effort = effort_dimension(joint)
+        limit = joint.limit
 
         def drawn(
             key: str, parameter: JointParameter, urdf: float | None, dimension: Dimension
         ) -> float | None:
-            subject, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
+            subject = OfJoint(self.robot, joint.name)
+            scope = self._scope(dimension, urdf)
             return self.namespace.fields.scalar_or_randomized(
                 change, key, parameter, subject, None, dimension=dimension, scope=scope
             )
@@ -481,7 +486,8 @@ class Overrides:
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """Return `limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
-            span, headline = self.values.field(change, "range").span, "a continuous joint cannot have a range"
+            span = self.values.field(change, "range").span
+            headline = "a continuous joint cannot have a range"
             self.values.add(
                 "DB203",
                 span,
@@ -489,7 +495,8 @@ class Overrides:
                 "remove `range`, or change the type of the joint to revolute in the robot file",
             )
             return limit
-        scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
+        scope = self.namespace.scope(Context.FIELD)
+        dimension = joint_dimension(joint)
         ends = self.namespace.fields.ends(
             change, "range", description="the range of a joint", dimension=dimension, scope=scope
         )

@@ -85,7 +85,8 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
     There are as many bodies as the greatest count, and one at least; an episode without copies leaves them
     absent.
     """
-    values, count = namespace.values, namespace.fields.expression(body, "count")
+    values = namespace.values
+    count = namespace.fields.expression(body, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
@@ -103,12 +104,17 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
 
 MAX_TRIANGLES = 200_000
 # Sizes in m; beyond the inner two a mesh is probably in another unit.
-_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (1e-5, 1e-4, 1e3, 1e6)
+_MIN_MESH_M = 1e-5
+_SMALL_MESH_M = 1e-4
+_LARGE_MESH_M = 1e3
+_MAX_MESH_M = 1e6
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
     """Return the mesh file of an object or a terrain; None after a finding."""
-    values, reference, key_path = namespace.values, spec.file, (*spec.path, "file")
+    values = namespace.values
+    reference = spec.file
+    key_path = (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.fields.triple(spec, "scale")
     path = locate_file(reference, values.span(key_path), namespace.document, values)
     if path is None or factors is None:
@@ -274,7 +280,8 @@ def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
 
 
 def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
-    values, fixed = namespace.values, namespace.fields.fixed
+    values = namespace.values
+    fixed = namespace.fields.fixed
     match spec:
         case world_spec.Pit():
             height = fixed(spec, "height")
@@ -291,7 +298,8 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
             return mesh(namespace, spec)
         case world_spec.Heightfield():
             file = picture(namespace, (*spec.path, "file"), spec.file)
-            size, height = namespace.fields.pair(spec, "size"), fixed(spec, "height")
+            size = namespace.fields.pair(spec, "size")
+            height = fixed(spec, "height")
             _check_height(spec, "height", height, namespace)
             return None if file is None or size is None or height is None else Picture(*file, size, height)
         case world_spec.Formula():
@@ -309,7 +317,8 @@ _TOLERANCE = 1e-6  # of a multiple, as a share of a cell
 
 
 def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
-    values, findings_before = namespace.values, len(namespace.values.findings)
+    values = namespace.values
+    findings_before = len(namespace.values.findings)
     lengths = {key: namespace.fields.fixed(spec, key) for key in _TILE_LENGTHS}
     tiles = {name: _tile(tile, namespace) for name, tile in spec.tiles.items()}
     side, platform, border, cell = (lengths[key] for key in _TILE_LENGTHS)
@@ -505,7 +514,8 @@ def _body(
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
 ) -> ObjectBody:
-    value, subject = namespace.fields.scalar_or_randomized, OfLink(name)
+    value = namespace.fields.scalar_or_randomized
+    subject = OfLink(name)
     return ObjectBody(
         name,
         body_shape,
@@ -594,12 +604,16 @@ def _usual_mass(
 
 
 # Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 10.0
+_MIN_TIMESTEP_S = 1e-6
+_SHORT_TIMESTEP_S = 1e-4
+_LONG_TIMESTEP_S = 1.0
+_MAX_TIMESTEP_S = 10.0
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """Return the world with `robots` and `painted` lines in it."""
-    values, spec = namespace.values, namespace.scenario.world
+    values = namespace.values
+    spec = namespace.scenario.world
     timestep = namespace.fields.fixed(spec, "timestep")
     if timestep is None:
         values.mark_invalid("timestep")  # the stand-in below is nothing to measure periods by
@@ -690,7 +704,8 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
-    subject, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
+    subject = OfLink(GROUND)
+    contact = [field for field in fields(Ground) if field.name != "color"]
     parameters = {
         field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact
     }

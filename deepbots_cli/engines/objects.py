@@ -217,7 +217,8 @@ class Pool(Generic[Body]):
     def deactivate(self) -> None:
         """Make the body absent, in the first form."""
         if self.pooled:
-            self.present, self.current = False, next(iter(self))
+            self.present = False
+            self.current = next(iter(self))
             for body in self:
                 body.deactivate()
 

@@ -276,8 +276,14 @@ def _norm(components: Interval, count: int) -> Interval:
     return iv.hypot(*[components] * min(count, _MAX_COUNTED))
 
 
-_NUMBER, _ANGLE, _LENGTH, _TIME = _always(NUMBER), _always(ANGLE), _always(LENGTH), _always(TIME)
-_PURE, _OF_WORLD, _STATEFUL, _DRAW = Family.PURE, Family.WORLD, Family.STATEFUL, Family.DRAW
+_NUMBER = _always(NUMBER)
+_ANGLE = _always(ANGLE)
+_LENGTH = _always(LENGTH)
+_TIME = _always(TIME)
+_PURE = Family.PURE
+_OF_WORLD = Family.WORLD
+_STATEFUL = Family.STATEFUL
+_DRAW = Family.DRAW
 
 _X, _Y, _V = Param("x"), Param("y"), Param("v")
 _CONDITION = Param("condition", boolean=True)

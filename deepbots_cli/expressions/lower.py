@@ -161,7 +161,8 @@ class Lowering:
         return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
     def _reduced(self, vector: Typed, reduction: Reduction) -> Scalars:
-        parts, components = self.scalars(vector), vector.type.components
+        parts = self.scalars(vector)
+        components = vector.type.components
         if reduction.counts:
             parts = tuple(fold_operation("where", part, Const(1.0), Const(0.0)) for part in parts)
         if not isinstance(components, RowComponents):
@@ -185,7 +186,8 @@ class Lowering:
             return tuple(Op(function.name, column) for column in self._columns(value, value.args))
         names = [_named(subject, function) for subject in value.subjects]
         if value.args:  # `to_body_frame`
-            parts, body = self.scalars(value.args[0]), names[0][0]
+            parts = self.scalars(value.args[0])
+            body = names[0][0]
             return tuple(
                 chain.from_iterable(
                     _turned(parts[first : first + 3], body) for first in range(0, len(parts), 3)

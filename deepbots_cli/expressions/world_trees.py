@@ -23,7 +23,8 @@ def _quaternion(body: str) -> tuple[EngineRead, ...]:
 
 def rotation(body: str, row: int, column: int) -> Scalar:
     """Return one entry of the matrix that turns vectors of the body into vectors of the world."""
-    q, two = _quaternion(body), Const(2.0)
+    q = _quaternion(body)
+    two = Const(2.0)
     if row == column:
         a, b = (q[axis] for axis in range(3) if axis != row)
         return _op("sub", Const(1.0), _op("mul", two, _op("add", _op("mul", a, a), _op("mul", b, b))))

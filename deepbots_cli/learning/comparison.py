@@ -317,7 +317,8 @@ def compare(
         )
         for group in members
     ]
-    solved, defines_success = judged.program.agent.solved, judged.program.defines_success
+    solved = judged.program.agent.solved
+    defines_success = judged.program.defines_success
     measure = measure_of(solved, defines_success=defines_success)
     differences = tuple(
         _difference(groups[0], group, measure, world)
@@ -598,7 +599,8 @@ def _timing_notes(
 
 def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str]:
     """Return notes on where the two groups are evaluated, why, and what is therefore not compared."""
-    meanings, names = difference.meanings, f"{difference.first} and {difference.group}"
+    meanings = difference.meanings
+    names = f"{difference.first} and {difference.group}"
     notes = []
     if meanings.acting and named:
         notes.append(

@@ -161,7 +161,8 @@ class Confirmation:
 
     def is_lost(self, episodes: Sequence[Episode]) -> bool:
         """Return whether the first episodes rule out a confirmation that passes, or make it very unlikely."""
-        left, successes = self.episodes - len(episodes), sum(episode.is_success for episode in episodes)
+        left = self.episodes - len(episodes)
+        successes = sum(episode.is_success for episode in episodes)
         if successes + left < self.successes:
             return True
         if self.solved.success_rate is not None:

@@ -35,7 +35,8 @@ FALSE_ALARMS = 0.01
 """The largest probability of a reported decline in a training whose policy stays the same."""
 MIN_EFFECT = 0.1
 MIN_SHARE = 0.05
-MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW = 0.25, 0.2
+MIN_EFFECT_OF_FEW = 0.25
+MIN_SHARE_OF_FEW = 0.2
 LAST_SHARE = 0.25
 """The share of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
@@ -201,7 +202,8 @@ def paired(better: Sequence[float], worse: Sequence[float]) -> float:
     if freedom < 2:
         return 1.0
     differences.append(-max(map(abs, differences)))
-    mean, error = fmean(differences), variance(differences) / len(differences)
+    mean = fmean(differences)
+    error = variance(differences) / len(differences)
     if error <= 0:
         return 1.0
     scale = (8 * freedom + 1) / (8 * freedom + 3)

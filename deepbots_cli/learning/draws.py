@@ -192,7 +192,8 @@ def by_drawn_value(
             bins = _parts(drawing, name, bounds)
             if len(bins) > 1:
                 starts, results = _by_start(drawing, outcome)
-                parts[name], chances[name] = bins, _chance([start.drawn[name] for start in starts], results)
+                parts[name] = bins
+                chances[name] = _chance([start.drawn[name] for start in starts], results)
     corrected = _holm(chances)
     values = [
         DrawnValue(
@@ -288,7 +289,9 @@ def _association(first: Floats, second: Floats) -> float:
 
     if max(len(set(values.tolist())) for values in (first, second)) == 2:
         return _exact_association(first == first.max(), second == second.max())
-    count, a, b = len(first), first - first.mean(), second - second.mean()
+    count = len(first)
+    a = first - first.mean()
+    b = second - second.mean()
     variance = float((a**2).sum() * (b**2).sum()) / max(1, count - 1)
     if count < 3 or variance <= 0:
         return 1.0
@@ -308,7 +311,9 @@ def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> f
     their margins."""
     from scipy.special import gammaln
 
-    count, first_ones, second_ones = len(first), int(first.sum()), int(second.sum())
+    count = len(first)
+    first_ones = int(first.sum())
+    second_ones = int(second.sum())
     overlaps = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
     cells = (
         overlaps,

@@ -237,7 +237,9 @@ class _Finished(Watcher):
     """Calls a function with the number of finished episodes of all parts."""
 
     def __init__(self, show: OnEpisode | None, total: int) -> None:
-        self._show, self._done, self._total = show, {0: 0}, total
+        self._show = show
+        self._done = {0: 0}
+        self._total = total
 
     def on_report(self, item: int, value: object) -> None:
         # A part that is repeated reports from 0 again.
@@ -414,7 +416,9 @@ class _Setting:
                 f"{run.path} was trained with other observations, actions or messages than {program.name}"
                 f" defines:\n  {lines}"
             )
-        self.program, self.case, self.stage = program.variant(case, stage), case, stage
+        self.program = program.variant(case, stage)
+        self.case = case
+        self.stage = stage
         self.seed = run.evaluation_seed if seed is None else seed
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
@@ -437,7 +441,8 @@ class _Setting:
         until: StopCondition | None = None,
     ) -> list[Episode]:
         """Play the episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
-        seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
+        seeds = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
+        count = len(numbers)
         copies = (
             max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
             if policy.deterministic
@@ -491,13 +496,16 @@ class _Setting:
     ) -> EvaluationResult:
         """Return the result of these episodes. `confirmation` is the number of the confirmation that they
         repeat."""
-        run, program, engine = self.run, self.program, self.engine
+        run = self.run
+        program = self.program
+        engine = self.engine
         if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
             assert run.record.result is not None
             confirmation = run.record.result.confirmations
         # A world of the caller may pay anything.
         low, high = possible_returns(program) if engine else UNBOUNDED
-        file, result = run.model(model), run.record.result
+        file = run.model(model)
+        result = run.record.result
         needs_no_confirmation = confirmation is not None or (
             result is not None
             and result.confirmed_seed is not None
@@ -562,7 +570,9 @@ class _Setting:
         self, model: str, elsewhere: str | None, overrides: Sequence[str], *, deterministic: bool
     ) -> tuple[str, ...]:
         """Return notes on how this evaluation differs from the training, or from an ordinary evaluation."""
-        run, digest, trained_in = self.run, (self.judged or self.run).digest, self.run.record.engine
+        run = self.run
+        digest = (self.judged or self.run).digest
+        trained_in = self.run.record.engine
         lines = [f"scenario {elsewhere}"] if elsewhere else []
         if not elsewhere and run.record.digest not in (digest, run.digest):
             lines.append("scenario changed since the training")

@@ -98,8 +98,12 @@ class FailureRecorder(HistoryRecorder):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self._run, self._program, self.seeds, self._episode = run, program, seeds, episode
-        self._case, self._stage = case, stage
+        self._run = run
+        self._program = program
+        self.seeds = seeds
+        self._episode = episode
+        self._case = case
+        self._stage = stage
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -286,7 +290,8 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
     Raises:
         RunError: The file is damaged, or does not lie in the folder `failures` of a run.
     """
-    failure, run = read_json(path, Failure, _MAX_FILE_BYTES), Run.open(path.absolute().parent.parent)
+    failure = read_json(path, Failure, _MAX_FILE_BYTES)
+    run = Run.open(path.absolute().parent.parent)
     return failure, run, run.program.variant(failure.case, failure.stage)
 
 

@@ -55,7 +55,11 @@ class EvaluationWorlds:
         batch: int = 0,
         singles: int = 1,
     ) -> None:
-        self._build, self._run, self._engine, self._size, self._count = build, run, engine, batch, singles
+        self._build = build
+        self._run = run
+        self._engine = engine
+        self._size = batch
+        self._count = singles
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
         self._singles: list[FailureRecorder] = []
@@ -65,7 +69,9 @@ class EvaluationWorlds:
         if program is self._program:
             return
         self.close()
-        self._program, self._case, self._stage = program, case, stage
+        self._program = program
+        self._case = case
+        self._stage = stage
         if not reasons_against_batch(program, self._size, self._engine, self._build):
             self._batch = build_batch(program, self._size, engine=self._engine)
 
@@ -117,7 +123,9 @@ class EvaluationWorlds:
             world.close()
         if self._batch is not None:
             self._batch.close()
-        self._singles, self._batch, self._program = [], None, None
+        self._singles = []
+        self._batch = None
+        self._program = None
 
 
 def play_script(build: WorldFactory, program: Program, name: str, seeds: Sequence[int]) -> list[Episode]:

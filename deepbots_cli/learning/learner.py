@@ -318,7 +318,8 @@ class ArrayLearner(Learner):
     fragment: Fragment
 
     def __init__(self, setup: Setup) -> None:
-        self.setup, self.steps = setup, 0
+        self.setup = setup
+        self.steps = 0
 
     @abstractmethod
     def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:

@@ -25,8 +25,10 @@ def load_rival(others: Others, agent: str) -> Learner:
             another scenario.
         RunError: The model is damaged.
     """
-    program, path = others.world.members[agent].program, others.models[agent]
-    training, critic_agent = program.agent.training, program.with_critic.agent
+    program = others.world.members[agent].program
+    path = others.models[agent]
+    training = program.agent.training
+    critic_agent = program.with_critic.agent
     if training is None:
         raise UsageError(
             f"`{agent}` has no `train`, so the layers of its policy in {path} are unknown; write it as in the"

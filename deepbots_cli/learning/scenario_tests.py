@@ -92,7 +92,8 @@ def run_tests(
 
 
 def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | None) -> TestResult:
-    began, episodes = time.perf_counter(), list[Episode]()
+    began = time.perf_counter()
+    episodes: list[Episode] = []
     misses: list[UnmetExpectation] = []
     cut = 0
     try:

@@ -76,7 +76,8 @@ class SidesCollector(OfferedCollector):
 
     def __init__(self, of_all: Any, seats: Sequence[Place], sides: Sides) -> None:
         super().__init__(of_all, seats[0])
-        self._seats, self._sides = seats, sides
+        self._seats = seats
+        self._sides = sides
         self.rows = len(sides.first) + len(sides.second)
 
     @property

@@ -52,7 +52,8 @@ def mean_interval(
     if len(values) < 2:
         return None
     if min(values) == max(values):
-        share, value = 1 - error ** (1 / len(values)), values[0]
+        share = 1 - error ** (1 / len(values))
+        value = values[0]
         reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
     half = student_quantile(len(values) - 1, 1 - error / 2) * stdev(values) / math.sqrt(len(values))
@@ -200,7 +201,8 @@ def gate_mean(
     above, below = mean_evidence(required, returns, bounds)
     if left and max(above, below) >= math.log(2 / ALPHA):
         return Verdict(above > below, f"{so_far}; confidence sequence at 95 %")
-    total, needed = math.fsum(returns), required * planned
+    total = math.fsum(returns)
+    needed = required * planned
     if left == 0:
         return Verdict(total >= needed, so_far)
     if total + left * bounds[0] >= needed:
@@ -269,7 +271,8 @@ def compare_episodes(
     The interval is cut at the largest difference that the `bounds` of a score allow.
     """
     differences = [after - before for before, after in zip(first, second, strict=True)]
-    mean, largest = fmean(differences), bounds[1] - bounds[0]
+    mean = fmean(differences)
+    largest = bounds[1] - bounds[0]
     better = fmean(float(difference > 0) + 0.5 * float(difference == 0) for difference in differences)
     if len(differences) > 1 and min(differences) == max(differences):
         return Difference(mean, (mean, mean), better)

@@ -53,7 +53,8 @@ def solved_verdict(
         number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
             whose episodes need only meet the criterion.
     """
-    episodes, mean_return = len(outcomes), fmean(episode.total_return for episode in outcomes)
+    episodes = len(outcomes)
+    mean_return = fmean(episode.total_return for episode in outcomes)
     success_rate = fmean(episode.is_success for episode in outcomes)
     if solved is None:
         return SolvedVerdict(None, "the scenario has no `solved` criterion", None)

@@ -102,7 +102,8 @@ class _Search:
     """The cycles around one success."""
 
     def __init__(self, analysis: Analysis, success: Expression) -> None:
-        self._analysis, self._success = analysis, success
+        self._analysis = analysis
+        self._success = success
         self._reward = analysis.reward
         program = analysis.program
         self._steps = steps_from(analysis, success) * program.action_repeat
@@ -400,7 +401,8 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
 def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
     """Return the shortest text of each quantity in the scenario, by its identity, with its dimension; None
     for truth values."""
-    analysis, texts = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
+    analysis = context.analysis.ideal
+    texts: dict[int, tuple[str, Dimension | None]] = {}
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:
         for node in walk(value.typed) if value.foreign is None else ():

@@ -33,7 +33,8 @@ MIN_WORTH = 0.25
 @rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """Report that failing early costs less than an episode that goes on to its time limit."""
-    program, reward = context.program, context.analysis.reward
+    program = context.program
+    reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
     last = (reward.analysis.last_step - 1) * program.action_repeat
@@ -57,7 +58,8 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         return
     dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
     also = (Label(ending.span, "the cheaper ending"),)
-    total_cost, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
+    total_cost = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}"
+    price = _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= MIN_BREAK_EVEN:
@@ -175,7 +177,8 @@ def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     """Return ranges in a step that ends nothing and, if there is a goal, does not reach it."""
-    goal, running = reward.program.agent.goal, reward.ranges_while_running()
+    goal = reward.program.agent.goal
+    running = reward.ranges_while_running()
     reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
@@ -189,7 +192,8 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     """Report that failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
-    failure, successes = _cheapest_failure(reward, final), simulation.program.successes
+    failure = _cheapest_failure(reward, final)
+    successes = simulation.program.successes
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
     if not (
         simulation.is_complete
@@ -318,12 +322,14 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
 
 def hovering(context: RuleContext) -> Finding | None:
     """Return a finding about the state beside the success that pays more than this; None if there is none."""
-    analysis, reward = context.analysis, context.analysis.reward
+    analysis = context.analysis
+    reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     successes = context.program.successes
     if not reward.is_complete or len(successes) != 1 or not ordinary:
         return None
-    success, running = successes[0], reward.ranges_while_running()
+    success = successes[0]
+    running = reward.ranges_while_running()
     possible = (
         TRUTH
         if success.foreign
@@ -398,7 +404,8 @@ def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | 
 def _first_step(analysis: Analysis, ending: Expression) -> float:
     """Return the first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) >
     5 s`."""
-    first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
+    first = 0.0
+    ranges = analysis.ranges_in(0.0, float(analysis.last_step))
     for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
         match node:
             case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
@@ -491,7 +498,8 @@ def _better_than_success(
 def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """Report like the static rule a reward that depends on positions of unknown range: it uses the highest
     reward of any simulated step."""
-    analysis, reward = simulation.analysis, simulation.analysis.reward
+    analysis = simulation.analysis
+    reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     if (
         not reward.is_complete
@@ -529,7 +537,8 @@ def _is_motion(analysis: Analysis, node: Scalar) -> bool:
 def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """Report like the static rule: compare the reward of doing nothing in the steps that matter with the
     single reward of the success."""
-    reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
+    reward = simulation.analysis.reward
+    row = simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:
         return []

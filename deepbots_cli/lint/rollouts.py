@@ -223,7 +223,8 @@ class Simulator:
     ) -> None:
         episode_steps = self._steps(environment, rollout)
         next(episode_steps)
-        speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
+        speeds = SpeedWatch(environment)
+        check_rays = self._rays.watch(environment.engine)
         check_wheels = (
             self._wheels.watch(environment.engine) if report else lambda: None
         )  # a case may have another robot file
@@ -329,7 +330,9 @@ class StepStatistics:
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
         self.at_low, self.at_high = np.zeros(numbers, int), np.zeros(numbers, int)
-        self.sums, self.sizes, self.fired = np.zeros(terms), np.zeros(terms), np.zeros(terms, bool)
+        self.sums = np.zeros(terms)
+        self.sizes = np.zeros(terms)
+        self.fired = np.zeros(terms, bool)
         self.least, self.greatest = np.full(terms, np.inf), np.full(terms, -np.inf)
 
     def add(self, observation: Any, terms: dict[str, float]) -> None:

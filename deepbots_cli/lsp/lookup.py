@@ -203,7 +203,8 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
 
 def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """Return the key or the single value under the cursor."""
-    cursor, text = view.place, view.document.plain
+    cursor = view.place
+    text = view.document.plain
     if cursor.role == "aside":
         return None
     if cursor.role == "key":
@@ -224,7 +225,8 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
 def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
     """Return the length of the expression's text if it contains the cursor, otherwise None. A default has no
     text in the file."""
-    text, then = reading.text, view.known_offset
+    text = reading.text
+    then = view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
     if first.source is not view.source or then is None or not first.start <= then <= last.end:
         return None

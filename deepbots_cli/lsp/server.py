@@ -270,7 +270,8 @@ class CodeActions:
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """Yield the findings in the document that touch the range, each once."""
-        lines, keys = self._document.lines, set()
+        lines = self._document.lines
+        keys = set()
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._workspace.analyses_of(self._document):
             for finding in analysis.findings:
@@ -323,9 +324,11 @@ class CodeActions:
         line = text[begin:end].rstrip()
         match = _SUPPRESSION.search(line)
         if match:
-            at, added = begin + match.end(1), f", {finding.code}"
+            at = begin + match.end(1)
+            added = f", {finding.code}"
         else:
-            at, added = begin + len(line), f"  # deepbots: ignore[{finding.code}]"
+            at = begin + len(line)
+            added = f"  # deepbots: ignore[{finding.code}]"
         if not has_same_values(Source("", text), text[:at] + added + text[at:]):
             return None
         position = self._document.lines.position(at)

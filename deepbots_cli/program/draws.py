@@ -188,10 +188,8 @@ class EpisodeDraws:
         yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
         for object_body in self.program.world.objects:
             if len(object_body.variants) > 1:
-                name, names = (
-                    kind_key(object_body.name),
-                    tuple(variant.name for variant in object_body.variants),
-                )
+                name = kind_key(object_body.name)
+                names = tuple(variant.name for variant in object_body.variants)
                 yield object_body.name, EpisodeDraw(name, name, words=names)
         yield from self._of_placements()
 
@@ -207,7 +205,8 @@ class EpisodeDraws:
 
     def _of_placements(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
         """Yield the positions that are looked for."""
-        reset, units = self.program.reset, self._reset_units
+        reset = self.program.reset
+        units = self._reset_units
         groups = {group.name: group for group in reset.groups}
         arranged = (
             ("reset.place", reset.placements),
@@ -272,7 +271,8 @@ def _places(
     coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
-        member, body_path = body if group else "", f"{path}.{body}"
+        member = body if group else ""
+        body_path = f"{path}.{body}"
         if group:
             trees = [
                 (f"{body_path}.{axis}", value)

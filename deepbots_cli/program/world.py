@@ -118,7 +118,8 @@ class Tiles:
 
     def largest_height(self, kind: int) -> float:
         """Return the largest height or depth (m) that a kind of tile can have in any level."""
-        tile, rise = self.tiles[kind], (self.side - self.platform) / 2
+        tile = self.tiles[kind]
+        rise = (self.side - self.platform) / 2
         largest = {name: max(low, high) for name, low, high in tile.measures}
         if tile.kind == "slope":
             return math.tan(largest["angle"]) * rise

@@ -199,8 +199,13 @@ class LocalCollector:
         with_masks: bool = False,
         lesson: Lesson | None = None,
     ) -> Fragment | None:
-        observations, starts = self.begin(), self.starts
-        observation_rows, decisions, rewards, begun, endings = [], [], [], [], []
+        observations = self.begin()
+        starts = self.starts
+        observation_rows = []
+        decisions = []
+        rewards = []
+        begun = []
+        endings = []
         agent_rewards: list[Mapping[str, Array]] = []
         agent_phases: list[Mapping[str, Array]] = []
         for number in range(steps):
@@ -241,7 +246,8 @@ class LocalCollector:
         fragment contains more states."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
-        actions, lesson_actions = np.array(decision.actions), taught[: lesson.worlds]
+        actions = np.array(decision.actions)
+        lesson_actions = taught[: lesson.worlds]
         if lesson.worlds:
             if isinstance(self.action_space, gym.spaces.Box):
                 lesson_actions = np.clip(
@@ -516,7 +522,10 @@ class ShardedCollector(FetchingCollector):
         agents: Sequence[Any],
         listener: ShardListener,
     ) -> None:
-        self._pool, self._listener, self._sizes, self._stages = pool, listener, sizes, stages
+        self._pool = pool
+        self._listener = listener
+        self._sizes = sizes
+        self._stages = stages
         self.agents = agents
         self._anew(seeds)
         self._width = len(agents)
@@ -553,7 +562,9 @@ class ShardedCollector(FetchingCollector):
     ) -> Fragment:
         began = perf_counter()
         answer = self._asked or self._ask(actor, steps, with_masks, lesson)
-        harvests, self._asked, self.stale = answer(), None, {}
+        harvests = answer()
+        self._asked = None
+        self.stale = {}
         self._note_times(harvests, perf_counter() - began)
         actor.remember(
             {

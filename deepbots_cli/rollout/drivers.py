@@ -92,7 +92,9 @@ class AgentsDriver(Driver):
     def __init__(self, world: Supervisor, drivers: Mapping[str, str | Predictor]) -> None:
         from deepbots_cli.runtime import agents
 
-        self._world, self._seats, self._join = world, agents.seats_of(world), agents.joint_action
+        self._world = world
+        self._seats = agents.seats_of(world)
+        self._join = agents.joint_action
         self._policies = {
             name: agents.PolicyAct(driver, self._seats[name])
             for name, driver in drivers.items()

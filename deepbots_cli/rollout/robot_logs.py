@@ -143,12 +143,15 @@ def _episodes(
     """Yield the episodes with a step. They have the numbers of the log, or their places if a number occurs
     twice. Calls `note` if there are more than `MAX_STEPS` steps, of which the others are left out."""
     episodes: list[tuple[int, list[LoggedStep]]] = []
-    begun, events, count = 0.0, list[str](), 0
+    begun = 0.0
+    events: list[str] = []
+    count = 0
     for topic, stamp, content in messages:
         kind, text = (str(content.get(key, "")) for key in ("kind", "text"))
         if topic == "/event" and kind == "episode":
             episodes.append((int(text) if text.isdecimal() else 0, []))
-            begun, events = stamp, []
+            begun = stamp
+            events = []
         elif topic == "/event":
             events.append(f"{EVENT_PREFIXES.get(kind, '')}{text}"[:200])
         elif topic == "/step":

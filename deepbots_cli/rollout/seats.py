@@ -63,7 +63,9 @@ class OfferedCollector(FetchingCollector):
 
     def __init__(self, of_all: Any, example: Place) -> None:
         self._of_all = of_all
-        self.times, self.stale, self.agents = CollectTimes(), {}, (_NoWorld(),)
+        self.times = CollectTimes()
+        self.stale = {}
+        self.agents = (_NoWorld(),)
         self.observation_space, self.action_space = example.observation_space, example.action_space
         self._fragment: Fragment | None = None
 
@@ -122,7 +124,8 @@ class SeatCollector(OfferedCollector):
 
     def __init__(self, seat: Place, of_all: Any) -> None:
         super().__init__(of_all, seat)
-        self._seat, self.rows = seat, of_all.rows
+        self._seat = seat
+        self.rows = of_all.rows
 
     @property
     def starts(self) -> Array:
@@ -133,7 +136,8 @@ class SeatCollector(OfferedCollector):
         return self._seat.observation(self._of_all.begin())
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        seat, name = self._seat, self._seat.member.name
+        seat = self._seat
+        name = self._seat.member.name
         return replace(
             _own_course(of_all, of_all.agent_phases.get(name)),
             observations=seat.observation(of_all.observations),
@@ -203,7 +207,9 @@ class JointActor:
     def __init__(
         self, seats: Mapping[str, Place], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
     ) -> None:
-        self._seats, self._actors, self._masked = seats, actors, masked
+        self._seats = seats
+        self._actors = actors
+        self._masked = masked
 
     def begin(self) -> None:
         for actor in self._actors.values():

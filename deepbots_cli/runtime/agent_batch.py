@@ -51,9 +51,12 @@ class AgentBatch:
     ) -> None:
         others = scenario.others
         assert others is not None
-        self.world, self.scenario, self.agent = world, scenario, scenario.agent
+        self.world = world
+        self.scenario = scenario
+        self.agent = scenario.agent
         self.singles = [AgentEnvironment(single, scenario, policies=policies) for single in world.singles]
-        self.count, self.rows = len(self.singles), WorldRows(1, has_copies=False)
+        self.count = len(self.singles)
+        self.rows = WorldRows(1, has_copies=False)
         members = world.scenario.members
         self._seats = {name: Place(member, world.agent) for name, member in members.items()}
         self._own = self._seats[others.agent]
@@ -196,7 +199,9 @@ class _PolicyRows:
     mod `FORWARD_BATCH_SIZE` of one of several forward passes."""
 
     def __init__(self, policy: Predictor, seat: Place, world: BatchSupervisor) -> None:
-        self._policy, self._seat, self._world = policy, seat, world
+        self._policy = policy
+        self._seat = seat
+        self._world = world
         count = len(world.singles)
         self._slices = [
             slice(first, min(first + FORWARD_BATCH_SIZE, count))
@@ -222,8 +227,11 @@ class _PolicyRows:
 
 def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:
     """Return who acts for an agent in all worlds: a script, `random` or `zero`."""
-    member, agent, count = seat.member, seat.member.program.agent, len(world.singles)
-    options, width = [len(part.options) for part in agent.choices], len(agent.range_names)
+    member = seat.member
+    agent = seat.member.program.agent
+    count = len(world.singles)
+    options = [len(part.options) for part in agent.choices]
+    width = len(agent.range_names)
     still = np.zeros((count, len(options)), np.int64), np.zeros((count, width), np.float32)
     if driver == ZERO:
         return lambda observations, acting: still

@@ -220,7 +220,10 @@ class AgentEnvironment(gym.Env[Any, Any]):
     ) -> None:
         others = scenario.others
         assert others is not None
-        self.supervisor, self.scenario, self.rebuild, self.number = supervisor, scenario, rebuild, 0
+        self.supervisor = supervisor
+        self.scenario = scenario
+        self.rebuild = rebuild
+        self.number = 0
         self._seats = seats_of(supervisor)
         self._own = others.agent
         self.seat = self._seats[others.agent]
@@ -232,7 +235,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
         self.agent = scenario.agent
         self.agents = {self.agent.name: self}
         self.observation_space, self.action_space = self.seat.observation_space, self.seat.action_space
-        self.metadata, self.render_mode = supervisor.metadata, supervisor.render_mode
+        self.metadata = supervisor.metadata
+        self.render_mode = supervisor.render_mode
         self._observed: Any = None
         self._result: tuple[float, Info] = (0.0, {})
 
@@ -347,12 +351,14 @@ class PolicyAct:
     """Acts for an agent with a policy, which takes its most likely action, in one row of a forward pass."""
 
     def __init__(self, policy: Predictor, seat: Seat) -> None:
-        self._policy, self._seat = policy, seat
+        self._policy = policy
+        self._seat = seat
         self.begin()
 
     def begin(self, number: int = 0) -> None:
         """Begin the episode of this number: a recurrent policy forgets the previous one."""
-        self._row, self._forward = number % FORWARD_BATCH_SIZE, forward_pass(self._policy, self._seat)
+        self._row = number % FORWARD_BATCH_SIZE
+        self._forward = forward_pass(self._policy, self._seat)
 
     def __call__(self, observation: Any) -> Any:
         masks = self._seat.action_mask() if self._policy.takes_masks else None

@@ -58,7 +58,8 @@ class ExactFunction:
     """
 
     def __init__(self, function: Callable[..., float], estimate: Callable[..., Any]) -> None:
-        self._function, self._estimate = function, estimate
+        self._function = function
+        self._estimate = estimate
 
     def __call__(self, *columns: Any) -> Any:
         arrays = [column for column in columns if isinstance(column, np.ndarray)]
@@ -104,7 +105,9 @@ def scale_freely(value: Any, low: float, high: float) -> Any:
 
 
 distance, ground_distance, bearing, roll, pitch, yaw, tilt = formulas.pose_functions(atan2, hypot)
-to_body_frame, total, wrap_angle = formulas.to_body_frame, formulas.total, formulas.wrap_angle
+to_body_frame = formulas.to_body_frame
+total = formulas.total
+wrap_angle = formulas.wrap_angle
 
 # Memories
 
@@ -133,14 +136,17 @@ class BatchMemory:
     ) -> None:
         """Create the memory; `updated_worlds` gives the worlds in which the memory is updated, as truth
         values; None for all."""
-        self._singles, first, self._chosen = singles, singles[0], updated_worlds
+        self._singles = singles
+        first = singles[0]
+        self._chosen = updated_worlds
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
         kind, count = (
             (first.component, first.count)
             if isinstance(first, formulas.Memories | formulas.VectorMemory)
             else (type(first), 1)
         )
-        self._law, self._choose = kind(first.timestep), _KEPT.get(kind)
+        self._law = kind(first.timestep)
+        self._choose = _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None
         """The worlds without a message so far, if the memory begins with the first one; None if there are
@@ -164,7 +170,8 @@ class BatchMemory:
         parts = [
             stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments
         ]
-        law, mask = self._law, self._chosen()
+        law = self._law
+        mask = self._chosen()
         before = self._kept
         if self._waiting is not None:
             law.begin(*parts)

@@ -100,7 +100,8 @@ class EngineOfCopy(EngineProxy):
 
     def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
         super().__init__(engine)
-        self._robot, self._copy = copies.robot, copy_name(copies, number)
+        self._robot = copies.robot
+        self._copy = copy_name(copies, number)
         self._offset = copy_offset(copies, number)
         self._is_first = number == 1
         self.settling = 0
@@ -143,7 +144,8 @@ class BatchOfCopies:
     """
 
     def __init__(self, engine: BatchEngine, copies: RobotCopies) -> None:
-        self._engine, self._count = engine, copies.count
+        self._engine = engine
+        self._count = copies.count
         self._views = [
             EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)
         ]
@@ -241,7 +243,8 @@ class WorldRows:
     """The rows of a batch by world: a row is an agent, and a world with copies has a row for each copy."""
 
     def __init__(self, per_world: int, *, has_copies: bool) -> None:
-        self._copies, self._has_copies = per_world, has_copies
+        self._copies = per_world
+        self._has_copies = has_copies
 
     def of(self, worlds: Any) -> Any:
         """Return the numbers of the rows of these worlds."""
@@ -414,7 +417,8 @@ class CopiesSupervisor(Supervisor):
     def _gather(self) -> None:
         """Take reward and endings from the agents."""
         agents = list(self.agents.values())
-        self.step_count, self.timestep_count = agents[0].step_count, agents[0].timestep_count
+        self.step_count = agents[0].step_count
+        self.timestep_count = agents[0].timestep_count
         results = [
             CopyResult(agent.reward, agent.terminated, agent.truncated, agent.get_info()) for agent in agents
         ]

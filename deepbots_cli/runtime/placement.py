@@ -49,7 +49,8 @@ class Arrangement:
     """The places of one episode. `present` counts the copies of each group that take part."""
 
     def __init__(self, scenario: Program, engine: Engine) -> None:
-        world, placed_bodies = scenario.world, _placed(scenario)
+        world = scenario.world
+        placed_bodies = _placed(scenario)
         self._engine = engine
         self._height = ground_height(world.terrain)
         self.forms = Forms(world)
@@ -78,7 +79,8 @@ class Arrangement:
         before = streams.drawn
         for _ in range(attempts):
             self._forget()
-            streams.drawn, streams.member = dict(before), ""
+            streams.drawn = dict(before)
+            streams.member = ""
             try:
                 if attempt():
                     return
@@ -172,7 +174,8 @@ class Arrangement:
     def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
         """Return the coordinates that `options` of `reset` set for a body that looks for a spot; None if it
         sets neither."""
-        values, key = self._streams.chosen, self._streams.key(stream)
+        values = self._streams.chosen
+        key = self._streams.key(stream)
         x, y = values.get(f"{key}.x"), values.get(f"{key}.y")
         return None if x is None and y is None else (x, y)
 
@@ -221,7 +224,8 @@ class Arrangement:
         Raises:
             NoPlaceError: None was found.
         """
-        generator, coordinates = self._streams[stream], self._chosen_spot(stream)
+        generator = self._streams[stream]
+        coordinates = self._chosen_spot(stream)
         area, surface, base = area or UNBOUNDED_AREA, None, -inf
         if on:
             surface = self._surface(on, body)
@@ -361,14 +365,18 @@ class Floor:
 
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
         """Return whether each body above the height `base` (m) keeps its clearance and that of the patch."""
-        x, y, radius = patch.x, patch.y, patch.radius
+        x = patch.x
+        y = patch.y
+        radius = patch.radius
         for obstacle, other_clearance, top in self._taken:
             if top <= base + TOUCHING_TOLERANCE_M:
                 continue
             patch_distance = (
                 clearance if clearance > other_clearance else other_clearance
             ) - TOUCHING_TOLERANCE_M
-            dx, dy, reach = x - obstacle.x, y - obstacle.y, radius + obstacle.radius + patch_distance
+            dx = x - obstacle.x
+            dy = y - obstacle.y
+            reach = radius + obstacle.radius + patch_distance
             if (
                 dx * dx + dy * dy < reach * reach
                 and footprint.patch_distance(patch, obstacle) < patch_distance

@@ -59,7 +59,8 @@ def torques(site: Site) -> Instrument:
 
 def mounted_pose(site: Site) -> PoseReader:
     """Return a reader of position and orientation of the sensor, in the world frame."""
-    read, mount = site.engine.pose(site.robot, site.link), site.mount
+    read = site.engine.pose(site.robot, site.link)
+    mount = site.mount
     if mount == IDENTITY_FRAME:
         return read
 
@@ -87,7 +88,8 @@ def mounted_velocity(site: Site) -> VelocityReader:
 
 def mounted_motion(site: Site) -> MotionReader:
     """Return a reader of the pose and the velocity of the sensor, in the world frame."""
-    read, mount = site.engine.motion(site.robot, site.link), site.mount
+    read = site.engine.motion(site.robot, site.link)
+    mount = site.mount
 
     def of_mount() -> Motion:
         (position, rotation), (linear, angular) = read()
@@ -141,7 +143,8 @@ def compass(site: Site) -> Instrument:
 
 def gyro(site: Site) -> Instrument:
     """Measure the angular velocity about the axes of the sensor, in rad/s."""
-    read, back = site.engine.motion(site.robot, site.link), frames.inverse(site.mount[1])
+    read = site.engine.motion(site.robot, site.link)
+    back = frames.inverse(site.mount[1])
 
     def turning() -> Triple:
         (_, rotation), (_, angular) = read()
@@ -223,7 +226,8 @@ class Accelerometer:
             sy + dy + w * ty - z * tx + x * tz,
             sz + dz + w * tz - x * ty + y * tx,
         )
-        self._before, self._turned = velocity, rotation
+        self._before = velocity
+        self._turned = rotation
         self._ticks += 1
 
     def read(self) -> Triple:
@@ -233,7 +237,8 @@ class Accelerometer:
         else:
             self.follow()
             felt = frames.scaled(self._sum, 1.0 / (self._ticks * self._timestep))
-            self._sum, self._ticks = (0.0, 0.0, 0.0), 0
+            self._sum = (0.0, 0.0, 0.0)
+            self._ticks = 0
         return felt if self._back == IDENTITY_ROTATION else frames.rotate(self._back, felt)
 
 
@@ -260,7 +265,8 @@ def _part(name: str) -> Part:
 
 def reaction_force(site: Site) -> Instrument:
     """Measure the force of the joint that carries the link, along the axes of the sensor, in N."""
-    read, back = site.engine.joint_wrench((site.robot, site.link)), frames.inverse(site.mount[1])
+    read = site.engine.joint_wrench((site.robot, site.link))
+    back = frames.inverse(site.mount[1])
     return Instrument(lambda: frames.rotate(back, read()[0]))
 
 
@@ -283,7 +289,8 @@ def reaction_torque(site: Site) -> Instrument:
 def ranging(site: Site) -> Instrument:
     """Measure the free distance along each ray from its frame, or one value for all rays, in m; or the
     reading that the lookup table gives for it."""
-    beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
+    beams = site.sensor.beams or RayConfig((), 0.0)
+    mount = site.mount
     start = ((-beams.behind, 0.0, 0.0), IDENTITY_ROTATION)
     rays = [frames.compose(frames.compose(mount, frames.frame(ray)), start) for ray in beams.rays]
     part = (site.robot, site.link)
@@ -356,7 +363,9 @@ def reflectance(site: Site) -> Instrument:
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
-    beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
+    beams = site.sensor.beams or RayConfig((), 0.0)
+    mount = site.mount
+    spot = site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(rotation, _DOWN_AXIS)) for origin, rotation in rays]
     read = site.engine.pose(site.robot, site.link)
@@ -396,7 +405,8 @@ def radar(site: Site) -> Instrument:
     spec = site.sensor.radar
     if spec is None:
         raise ValueError(f"the sensor {site.sensor.name} has no targets")
-    motion, measure = mounted_motion(site), spec.measure
+    motion = mounted_motion(site)
+    measure = spec.measure
     targets = [echo_reader(site, spec, target) for target in spec.targets]
     if measure == "seen":
 
@@ -450,7 +460,8 @@ _GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 def camera(site: Site) -> Instrument:
     """Measure a picture, uint8 of the shape of the optics; after it comes the picture of the engine, for
     `sees`."""
-    optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
+    optics = site.sensor.optics or CameraIntrinsics(1, 1, 1.0)
+    part = (site.robot, site.link)
     read = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov)
     convert = _PICTURES[optics.channels]
 

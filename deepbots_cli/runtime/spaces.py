@@ -60,7 +60,8 @@ def scaled_goal(goal: Goal, values: Sequence[float]) -> list[float]:
 def action_space(agent: Agent) -> gym.Space[Any]:
     """Return Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of
     `choices` and `ranges` for both."""
-    options, size = [len(part.options) for part in agent.choices], len(agent.range_names)
+    options = [len(part.options) for part in agent.choices]
+    size = len(agent.range_names)
     ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     if not options:
         return ranges

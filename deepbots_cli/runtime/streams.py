@@ -63,7 +63,9 @@ class Streams:
 
     def begin(self, values: Mapping[str, Any]) -> None:
         """Begin an episode, whose draws give these `values`."""
-        self.drawn, self.chosen, self.member = {}, values, ""
+        self.drawn = {}
+        self.chosen = values
+        self.member = ""
 
     def key(self, name: str) -> str:
         """Return the key of a draw."""
@@ -315,7 +317,8 @@ def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
 
 def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     """Return the number, moved to the limit that it lies beyond by rounding."""
-    full, options = entry.name, _options(entry.tree)
+    full = entry.name
+    options = _options(entry.tree)
     if isinstance(number, bool) and not any(isinstance(option, bool) for option in options):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is a single number, in SI units")
     if not math.isfinite(number):

@@ -385,7 +385,8 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     Raises:
         TypeError: The annotation of a model has no shape.
     """
-    origin, arguments = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    arguments = get_args(annotation)
     if origin is Annotated:
         return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
     for item in metadata:

@@ -581,7 +581,8 @@ class Quantity(Parsed):
     def check(self, value: Any) -> None:
         if self.dimension == "number" and not self.components and (near := number_replacement(value)):
             raise mismatch(self.noun, _number_help(value), near, value=value)
-        count, expected = count_literal(value) if isinstance(value, str) else 1, self.components or 1
+        count = count_literal(value) if isinstance(value, str) else 1
+        expected = self.components or 1
         if count not in (None, expected):
             raise error(
                 "DB106",
@@ -600,7 +601,8 @@ class Quantity(Parsed):
 
     def _help_for_count(self, value: str, count: int | None) -> str | None:
         """Return an example in the unit of the literal, which may be one of several that the measure has."""
-        words, units = value.split(), MEASURES[self.dimension][2].split(" or ")
+        words = value.split()
+        units = MEASURES[self.dimension][2].split(" or ")
         unit = words[-1] if count and len(words) > count else ""
         if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
             return self.help_for(None)
@@ -608,7 +610,8 @@ class Quantity(Parsed):
 
     def check_text(self, text: str) -> None:
         tree = self.tree(text)
-        unit, unit_names = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
+        unit = getattr(tree, "unit", None)
+        unit_names = MEASURES[self.dimension][2].split(" or ")
         if (
             unit is not None
             and not unit_names[0].startswith("of ")
@@ -682,7 +685,8 @@ class Range(Parsed):
             raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
 
     def help_for(self, value: object) -> str:
-        near, example = _range_replacement(value), self.example
+        near = _range_replacement(value)
+        example = self.example
         shown = f"write `{near}`" if near else f"write it like `{example}`"
         if self.vector and not near:
             shown += f" (a vector: `{example.replace('-1 .. 1', '-1 -2 .. 1 2')}`)"

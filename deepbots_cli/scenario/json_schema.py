@@ -243,7 +243,8 @@ class _Writer:
         return {"$ref": f"#/$defs/{name}"}
 
     def _single(self, shape: FieldType) -> Json:
-        schema, offer = shape.json_schema(), self._names.get(names_key_of(shape))
+        schema = shape.json_schema()
+        offer = self._names.get(names_key_of(shape))
         if offer is None or not offer.names:
             return self._shared("name", schema) if isinstance(shape, Name) else schema
         if isinstance(shape, ColorValue):
@@ -424,7 +425,8 @@ def definition_of(section: type[Section]) -> type[Section]:
 def _text(section: type[Section], key: str, example: str = "") -> str:
     """Return the sentence about a key, its unit, default and example; `example` overrides the example of the
     key."""
-    unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
+    unit = unit_of(section_fields(section)[key])
+    default = default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
     if section.model_fields[key].is_required():
         facts.append("Required.")

@@ -173,7 +173,8 @@ def _renamed(
 ) -> Suggestion:
     """Return the line with the key that a synonym stands for, if the value fits it."""
     value = to_data(descend(root, path)[0])
-    shape, near = section_fields(section)[key], replacement_for(data, path)
+    shape = section_fields(section)[key]
+    near = replacement_for(data, path)
     written = str(path[-1])
     if isinstance(shape, Word) and isinstance(value, bool):  # as `fixed: true` for `base: fixed`
         word = next((word for word in shape.words if (word in written) is value), shape.words[0])

@@ -183,7 +183,9 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     )
     kind = context.get("code", kind)
-    headline, help, near = context["headline"], context["help"], context["replacement"]
+    headline = context["headline"]
+    help = context["help"]
+    near = context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
         help = help or keys_of(shape_at(Scenario, data, path))
@@ -362,7 +364,8 @@ def _entries_directly_below(
 
 
 def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], finding: Finding) -> Finding:
-    source, first = owner.span.source, entries[0].key
+    source = owner.span.source
+    first = entries[0].key
     more = f" and {counted_noun(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     verb = "are" if more else "is"
     begin = source.text.rfind("\n", 0, first.span.start) + 1

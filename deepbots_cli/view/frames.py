@@ -267,7 +267,10 @@ class MessageRecorder:
     """A wrapper of the `FieldCodec` of a channel that keeps the last received message."""
 
     def __init__(self, wire: FieldCodec, units: ShownUnits) -> None:
-        self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
+        self._wire = wire
+        self.layout = wire.layout
+        self.silence = wire.silence
+        self.encode = wire.encode
         self.fields = tuple(
             PlottedField(
                 name,
@@ -454,7 +457,8 @@ class FrameReader:
         return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
     def _agent(self, agent: Supervisor, seen: Any, action: Any, episode_return: float) -> AgentFrame:
-        vector, goal = seen, []
+        vector = seen
+        goal = []
         if isinstance(seen, dict):
             vector = seen.get("observation", np.zeros(0, np.float32))
             goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []

@@ -52,10 +52,8 @@ _EPISODE_COLUMNS = [
     *((name, object) for name in ("endings", "stages", "drawn")),
 ]
 # The limits of the kept drawn values, in episodes and in letters.
-_MAX_DRAWN, _MAX_DRAWN_LETTERS = (
-    2_500,
-    1 << 23,
-)
+_MAX_DRAWN = 2_500
+_MAX_DRAWN_LETTERS = 1 << 23
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
@@ -148,7 +146,8 @@ def _by_agent(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[Train
         return
     for agent, member in Run.open(log.path).program.members.items():
         agent_log = _read_run(log.path, window, member)
-        agent_log.agent, agent_log.name = agent, agent if is_only else f"{log.name}: {agent}"
+        agent_log.agent = agent
+        agent_log.name = agent if is_only else f"{log.name}: {agent}"
         yield agent_log
 
 
@@ -195,7 +194,8 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
         means, rates = (
             np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes")
         )
-        log.evaluations, log.evaluated_successes = (at, means), (at, rates)
+        log.evaluations = (at, means)
+        log.evaluated_successes = (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
     log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")
@@ -279,7 +279,9 @@ def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
         RunError: A file is no regular file, too large, or damaged.
     """
     path = run / "monitor.csv"
-    names, newest, letters = KeptNames(path), deque[str](), 0
+    names = KeptNames(path)
+    newest = deque[str]()
+    letters = 0
 
     def episodes() -> Iterator[tuple[Any, ...]]:
         nonlocal letters
@@ -430,8 +432,10 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         heights.append(style_panel(panel, f"{name}teacher {members[0].teacher}", theme, stages=[members]))
     if len(taught) % 2:
         _remove_right(axes[below - 1])
-    styles, endings = term_styles(logs), ending_colors(logs)
-    with_endings, is_one_task = set[str](), len({group for group, _ in groups}) == 1
+    styles = term_styles(logs)
+    endings = ending_colors(logs)
+    with_endings: set[str] = set()
+    is_one_task = len({group for group, _ in groups}) == 1
     for row, members in zip(axes[below:], detailed, strict=True):
         left, right = row
         name = f"{members[0].name}: " if len(groups) > 1 else ""
@@ -452,7 +456,8 @@ def _plot_group(
 ) -> None:
     """Plot returns and success rates of the trainings of a scenario, which is the only one or has this
     number."""
-    name, color = members[0].name, COLORS[number]
+    name = members[0].name
+    color = COLORS[number]
     label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
     style: dict[str, Any] = {
         "color": color,
@@ -645,7 +650,8 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
-    at, members = _common_steps(curves), [log.endings for log in logs if log.endings]
+    at = _common_steps(curves)
+    members = [log.endings for log in logs if log.endings]
     counts = {
         name: np.mean(
             [np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members],
@@ -672,7 +678,8 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
     Each group of trainings has a row of names. Returns the number of rows, and the meaning of the numbers.
     """
     (low, high), width = panel.get_xlim(), _PANEL_WIDTH
-    rows, key = 0, list[str]()
+    rows = 0
+    key: list[str] = []
     for number, members in enumerate(groups):
         color = THEMES[theme][1] if len(groups) == 1 else COLORS[number]
         starts: dict[str, list[float]] = {}

@@ -142,7 +142,8 @@ def verify(
     Raises:
         RecordingError: A step cannot be read.
     """
-    describer, time = TopicEncoder(player), 0
+    describer = TopicEncoder(player)
+    time = 0
     for count, recorded in enumerate(recording.episodes, start=1):
         player.driver = sequence_driver(actions(recording, recorded, player.env.action_space))
         begun = time

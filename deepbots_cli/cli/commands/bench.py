@@ -156,7 +156,8 @@ def _show_one(
     as_json: bool,
 ) -> None:
     """Show the speed of one engine, with the ratio of a step to its physics."""
-    only, ratios = speed.medians(rounds), sorted(measured.ratio for measured in rounds)
+    only = speed.medians(rounds)
+    ratios = sorted(measured.ratio for measured in rounds)
     figures = {
         "scenario": program.name,
         "engine": only.engine,

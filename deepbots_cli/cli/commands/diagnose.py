@@ -235,7 +235,8 @@ def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int],
 def _outcome(training: TrainingEvidence) -> str:
     """Return the verdict as text: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 %
     interval ...), over 100 ...`."""
-    criterion, verdict = training.run.program.agent.solved, training.verdict
+    criterion = training.run.program.agent.solved
+    verdict = training.verdict
     states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
     state = "" if criterion is None else f"; {states[verdict.solved]} ({criterion.description})"
     return state + (
@@ -295,7 +296,8 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    count, subject = len(causes), f"{folder}, {training.agent}" if training.agent else f"{folder}"
+    count = len(causes)
+    subject = f"{folder}, {training.agent}" if training.agent else f"{folder}"
     runs = "; it still runs" if training.is_running else ""
     if causes:
         head = f"{subject}: {counted(count, 'cause')}, the most likely first{runs}"

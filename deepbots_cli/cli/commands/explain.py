@@ -398,7 +398,8 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
 
 def _of_key(part: type[Section], key: str) -> Iterator[str]:
     yield key_description(part, key)
-    spec, default = section_fields(part)[key], default_of(part, key)
+    spec = section_fields(part)[key]
+    default = default_of(part, key)
     unit = unit_of(spec)
     measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
     required = "; required" if part.model_fields[key].is_required() else ""

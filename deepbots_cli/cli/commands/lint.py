@@ -329,7 +329,8 @@ def _fixed(
             f" {_change(edit)}"
         )
     if fixer.fixed:
-        verb, files = "would be fixed" if show else "fixed", len(rewrites)
+        verb = "would be fixed" if show else "fixed"
+        files = len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {counted(files, 'file')}")
     return fixer.remaining_findings, bool(rewrites)
 

@@ -375,7 +375,8 @@ def _moved(file: Path) -> tuple[bytes, list[Path]]:
 
 
 def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
-    text, needed = file.read_text(encoding="utf-8"), []
+    text = file.read_text(encoding="utf-8")
+    needed = []
     for scalar, path in reversed(list(_references(file, text))):
         needed.append(path)
         relative = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")

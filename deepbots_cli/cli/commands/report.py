@@ -72,7 +72,8 @@ def command(
     if isinstance(report, of_runs.Report):
         if figures is not None and figures.is_dir():
             check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
-        selection, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
+        selection = report.choose_episodes(episodes)
+        permissions = Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
             report.repeat_episodes(selection, show, clips=clips, permissions=permissions)
         with terminal.transient_line("looking for the causes ..."):

@@ -172,7 +172,8 @@ def _seeds(seeds: tuple[int, ...]) -> str:
 
 def _show_run(folder: Path, *, as_json: bool) -> None:
     """Show a run, and its evaluations."""
-    run, entries = read_listed(folder), evaluations(folder)
+    run = read_listed(folder)
+    entries = evaluations(folder)
     data = [
         {"number": number, **({"problem": entry} if isinstance(entry, str) else entry.model_dump())}
         for number, entry in entries

@@ -69,7 +69,8 @@ def command(
     """Run the tests of scenarios."""
     if junit is not None:
         check_output(junit, force=force)
-    began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
+    began = time.perf_counter()
+    names = scenario_names(scenarios or ["."], settings())
     options: dict[str, Any] = {
         "overrides": with_engine(overrides, engine),
         "permissions": permissions,
@@ -164,7 +165,8 @@ def _row(result: TestResult) -> Row:
 
 def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
     """Return the command that shows the episode of a miss, with the options of this one."""
-    test, episode = result.test, miss.episode
+    test = result.test
+    episode = miss.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *options, *_acting_options(test)])
     if isinstance(test.driver, str):

@@ -79,7 +79,8 @@ class Limb:
 
     def frames(self, positions: Positions) -> dict[str, Frame]:
         """Return the frame of the link behind each joint."""
-        frame, frames = self.base, {}
+        frame = self.base
+        frames = {}
         for joint in self.path:
             frames[joint.name] = frame = child_frame(joint, frame, positions.get(joint.name, 0.0))
         return frames
@@ -345,9 +346,11 @@ class Build:
         return [joint for joint in self.model.joints if joint.moves and joint.parent in links]
 
     def _limb(self, first: Joint) -> Limb:
-        joint, links = first, self.rigid(first.child)
+        joint = first
+        links = self.rigid(first.child)
         while len(further := self._joints_on(links)) == 1:
-            joint, links = further[0], self.rigid(further[0].child)
+            joint = further[0]
+            links = self.rigid(further[0].child)
         tip = max(links, key=lambda name: dist(self.frames[name][0], self.frames[joint.child][0]))
         above = {joint.child: joint for joint in self.model.joints}
         path = [above[tip]]

@@ -58,7 +58,8 @@ def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
 
 def _found(draft: Draft) -> list[str]:
     """Return the parts that were found in the robot file, for the head of the scenario."""
-    build, model = draft.build, draft.build.model
+    build = draft.build
+    model = draft.build.model
     counts = {
         "of them carry wheels": len(build.wheels),
         "steer": len(build.steering),

@@ -44,7 +44,8 @@ _LIMITED_PUSH = 1.0
 def drive(draft: Draft) -> dict[str, object]:
     """Drive to a mark that lies somewhere around the robot."""
     build = draft.build
-    speed, steered = _wheel_speed(build, build.size), bool(build.steering)
+    speed = _wheel_speed(build, build.size)
+    steered = bool(build.steering)
     wheels = _drive_wheels(
         draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
     )
@@ -276,7 +277,8 @@ def _gait(build: Build, tilt: Quaternion) -> tuple[list[str], list[str]]:
 
 def roam(draft: Draft) -> dict[str, object]:
     """Get away from the start, by any joints of the robot."""
-    build, actions = draft.build, {}
+    build = draft.build
+    actions = {}
     for kind, unit, joints in by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
         if endless:
@@ -375,7 +377,8 @@ def _limit_push(draft: Draft) -> None:
     Such a robot drives up walls and tips over: the racecar of pybullet_data (14 times) in 10 of 30 episodes of
     random driving between walls, also with 2 times its weight, and in none with its weight.
     """
-    wheels, weight = draft.build.wheels, draft.build.model.mass * GRAVITY
+    wheels = draft.build.wheels
+    weight = draft.build.model.mass * GRAVITY
     push = sum((wheel.joint.limit.effort or 0.0) / wheel.radius for wheel in wheels)
     if push <= _LARGEST_PUSH * weight:
         return
@@ -430,7 +433,8 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     """
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
-    far, tolerance = limb.reach, _TIP_TOLERANCE * limb.reach
+    far = limb.reach
+    tolerance = _TIP_TOLERANCE * limb.reach
     across = next(
         (axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)),
         None,
@@ -439,7 +443,10 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         away = (0.5 if across is None else 0.65) * far
         middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
-        starts, orders, inner, sizes = [middle], [bending, None], [], [half * far] * 3
+        starts = [middle]
+        orders = [bending, None]
+        inner = []
+        sizes = [half * far] * 3
         if across is not None:
             middle, sizes[across] = (
                 _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]),

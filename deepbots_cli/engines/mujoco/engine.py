@@ -148,11 +148,13 @@ class MuJoCoEngine:
         velocity: Triple = ZERO_VECTOR,
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        data, form = self._world.data, self._pool(body).activate()
+        data = self._world.data
+        form = self._pool(body).activate()
         self._world.show(form)
         rotation = x, y, z, w = frames.normalized(orientation)
         if form.mocap_index >= 0:
-            data.mocap_pos[form.mocap_index], data.mocap_quat[form.mocap_index] = position, (w, x, y, z)
+            data.mocap_pos[form.mocap_index] = position
+            data.mocap_quat[form.mocap_index] = (w, x, y, z)
         elif form.position_index >= 0:
             data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
             data.qvel[form.velocity_index : form.velocity_index + 6] = (
@@ -167,10 +169,8 @@ class MuJoCoEngine:
         body = self._pool(robot).current
         for follower, mimic in body.model.followers_of(joint).items():
             number = body.joints[follower]
-            data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = (
-                mimic.position(position),
-                mimic.multiplier * velocity,
-            )
+            data.qpos[model.jnt_qposadr[number]] = mimic.position(position)
+            data.qvel[model.jnt_dofadr[number]] = mimic.multiplier * velocity
         self._world.invalidate()
 
     def choose(self, body: str, variant: str) -> None:
@@ -220,7 +220,9 @@ class MuJoCoEngine:
     # Readers of motion
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        model, data, numbers = self._world.model, self._world.data, list(self._joints(robot, joints))
+        model = self._world.model
+        data = self._world.data
+        numbers = list(self._joints(robot, joints))
         if not numbers:
             return lambda: ()
         if len(numbers) == 1:  # takes half the time of two slices
@@ -248,8 +250,11 @@ class MuJoCoEngine:
         return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
 
     def angular_momentum(self, robot: str) -> VectorReader:
-        world, body = self._world, self._pool(robot).current
-        model, data, links = world.model, world.data, list(body.links.values())
+        world = self._world
+        body = self._pool(robot).current
+        model = world.model
+        data = world.data
+        links = list(body.links.values())
 
         def read() -> Triple:
             world.update_velocities()
@@ -267,7 +272,8 @@ class MuJoCoEngine:
         return read
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        pose, velocity = self.pose(body, link), self.velocity(body, link)
+        pose = self.pose(body, link)
+        velocity = self.velocity(body, link)
 
         def read() -> Motion:
             return pose(), velocity()
@@ -277,7 +283,8 @@ class MuJoCoEngine:
     def _pose(self, body: Body, link: int) -> PoseReader:
         """Return a reader of the pose of a root link from the state, of another link from positions that are
         computed on demand."""
-        world, data = self._world, self._world.data
+        world = self._world
+        data = self._world.data
         if link == body.root_id and body.position_index >= 0:
             numbers = data.qpos[body.position_index : body.position_index + 7]
 
@@ -302,7 +309,9 @@ class MuJoCoEngine:
         return read
 
     def _velocity(self, body: Body, link: int) -> VelocityReader:
-        world, model, data = self._world, self._world.model, self._world.data
+        world = self._world
+        model = self._world.model
+        data = self._world.data
         if link == body.root_id and body.position_index >= 0:
             rotation = data.qpos[body.position_index + 3 : body.position_index + 7]
             numbers = data.qvel[body.velocity_index : body.velocity_index + 6]
@@ -315,11 +324,9 @@ class MuJoCoEngine:
             return read_free
         # `cvel` is the velocity of the link at the center of mass of its tree; `mj_objectVelocity` begins
         # with it too, at three times the cost.
-        of_center, center, origin = (
-            data.cvel[link],
-            data.subtree_com[model.body_rootid[link]],
-            data.xpos[link],
-        )
+        of_center = data.cvel[link]
+        center = data.subtree_com[model.body_rootid[link]]
+        origin = data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:
             if not world.has_velocities:

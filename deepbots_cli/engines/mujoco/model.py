@@ -53,7 +53,9 @@ MjObject = Any
 PARKING_SPACING_M = 1000.0  # m between bodies that are absent
 GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
 # Groups of geoms: those that rays meet, those that rays do not meet, and those that are only drawn.
-SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (0, 5, 1)
+SOLID_GROUP = 0
+HIDDEN_GROUP = 5
+VISUAL_GROUP = 1
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
@@ -135,7 +137,8 @@ class ModelBuilder:
     with their visible shapes as geoms."""
 
     def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
-        self._world, self._for_rendering = world, for_rendering
+        self._world = world
+        self._for_rendering = for_rendering
         self._spec = spec = mj.MjSpec()
         step = world.timestep / world.substeps
         spec.option.timestep = step
@@ -240,7 +243,8 @@ class ModelBuilder:
                 "hfieldname": GROUND,
                 "pos": (0.0, 0.0, float(relief.heights.min())),
             }
-            friction, color = Friction(lateral=world.terrain.friction), world.terrain.color or TERRAIN_COLOR
+            friction = Friction(lateral=world.terrain.friction)
+            color = world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
             friction = Friction(lateral=world.ground.friction, restitution=world.ground.restitution)
@@ -287,7 +291,8 @@ class ModelBuilder:
         of view."""
         spec = self._spec
         spec.visual.quality.offsamples = 0  # each pixel is sampled at its center
-        gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
+        gradient = mj.mjtBuiltin.mjBUILTIN_GRADIENT
+        sky = mj.mjtTexture.mjTEXTURE_SKYBOX
         spec.add_texture(
             name="sky",
             type=sky,
@@ -318,9 +323,11 @@ class ModelBuilder:
 
     def _paint(self, line: Line) -> None:
         """Add a box for each piece, and a disc at each of its ends."""
-        half, thin = line.width / 2, 1e-3
+        half = line.width / 2
+        thin = 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
-            long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
+            long = float(np.hypot(x1 - x0, y1 - y0)) / 2
+            yaw = float(np.arctan2(y1 - y0, x1 - x0))
             rotation = frames.wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
@@ -368,7 +375,8 @@ class ModelBuilder:
         geoms: dict[str, list[MjObject]] = {}
         order = [model.root]
         for index, name in enumerate(order):
-            link, above = model.link(name), joint_of.get(name)
+            link = model.link(name)
+            above = joint_of.get(name)
             position, rotation = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
             self._elements += 1
@@ -409,7 +417,9 @@ class ModelBuilder:
         inertial = link.inertial
         mass = inertial.mass if inertial else 0.0
         if inertial is None or mass <= 0.0:
-            mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
+            mass = trace
+            tensor = frames.diagonal((trace, trace, trace))
+            at = (0.0, 0.0, 0.0)
         else:
             tensor = frames.rotate_tensor(inertial.matrix, frames.rotation_matrix(inertial.origin.rpy))
             at = inertial.origin.xyz
@@ -423,7 +433,8 @@ class ModelBuilder:
                 tensor = _without_excess(tensor)
         element.explicitinertial = True
         element.simple = not link.center_varies
-        element.mass, element.ipos = mass, at
+        element.mass = mass
+        element.ipos = at
         if mass > 0.0:
             element.fullinertia = (
                 tensor[0][0],
@@ -529,8 +540,10 @@ class ModelBuilder:
         tires = []
         for piece, cylinder in zip(link.collisions, cylinders, strict=True):
             if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
-                radius, half = piece.shape.radius, piece.shape.length / 2
-                kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
+                radius = piece.shape.radius
+                half = piece.shape.length / 2
+                kind = mj.mjtGeom.mjGEOM_ELLIPSOID
+                size = (radius, radius, half)
                 tire = self._geom(
                     element, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat
                 )
@@ -657,7 +670,8 @@ def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Trip
     elif geom.type != mj.mjtGeom.mjGEOM_BOX:
         return
     for along, sign in product(normals, (1.0, -1.0)):
-        axis, normal = along.index(1.0), frames.scaled(frames.rotate(frame[1], along), sign)
+        axis = along.index(1.0)
+        normal = frames.scaled(frames.rotate(frame[1], along), sign)
         middle = frames.add(frame[0], frames.scaled(normal, half[axis]))
         across = [half[index] for index in range(3) if index != axis]
         rounded = (

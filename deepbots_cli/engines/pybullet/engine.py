@@ -167,7 +167,8 @@ class PyBulletEngine:
     def _reset_body(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
         """Put the center of a body at a pose, all of it at rest, with brakes of so many N m or N on its
         joints."""
-        number, client = body.number, self._client
+        number = body.number
+        client = self._client
         p.resetBasePositionAndOrientation(number, *pose, client)
         p.resetBaseVelocity(number, ZERO_VECTOR, ZERO_VECTOR, client)
         for index, brake in brakes.items():
@@ -277,7 +278,8 @@ class PyBulletEngine:
         return self._bound(part, partial(cast.reader, rays=tuple(rays), reach=reach, upright=upright))
 
     def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        cast, far = self._ray_caster(), self._pool(other[0])
+        cast = self._ray_caster()
+        far = self._pool(other[0])
         read = self._bound(
             part,
             lambda body, link: self._bound(
@@ -401,7 +403,8 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        curve, arguments = torque_curve(stall_torque, no_load_speed), (self._client, body, indices)
+        curve = torque_curve(stall_torque, no_load_speed)
+        arguments = (self._client, body, indices)
         read = self.joint_states(robot, joints)
         if curve is None:
             return self._drive(motors.Springs(*arguments, read, max_torque, stiffness, damping), body)
@@ -415,9 +418,11 @@ class PyBulletEngine:
         return springs.set_targets
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
+        camera = cameras.Camera(self._client, width, height, fov, self._floor)
+        pose = self.pose(*part)
         # `name_indices` has the index among the names for each of PyBullet's numbers.
-        names, name_indices = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
+        names = tuple(self._pools)
+        name_indices = np.zeros(p.getNumBodies(self._client) + 1, np.int32)
         for index, pool in enumerate(self._pools.values()):
             name_indices[[body.number for body in pool]] = index
         ground = names.index(GROUND) if GROUND in names else -1

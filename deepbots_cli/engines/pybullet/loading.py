@@ -189,11 +189,9 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
 
 
 def _object(client: int, object_body: ObjectBody, file: Path) -> Body:
-    model, fixed, is_mesh = (
-        as_robot(object_body),
-        not is_movable(object_body),
-        isinstance(object_body.shape, Mesh),
-    )
+    model = as_robot(object_body)
+    fixed = not is_movable(object_body)
+    is_mesh = isinstance(object_body.shape, Mesh)
     body = _load(client, object_body.name, model, fixed, file, inertia_known=not is_mesh)
     body.initial_pose = body.center_pose(*frames.frame(object_body.pose))
     return body
@@ -296,7 +294,8 @@ def _terrain(client: int, ground: Terrain) -> Body:
             "flags": p.GEOM_FORCE_CONCAVE_TRIMESH,
         }
         shape = p.createCollisionShape(p.GEOM_MESH, **mesh, physicsClientId=client)
-        visual, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
+        visual = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground)
+        middle = 0.0
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
         rows, columns = heights.heights.shape

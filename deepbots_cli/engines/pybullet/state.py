@@ -181,7 +181,9 @@ class ReadCache:
 
         The check costs 0.07 us, so it is for readings that take several times as long.
         """
-        now, moment, value = self.generation, -1, None
+        now = self.generation
+        moment = -1
+        value = None
 
         def reader() -> R | None:
             nonlocal moment, value
@@ -250,7 +252,8 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
 def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
     """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed
     base no mass; it counts with that of the model."""
-    number, below = owner.number, tuple(index for index in owner.links.values() if index != BASE_LINK)
+    number = owner.number
+    below = tuple(index for index in owner.links.values() if index != BASE_LINK)
     root = owner.model.link(owner.model.root).inertial
     base_mass = root.mass if owner.fixed and root is not None else None
 
@@ -261,7 +264,10 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
             (base, rotation, *p.getBaseVelocity(number, client)),
             *((*link[:2], *link[6:8]) for link in states),
         ]
-        total, momentum, first, flow = 0.0, ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR
+        total = 0.0
+        momentum = ZERO_VECTOR
+        first = ZERO_VECTOR
+        flow = ZERO_VECTOR
         for index, (position, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
@@ -308,8 +314,11 @@ class Parameters:
     def __init__(
         self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None
     ) -> None:
-        self.light, self.gravity = world.light, world.gravity
-        self._client, self._pools, self._floor = client, pools, floor
+        self.light = world.light
+        self.gravity = world.gravity
+        self._client = client
+        self._pools = pools
+        self._floor = floor
         self._undo: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
