@@ -19,7 +19,7 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, qualified_name
 from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
@@ -683,7 +683,7 @@ def _print_ends_of_agents(supervisor: SupervisorPrinter, printer: Printer) -> No
     flags = {TERMINATED: ["self.terminated"], ENDED: ["self.terminated", "self.truncated"]}
     for agent in supervisor.agents_alone:
         for word, of_all in flags.items():
-            name = joint_name(agent, word)
+            name = qualified_name(agent, word)
             if supervisor.uses(name):
                 ends = [Code(flag) for flag in (*of_all, supervisor.ended_of(agent))]
                 printer.line(f"{supervisor.local(name)} = {printer.operation('or', ends).text}")

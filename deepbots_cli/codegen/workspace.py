@@ -17,7 +17,7 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, joint_name
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, qualified_name
 from deepbots_cli.program.task import Script, action_names
 
 # Readers of the engine
@@ -359,7 +359,7 @@ class SupervisorPrinter(ClassPrinter):
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
         self._components = self._named_components()
         self._results_of_agents = {
-            joint_name(agent, word): (agent, word)
+            qualified_name(agent, word): (agent, word)
             for agent in scenario.members
             for word in (PREVIOUS_REWARD, EPISODE_RETURN)
         }
@@ -432,7 +432,7 @@ class SupervisorPrinter(ClassPrinter):
         return [
             agent
             for agent in self.scenario.members
-            if any(self.uses(joint_name(agent, word)) for word in words)
+            if any(self.uses(qualified_name(agent, word)) for word in words)
         ]
 
     def reward_of(self, agent: str) -> str:
@@ -447,7 +447,7 @@ class SupervisorPrinter(ClassPrinter):
         """Return the code of the reward of the last timestep, by the name that means it after the
         timestep."""
         of_agents = {
-            joint_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
+            qualified_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
             for agent in self.agents_that_use(PREVIOUS_REWARD)
         }
         return {PREVIOUS_REWARD: "self.reward", **of_agents}

@@ -10,7 +10,9 @@ robots.py       robot files and their changes, patterns and groups, quantities o
 controllers.py  actuators and their limits, poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
-agents.py       several agents: a scenario for each; joint.py their programs as one, joint_tests.py their tests
+agents.py       several agents: a scenario for each of them
+combined_program.py   the programs of several agents as one
+multi_agent_tests.py  the tests of several agents
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
@@ -214,9 +216,9 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         of_agents = {
             name: {test.name: test for test in checked_agent.tests} for name, checked_agent in agents.items()
         }
-        tests = tuple(divided.tests.joined(program, of_agents))
+        tests = tuple(divided.tests.combined(program, of_agents))
     agents = {
-        name: replace(checked_agent, tests=divided.tests.about(name, checked_agent.tests))
+        name: replace(checked_agent, tests=divided.tests.tests_of(name, checked_agent.tests))
         for name, checked_agent in agents.items()
     }
     played = played_agent(document)

@@ -3,7 +3,7 @@
 The scenario of an agent is the file with the keys of the agent at the top level, `endings` as successes and
 failures of the agent, and the robots of other agents without controllers. It is checked like any scenario
 with one agent, so every rule about action, observation and reward applies to each agent; nodes keep their
-places in the file. `joint.py` joins the programs.
+places in the file. `combined_program.py` combines the programs.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.compiler.joint import joint_program
-from deepbots_cli.compiler.joint_tests import DividedTests
+from deepbots_cli.compiler.combined_program import combined_program
+from deepbots_cli.compiler.multi_agent_tests import DividedTests
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
@@ -501,7 +501,7 @@ def _root_of(
     if (limits := entries.get(TRUNCATION)) is not None and isinstance(limits.value, MappingNode):
         entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent))
     if (section_of_tests := entries.get(TESTS)) is not None:
-        entries[TESTS] = tests.of_agent(agent, section_of_tests)
+        entries[TESTS] = tests.section_of(agent, section_of_tests)
     robots = entries.get("robots")
     if robots is not None and isinstance(robots.value, MappingNode):
         heard = set(_heard_robots(robots.value))
@@ -645,7 +645,7 @@ def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) 
 
 def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
     """Return the program of all agents."""
-    return joint_program(programs, divided.sections, divided.drivers, divided.mirrors)
+    return combined_program(programs, divided.sections, divided.drivers, divided.mirrors)
 
 
 def with_sections(document: Document, documents: Mapping[str, Document]) -> Document:

@@ -255,8 +255,8 @@ def _drivers(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str
         lines = "\n  ".join(differing)
         raise UsageError(f"the agents of {run.path} are others than those of {program.name}:\n  {lines}")
     if run.program.others is None:
-        joint: Any = loaded(run, ref.name)
-        return dict(joint.learners)
+        model: Any = loaded(run, ref.name)
+        return dict(model.learners)
     agent = run.program.others.agent
     policies: dict[str, str | Predictor] = {agent: loaded(run, ref.name)}
     if is_symmetric:

@@ -18,10 +18,10 @@ from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
-from deepbots_cli.learning.joint import JointLearner, JointState
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.records import PoolGames, Rating
-from deepbots_cli.program.members import joint_name
+from deepbots_cli.program.members import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
@@ -160,7 +160,7 @@ class PastState(RatingState):
     losses: Annotated[float, Field(ge=0)] = 0.0
 
 
-class SelfPlayState(JointState):
+class SelfPlayState(MultiAgentState):
     """The JSON part of a checkpoint; `pool` has the ratings of the members of the pool, and `ratings` those
     of the policy so far, the present one last."""
 
@@ -168,7 +168,7 @@ class SelfPlayState(JointState):
     ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
 
 
-class SelfPlayLearner(JointLearner):
+class SelfPlayLearner(MultiAgentLearner):
     """The learner of two equal agents with one policy.
 
     Attributes:
@@ -229,7 +229,7 @@ class SelfPlayLearner(JointLearner):
         (name, training), _ = setup.training.agents
         seats = [self._critical[agent] for agent, _ in setup.training.agents]
         self._scripts = {
-            agent: [joint_name(agent, script.name) for script in seat.member.program.agent.scripts]
+            agent: [qualified_name(agent, script.name) for script in seat.member.program.agent.scripts]
             for agent, seat in self._critical.items()
         }
         settings = self._settings

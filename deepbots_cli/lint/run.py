@@ -49,7 +49,7 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
     rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
 )
 
-JOINT_RULES = rivals.JOINT_RULES
+MULTI_AGENT_RULES = rivals.MULTI_AGENT_RULES
 
 _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
@@ -70,11 +70,11 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
             [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
         ):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
-        for joint in JOINT_RULES:
+        for rule in MULTI_AGENT_RULES:
             yield from exceptions_as_findings(
-                f"the rule {joint.code}",
+                f"the rule {rule.code}",
                 checked.document.source,
-                partial(_found, partial(joint, checked.program)),
+                partial(_found, partial(rule, checked.program)),
             )
         return
     context = RuleContext(checked, checked.program, checked.namespace)

@@ -94,7 +94,7 @@ class AgentsDriver(Driver):
 
         self._world = world
         self._seats = agents.seats_of(world)
-        self._join = agents.joint_action
+        self._join = agents.combined_action
         self._policies = {
             name: agents.PolicyAct(driver, self._seats[name])
             for name, driver in drivers.items()

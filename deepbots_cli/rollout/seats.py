@@ -195,7 +195,7 @@ def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:
     )
 
 
-class JointActor:
+class MultiAgentActor:
     """Acts for several agents in the same worlds, each with its own actor.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, joint_name
+from deepbots_cli.program.members import RANDOM, ZERO, qualified_name
 from deepbots_cli.runtime.agents import AgentEnvironment, Place, forward_pass, own_info
 from deepbots_cli.runtime.batch import (
     BatchStep,
@@ -66,7 +66,7 @@ class AgentBatch:
         self.histories = EpisodeHistories(self.count)
         choices = self.agent.choices
         self.forbids_options = any(option.forbidden for part in choices for option in part.options)
-        names = {part.name: joint_name(others.agent, part.name) for part in choices}
+        names = {part.name: qualified_name(others.agent, part.name) for part in choices}
         self.options = world.options.of_agent(self.agent, names)
         self._policies = {
             name: _PolicyRows(policy, self._seats[name], world) for name, policy in policies.items()
@@ -247,7 +247,7 @@ def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:
             return choices, ranges
 
         return draw
-    script = joint_name(member.name, driver)
+    script = qualified_name(member.name, driver)
 
     def follow(observations: Any, acting: Column) -> _Parts:
         with np.errstate(all="ignore"):

@@ -11,7 +11,7 @@ import numpy as np
 from pettingzoo import ParallelEnv
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.runtime.supervisor import Supervisor
 
@@ -94,7 +94,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         if len(acting) < len(self._seats):
             resting = {name: seat.still for name, seat in self._seats.items() if name not in acting}
             actions = {**actions, **resting}
-        together = joint_action(self.world, self._seats, actions)
+        together = combined_action(self.world, self._seats, actions)
         self._observed, _, terminated, truncated, info = self.world.step(together)
         alone = self.world.agent_endings
         ends, cuts = dict.fromkeys(acting, terminated), dict.fromkeys(acting, truncated)

@@ -31,7 +31,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import PolicyActor
 from deepbots_cli.rollout.seats import (
-    JointActor,
+    MultiAgentActor,
     OfferedCollector,
     SeatCollector,
     SharedCollector,
@@ -53,20 +53,20 @@ _DATA = "data"
 _MAX_DATA_BYTES = 8_000_000
 
 
-class JointState(CheckpointState):
+class MultiAgentState(CheckpointState):
     """The JSON part of a checkpoint; `learners` has that of each agent."""
 
     learners: Annotated[dict[str, dict[str, Any]], Field(max_length=64)]
 
 
-class JointLearner(Learner):
+class MultiAgentLearner(Learner):
     """The learners of several agents.
 
     Attributes:
         learners: The learner of each agent, by its name.
     """
 
-    State: ClassVar[type[CheckpointState]] = JointState
+    State: ClassVar[type[CheckpointState]] = MultiAgentState
     takes_callbacks = False
 
     def __init__(self, setup: Setup) -> None:
@@ -223,7 +223,7 @@ class JointLearner(Learner):
 
     def actor(self) -> PolicyActor:
         actors = {name: learner.actor() for name, learner in self.learners.items()}
-        return JointActor(self._critical, actors, self._masked)
+        return MultiAgentActor(self._critical, actors, self._masked)
 
     def update(self) -> None:
         turns = self.setup.training.turns
