@@ -309,10 +309,10 @@ def scenario_changes(first: WrittenScenario, second: WrittenScenario) -> list[Ch
     """Return all differences, the most serious group first; empty if both scenarios compile to the same
     program, except for paths of files."""
     changes = [
-        *_of_interface(first, second),
-        *_of_values(first, second),
-        *_of_variants(first, second),
-        *_of_orders(first.program, second.program),
+        *_interface_changes(first, second),
+        *_value_changes(first, second),
+        *_variant_changes(first, second),
+        *_order_changes(first.program, second.program),
     ]
     if not changes and identity.digest(first.program) != identity.digest(second.program):
         path = (
@@ -332,7 +332,7 @@ def scenario_changes(first: WrittenScenario, second: WrittenScenario) -> list[Ch
     return list(by_path.values())
 
 
-def _of_interface(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _interface_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences in the interface of a policy: ranges, choices and messages."""
     before, after = (identity.interface(side.program)[side.program.agent.name] for side in (first, second))
     for name in dict.fromkeys((*before, *after)):
@@ -347,7 +347,7 @@ def _of_interface(first: WrittenScenario, second: WrittenScenario) -> Iterator[C
             yield _change(path, Effect.policy, old, new, first, second)
 
 
-def _of_values(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _value_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     before, after = values(first.program), values(second.program)
     items: dict[tuple[int, str, Effect], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
@@ -510,7 +510,7 @@ def _differing_entries(path: str, first: WrittenScenario, second: WrittenScenari
     return f"{{{before}}}" if before else "", f"{{{after}}}" if after else ""
 
 
-def _of_variants(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _variant_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences of cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         (
@@ -554,7 +554,7 @@ def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
     return variants
 
 
-def _of_orders(first: Program, second: Program) -> Iterator[Change]:
+def _order_changes(first: Program, second: Program) -> Iterator[Change]:
     """Yield the same names in another order, where the order has a meaning."""
     before, after = dict(_orders(first)), dict(_orders(second))
     for (path, group), names in before.items():

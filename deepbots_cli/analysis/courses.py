@@ -417,10 +417,10 @@ def value_within(ranges: Ranges, required: Required) -> float:
         return (max(bounds.low, 0.0) + high) / 2
     if low > -INF and high < INF:
         return (low + high) / 2
-    return beyond(low, 1.0) if low > -INF else beyond(high, -1.0)
+    return value_beyond(low, 1.0) if low > -INF else value_beyond(high, -1.0)
 
 
-def beyond(threshold: float, side: float) -> float:
+def value_beyond(threshold: float, side: float) -> float:
     """Return a value just above (`side` 1) or below (-1) a threshold."""
     return threshold + side * max(EDGE * abs(threshold), _SMALLEST_EDGE)
 

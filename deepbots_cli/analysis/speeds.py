@@ -232,12 +232,12 @@ class SpeedRanges(Ranges):
         elif node.function == "joint_velocity":
             robot, _, joint = node.subjects[0].partition(".")
             limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
-        return _within(interval, limit)
+        return _clipped(interval, limit)
 
     def _state(self, node: State) -> Interval:
         interval = super()._state(node)
         return (
-            _within(interval, self.change(node.args[0]))
+            _clipped(interval, self.change(node.args[0]))
             if node.function == "delta" and len(node.args) == 1
             else interval
         )
@@ -245,7 +245,7 @@ class SpeedRanges(Ranges):
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         interval = super()._op(op, args)
         if op == "sub" and (quantity := change_of(self.analysis, args[0], args[1])) is not None:
-            return _within(interval, self.change(quantity))
+            return _clipped(interval, self.change(quantity))
         if op == "hypot":
             parts = [self.analysis.resolve_aliases(arg) for arg in args]
             subjects = {
@@ -256,7 +256,7 @@ class SpeedRanges(Ranges):
             if len(subjects) == 1 and all(
                 isinstance(part, EngineRead) and part.function == "velocity" for part in parts
             ):
-                return _within(interval, _speed_of(self.analysis, subjects.pop()[0]))
+                return _clipped(interval, _speed_of(self.analysis, subjects.pop()[0]))
         return interval
 
     def change(self, quantity: Scalar) -> float:
@@ -275,7 +275,7 @@ def change_of(analysis: Analysis, first: Scalar, second: Scalar) -> Scalar | Non
     return None
 
 
-def _within(interval: Interval, limit: float) -> Interval:
+def _clipped(interval: Interval, limit: float) -> Interval:
     return Interval(max(interval.low, -limit), min(interval.high, limit)) if limit < INF else interval
 
 
@@ -326,7 +326,7 @@ def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval
     """Return the change of a quantity over an episode: within its range, and no faster than it can change."""
     limit = rate_of(ranges.analysis, quantity, exact=True) * ranges.analysis.program.world.timestep * ticks
     change = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
-    return _within(change, limit) if 0.0 in change else change
+    return _clipped(change, limit) if 0.0 in change else change
 
 
 def speed_notes(analysis: Analysis) -> tuple[str, ...]:

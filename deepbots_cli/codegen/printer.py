@@ -217,7 +217,7 @@ class Printer:
     def _pose_function_code(self, tree: Op) -> Code | None:
         """Return the code of a function of the poses of bodies, or of a component of a vector as a body sees
         it."""
-        call = _of_poses(tree)
+        call = _pose_function(tree)
         if call is not None:
             poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
             return Code(f"{call[0]}({', '.join(poses)})")
@@ -415,7 +415,7 @@ class _Loop:
         if (column := self._printer._column(trees)) is not None:
             return Code(self.variable(column))
         if all(
-            isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree))
+            isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _pose_function(tree))
             for tree in trees
         ):
             values = [self._printer.value(tree) for tree in trees]
@@ -524,7 +524,7 @@ _BODY_FRAME_PATTERNS = [
 ]
 
 
-def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
+def _pose_function(tree: Op) -> tuple[str, list[str]] | None:
     """Return the function of poses that a tree computes, and the bodies."""
     for name, pattern in _PATTERNS.get(tree.op, ()):
         bodies: dict[str, str] = {}

@@ -295,7 +295,7 @@ def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
             entry.text,
         )
     for name, value in _settings(supervisor):
-        if not isinstance(value.scalar, Const) and not _of_message(value):
+        if not isinstance(value.scalar, Const) and not _is_drawn_per_message(value):
             _print_first_period(supervisor, printer, value, name)
             printer.assign(f"self.{name}", printer.value(value.scalar))
 
@@ -338,7 +338,7 @@ def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
     """Print the values of a route that are drawn for each message, before one is sent."""
     for name, value in route.settings:
-        if _of_message(value):
+        if _is_drawn_per_message(value):
             printer.assign(f"{channel}.{name}", printer.value(value.scalar))
 
 
@@ -354,7 +354,7 @@ def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]
         yield from ((f"{path}.{name}", value) for name, value in link.route.settings)
 
 
-def _of_message(value: Expression) -> bool:
+def _is_drawn_per_message(value: Expression) -> bool:
     return value.redraw is not None and value.period is None
 
 

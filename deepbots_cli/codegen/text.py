@@ -299,19 +299,19 @@ def wrap_line(line: str) -> list[str]:
         start = 0
     statement = _STATEMENT.fullmatch(code[start:])
     if statement is None or code.startswith("def "):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     head = f"{pad}{code[:start]}{statement['head']}("
     body = statement["body"]
     tail = f"{pad}){statement['tail']}"
     if code.startswith("for ") and " = " not in code and list(_places(code, " in ")):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     if list(_places(body, ", ")):
         return [head, *_one_each(pad, _split(body, ", ")), tail]
     operators = _loosest_operators(body)
     fits = len(pad) + 4 + len(body) <= WIDTH
     room = 0 if fits else WIDTH - len(pad) - start
     if operators is None or _ends_in_long_brackets(body, operators, room):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     if fits:
         return [head, f"{pad}    {body}", tail]
     return [head, *_one_operand_each(pad, body, operators), tail]
@@ -333,7 +333,7 @@ def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) ->
     return offsets[0] < start < width and end == len(body) - 1
 
 
-def _at_brackets(pad: str, code: str) -> list[str]:
+def _broken_at_brackets(pad: str, code: str) -> list[str]:
     """Return the line broken inside the last outermost brackets; for a definition, inside those around its
     arguments."""
     groups = list(_groups(code))

@@ -133,7 +133,7 @@ class Readers:
             names = [name.partition(".")[2] for (name,) in subjects]
             if any(name.partition(".")[0] != robot for (name,) in subjects) or len(names) < 2:
                 return None
-            key = _of_joints(leaves[0], names)
+            key = _joint_reader(leaves[0], names)
             self._joints[key] = names
             return self._need(*key, needs), "" if kind == "joint_torque" else f"[{_RESULT_INDEX[kind]}]"
         if kind == "contact" and len(leaves) > 2 and len({subject[1:] for subject in subjects}) == 1:
@@ -144,7 +144,7 @@ class Readers:
         return None
 
     def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
-        single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
+        single, (robot, _, name) = _joint_reader(leaf, ()), leaf.subjects[0].partition(".")
         vectors = (
             key
             for key, names in self._joints.items()
@@ -238,7 +238,7 @@ class Readers:
                 )
 
 
-def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
+def _joint_reader(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
     """Return the reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
     return ReaderKey(kind, (leaf.subjects[0].partition(".")[0], *names))

@@ -33,14 +33,14 @@ from functools import partial
 
 from deepbots_cli.compiler.agents import (
     ROLE,
-    among_others,
     divide,
+    findings_of_other_agents,
     has_several_agents,
     joined_findings,
     joined_program,
     models_of_others,
-    of_other_agents,
     played_agent,
+    program_among_others,
     report_foreign_values,
     report_own_names,
     report_role_alone,
@@ -201,7 +201,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     joined_findings(
         document.findings,
         (
-            of_other_agents(checked_agent.findings, name, divided.drivers)
+            findings_of_other_agents(checked_agent.findings, name, divided.drivers)
             for name, checked_agent in agents.items()
         ),
     )
@@ -226,7 +226,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     if program is not None and played is not None and main_agent.namespace is not None:
         models = models_of_others(document)
         main_agent.namespace.files.update({(ROLE, "others", name): file for name, file in models.items()})
-        program = among_others(document, program, played, models)
+        program = program_among_others(document, program, played, models)
     return CheckedScenario(
         with_sections(document, {name: checked.document for name, checked in agents.items()}),
         document.findings,

@@ -617,7 +617,9 @@ def _foreign_words(robot: str, value: str, owner: str, agent: str) -> tuple[str,
     )
 
 
-def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]) -> Iterator[Finding]:
+def findings_of_other_agents(
+    findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]
+) -> Iterator[Finding]:
     """Yield the findings of an agent. The help of an unknown name that is a value of a robot of another agent
     says who sends it."""
     for finding in findings:
@@ -705,7 +707,7 @@ def models_of_others(document: Document) -> dict[str, Path]:
     return models
 
 
-def among_others(
+def program_among_others(
     document: Document, world: Program, agent: str, models: Mapping[str, Path]
 ) -> Program | None:
     """Return the program of one agent, beside which the others act by themselves; None after a finding.

@@ -60,6 +60,8 @@ from deepbots_cli.scenario.base import kind_parameters
 
 Limits = tuple[float | None, ...]
 
+_ROUNDING = 1e-9
+"""The share by which a limit may exceed that of the robot file, which conversions of units round."""
 _BEGIN_AT_ZERO = frozenset({"integral", "duration"})
 """The functions that begin at 0, whatever the first message contains."""
 
@@ -100,7 +102,10 @@ class Actuators(NamespaceReader):
         self._robot = robot
 
     def read(self, name: str) -> ResolvedActuator | None:
-        """Return the actuator called `name`; None after a finding. One without a command varies nothing."""
+        """Return the actuator called `name`; None after a finding.
+
+        The draws of an actuator that `apply` does not command are dropped.
+        """
         spec = self._robot.spec.actuators[name]
         varied = len(self._fields.variations)
         match spec:
@@ -113,7 +118,7 @@ class Actuators(NamespaceReader):
             case specs.Gripper():
                 driven = self._gripper(name, spec)
             case _:
-                raise TypeError(f"{type(spec).__name__} is in no table")
+                raise TypeError(f"there is no reader for the actuator {type(spec).__name__}")
         if name not in self._robot.spec.apply:
             del self._fields.variations[varied:]
         return driven
@@ -274,11 +279,12 @@ class Actuators(NamespaceReader):
         )
 
     def _spin(self, spec: specs.Thrust, links: tuple[str, ...]) -> tuple[float, ...] | None:
-        """Return the sense of each link, from one number for all or from patterns; None after a finding."""
+        """Return the direction of spin of each link, 1 or -1, from one number for all or from patterns; None
+        after a finding."""
         if not isinstance(spec.spin, dict):
             spin = self._fields.fixed(spec, "spin") if "spin" in spec.model_fields_set else 1.0
             return None if spin is None else (spin,) * len(links)
-        senses: dict[str, float | None] = {}
+        directions: dict[str, float | None] = {}
         unknown = False
         for pattern in spec.spin:
             members, missing = expand_patterns(links, pattern, self._robot.groups)
@@ -287,15 +293,15 @@ class Actuators(NamespaceReader):
                 report_unmatched(
                     self._values, self._values.key_span((*spec.path, "spin", pattern)), pattern, "link", links
                 )
-            senses |= dict.fromkeys(members, self._fields.fixed(spec, "spin", pattern))
-        open_ = [link for link in links if link not in senses]
-        if open_ and not unknown:
-            help = f"write 1 or -1 for each link, as in `{open_[0]}: 1`"
+            directions |= dict.fromkeys(members, self._fields.fixed(spec, "spin", pattern))
+        missing_links = [link for link in links if link not in directions]
+        if missing_links and not unknown:
+            help = f"write 1 or -1 for each link, as in `{missing_links[0]}: 1`"
             self._values.add_at_key(
-                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{open_[0]}`", help
+                "DB102", (*spec.path, "spin"), f"`spin` has no value for `{missing_links[0]}`", help
             )
-        found_all = [sense for link in links if (sense := senses.get(link)) is not None]
-        return tuple(found_all) if len(found_all) == len(links) else None
+        spins = [spin for link in links if (spin := directions.get(link)) is not None]
+        return tuple(spins) if len(spins) == len(links) else None
 
     # Limits and response
 
@@ -362,7 +368,7 @@ class Actuators(NamespaceReader):
     ) -> None:
         """Report DB304 for a limit that the robot file undercuts for every joint."""
         limits = [file_limit for file_limit in file_limits if file_limit is not None]
-        if len(limits) == len(file_limits) and limit > max(limits) * (1 + 1e-9):
+        if len(limits) == len(file_limits) and limit > max(limits) * (1 + _ROUNDING):
             text = self._values.field(spec, key)
             allowed = Interval(-math.inf, max(limits))
             joints = f"robots.{self._robot.name}.joints"
@@ -373,8 +379,8 @@ class Actuators(NamespaceReader):
             warn_beyond_limits(self._values, text, dimension, allowed, "a limit of", single(limit), help)
 
 
-def _tighter(file_limits: Limits, max_torque: float) -> Limits:
-    return tuple(max_torque if limit is None else min(max_torque, limit) for limit in file_limits)
+def _tighter(file_limits: Limits, limit: float) -> Limits:
+    return tuple(limit if file_limit is None else min(limit, file_limit) for file_limit in file_limits)
 
 
 def poses(robot: ResolvedRobot, namespace: Namespace) -> dict[str, Symbol]:
@@ -387,7 +393,7 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
     values = namespace.values
     moving = robot.drivable_joints
     positions: dict[str, float] = {}
-    sound = True
+    is_complete = True
     for pattern in robot.spec.poses[name]:
         joints, missing = expand_patterns(moving, pattern, robot.groups)
         if missing:
@@ -400,7 +406,7 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
             if joints
             else None
         )
-        sound = sound and position is not None
+        is_complete = is_complete and position is not None
         positions |= dict.fromkeys(joints, position or 0.0)
     dimensions = {joint_dimension(robot.model.joint(joint)) for joint in positions}
     if len(dimensions) > 1:
@@ -410,10 +416,10 @@ def _pose(name: str, robot: ResolvedRobot, namespace: Namespace) -> Symbol:
             "a pose cannot contain both turning and sliding joints",
             "write one pose for the turning joints and one for the sliding joints",
         )
-    if not sound or len(dimensions) != 1:
+    if not is_complete or len(dimensions) != 1:
         return Symbol(name, None)
-    names = tuple(positions.values())
-    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, names)), names)
+    fixed = tuple(positions.values())
+    return Symbol(name, Type(dimensions.pop(), tuple(positions)).with_intervals(map(single, fixed)), fixed)
 
 
 @dataclass(eq=False)
@@ -504,7 +510,7 @@ class RobotBuilder:
             ]
             self.values.report_unknown(self.values.span(path), "value of another robot", source, fields)
             return Symbol(full, None)
-        symbol = namespace.symbol(source)
+        symbol = namespace.use(source)
         if symbol is None or symbol.type is None:
             return Symbol(full, None)
         typed = Reference(symbol.type, 0, len(source), symbol)
@@ -609,7 +615,8 @@ class RobotBuilder:
             command = self._command(name, source, path, driven.get(name), scope)
             if command:
                 commands.append(command)
-        name, (to_robot, from_robot) = self.robot.name, routes
+        name = self.robot.name
+        to_robot, from_robot = routes
         robot = Robot(
             name,
             self.sensing.compiled(timestep),
@@ -659,8 +666,7 @@ class RobotBuilder:
         )
         help = (
             "write one number, which drives all of them; to control each of them separately, define one"
-            " actuator for each: "
-            f"`{parts[0]}: {example}`"
+            f" actuator for each: `{parts[0]}: {example}`"
         )
         typed = self.values.quantity(
             text, f"the target of `{name}`", scope, driven.dimension, driven.components, Known.STEP, help

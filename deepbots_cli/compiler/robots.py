@@ -252,10 +252,10 @@ def warn_beyond_limits(
         f"{description} {in_unit(actual)} {unit.text},"
         f" but the robot file allows {in_unit(limits)} {unit.text}"
     )
-    values.add("DB304", text.span, headline, help, fix=_within(text, numbers, allowed))
+    values.add("DB304", text.span, headline, help, fix=_clamping_fix(text, numbers, allowed))
 
 
-def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
+def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
     """Return the fix that puts each number at the limit that it exceeds; None if the numbers have another
     meaning, or none would be left to draw from."""
     values = [_clamped(number, allowed) for number in numbers]

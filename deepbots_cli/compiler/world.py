@@ -454,7 +454,7 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
         return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
-        grid = _at(heights, {"x": x, "y": y})
+        grid = _formula_at(heights, {"x": x, "y": y})
         if not (isinstance(grid, Const) and abs(grid.value) < _MAX_HEIGHT_M):
             position_text = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(grid, Const) and math.isfinite(grid.value):
@@ -471,13 +471,13 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     return Formula(heights, size)
 
 
-def _at(heights: Scalar, position: dict[str, float]) -> Scalar:
+def _formula_at(heights: Scalar, position: dict[str, float]) -> Scalar:
     """Return the formula at one place: a number, where it has one."""
     match heights:
         case Name(name=name) if name in position:
             return Const(position[name])
         case Op(op=operation, args=args):
-            return fold_operation(operation, *(_at(arg, position) for arg in args))
+            return fold_operation(operation, *(_formula_at(arg, position) for arg in args))
         case _:
             return heights
 

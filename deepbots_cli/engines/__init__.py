@@ -126,13 +126,13 @@ def _factory(name: str) -> EngineFactory:
         return cast("EngineFactory", plugins.import_attribute(ENGINES[name].factory))
     for entry in plugins.entry_points_of(ENTRY_POINT_GROUP):
         if entry.name == name:
-            return _of_plugin(entry)
+            return _plugin_engine(entry)
     suggestion = nearest_word(name, names())
     hint = f"; did you mean '{suggestion}'?" if suggestion else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
 
 
-def _of_plugin(entry: EntryPoint) -> EngineFactory:
+def _plugin_engine(entry: EntryPoint) -> EngineFactory:
     try:
         factory = entry.load()
         if not callable(factory):

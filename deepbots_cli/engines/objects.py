@@ -235,7 +235,7 @@ class Pool(Generic[Body]):
             return bind(self.current)
         table = {id(body): bind(body) for body in self}
 
-        def of_chosen(*args: P.args, **kwargs: P.kwargs) -> R:
+        def call_current(*args: P.args, **kwargs: P.kwargs) -> R:
             return table[id(self.current)](*args, **kwargs)
 
-        return of_chosen
+        return call_current

@@ -202,7 +202,7 @@ class Lowering:
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
-        return tuple(_of_pieces(function, pair, pieces) for pair in pairs)
+        return tuple(_joined_pieces(function, pair, pieces) for pair in pairs)
 
     def _slot_name(self, value: Invocation, index: int) -> str:
         components = value.type.components
@@ -251,7 +251,9 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
     return (subject.link if subject.link is not None and function.reads_link_pose else subject.name,)
 
 
-def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
+def _joined_pieces(
+    function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]
+) -> Scalar:
     """Return the value for every piece of a wall, joined: the least clearance, whether any is touched or
     seen."""
     read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
@@ -272,15 +274,15 @@ class Target(NamedTuple):
     function_code: Callable[[Function], str]
 
 
-def _on_floats(function: Function) -> str:
+def _scalar_code(function: Function) -> str:
     if function.method:
         return f"self.{function.method}({', '.join(function.arguments)})"
     return f"{function.helper}({', '.join(function.arguments)})" if function.helper else function.python
 
 
-SCALAR = Target("scalar", _on_floats)
+SCALAR = Target("scalar", _scalar_code)
 
-_ON_COLUMNS = {
+_COLUMN_FUNCTIONS = {
     **{name: f"{name}(x)" for name in ("exp", "log")},
     **{name: f"{name}(angle)" for name in ("sin", "cos", "tan")},
     "atan2": "atan2(y, x)",
@@ -293,10 +295,10 @@ _ON_COLUMNS = {
 `math` does."""
 
 
-def _on_columns(function: Function) -> str:
+def _column_code(function: Function) -> str:
     if function.helper or function.method:
-        return _on_floats(function)
-    text = _ON_COLUMNS.get(function.name) or function.array
+        return _scalar_code(function)
+    text = _COLUMN_FUNCTIONS.get(function.name) or function.array
     if not text and not all(_is_same_on_columns(node) for node in ast.walk(template(function.python))):
         raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
     return text or function.python
@@ -310,7 +312,7 @@ def _is_same_on_columns(node: ast.AST) -> bool:
     return not isinstance(node, (ast.IfExp, ast.BoolOp, ast.Not, ast.Starred))
 
 
-BATCH = Target("batch", _on_columns)
+BATCH = Target("batch", _column_code)
 """The target for many worlds at once: each value is a column with one number per world."""
 
 

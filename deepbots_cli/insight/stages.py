@@ -14,7 +14,7 @@ from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.draws import DrawLabel, DrawnBin, by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import DrawLabel, DrawnBin, draw_labels, drawn_effects
 from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
@@ -425,7 +425,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
     if not is_flat and not evidence.final_episodes:  # they may still be learned
         return None
     source, done = _episodes_with_draws(evidence)
-    values = list(by_drawn_value(done, draw_labels(evidence.program, evidence.facts.units)).values.values())
+    values = list(drawn_effects(done, draw_labels(evidence.program, evidence.facts.units)).values.values())
     # A value whose middle fails has no trend, but its parts differ.
     differing = (
         value for value in values if value.has_effect or _chance(value.parts) < _CHANCE / len(values)

@@ -143,9 +143,9 @@ def _fall(
         effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
         if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
             continue
-        if paired(_of_starts(scores[window.start : window.stop]), _of_starts(scores[split:])) <= level / len(
-            windows
-        ):
+        if paired(
+            _mean_scores(scores[window.start : window.stop]), _mean_scores(scores[split:])
+        ) <= level / len(windows):
             better.append((fmean(episodes), window))
     if not better:
         return None
@@ -169,7 +169,7 @@ def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
     return [score for episodes in scores for score in episodes]
 
 
-def _of_starts(scores: Sequence[Sequence[float]]) -> list[float]:
+def _mean_scores(scores: Sequence[Sequence[float]]) -> list[float]:
     """Return the mean score of each start over some evaluations."""
     return [fmean(column) for column in zip(*scores, strict=False)]
 

@@ -165,7 +165,7 @@ class DrawnEffects:
         }
 
 
-def by_drawn_value(
+def drawn_effects(
     episodes: Sequence[Episode],
     labels: Mapping[str, DrawLabel] | None = None,
     bounds: Interval = UNBOUNDED,
@@ -191,7 +191,7 @@ def by_drawn_value(
         if _is_ordered([episode.drawn[name] for episode in drawing]):
             bins = _parts(drawing, name, bounds)
             if len(bins) > 1:
-                starts, results = _by_start(drawing, outcome)
+                starts, results = _mean_outcomes(drawing, outcome)
                 parts[name] = bins
                 chances[name] = _chance([start.drawn[name] for start in starts], results)
     corrected = _holm(chances)
@@ -202,7 +202,7 @@ def by_drawn_value(
         for name, chance in corrected.items()
     ]
     values.sort(key=lambda value: (not value.has_effect, not value.label.is_parameter, value.chance))
-    _, results = _by_start(episodes, outcome)
+    _, results = _mean_outcomes(episodes, outcome)
     detectable = None
     if values and len(results) > 1:
         needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
@@ -237,7 +237,7 @@ def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[Dr
 # The test
 
 
-def _by_start(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
+def _mean_outcomes(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
     """Return one episode of each start, and the mean outcome of each start.
 
     Several policies that begin with the same start are no independent observations of its difficulty.

@@ -23,7 +23,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
 from deepbots_cli.learning.confirmation import error_level
-from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary, agent_scores
 from deepbots_cli.learning.executor import SERIAL, Executor, results
@@ -40,7 +40,7 @@ from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import StopCondition, in_order
+from deepbots_cli.rollout.policies import StopCondition, ordered_episodes
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
@@ -87,7 +87,7 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
     @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
-        return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
+        return drawn_effects(self.outcomes, self.draws, self.possible_returns)
 
     @model_serializer(mode="wrap")
     def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -182,7 +182,9 @@ def evaluate(
     with closing(
         results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
     ) as played:
-        outcomes = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
+        outcomes = ordered_episodes(
+            enumerate(chain.from_iterable(played)), range(setting.episodes), until=until
+        )
     return setting.result(model, outcomes, deterministic=deterministic)
 
 
@@ -325,7 +327,7 @@ def evaluate_baselines(
     with closing(setting.build(setting.program)) as world:
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             finished = enumerate(play(world, named_driver(world, driver), start) for start in starts)
-            results.append(setting.result(name, in_order(finished, range(len(starts)), on_episode)))
+            results.append(setting.result(name, ordered_episodes(finished, range(len(starts)), on_episode)))
     return tuple(results)
 
 

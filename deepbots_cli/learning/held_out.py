@@ -21,7 +21,7 @@ from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import StopCondition, in_order, play_batch, play_episodes
+from deepbots_cli.rollout.policies import StopCondition, ordered_episodes, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.forward_pass import Predictor
 from deepbots_cli.runtime.streams import derive_seed
@@ -103,12 +103,12 @@ class EvaluationWorlds:
         if self._batch is not None and self.has_batch_for(len(numbers)):
             with suppress(DeepbotsError):  # single worlds report its place, and keep the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
-                return in_order(finished, range(len(numbers)), on_episode, until)
+                return ordered_episodes(finished, range(len(numbers)), on_episode, until)
         worlds = self._single_worlds()
         for world in worlds:
             world.seeds = seeds
         finished = play_episodes(policy, worlds, seeds, deterministic=deterministic, numbers=numbers)
-        return in_order(finished, numbers, on_episode, until)
+        return ordered_episodes(finished, numbers, on_episode, until)
 
     def _single_worlds(self) -> list[FailureRecorder]:
         while self._program is not None and len(self._singles) < self._count:

@@ -26,7 +26,7 @@ from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
 from deepbots_cli.runtime.agents import Place
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class SidesCollector(OfferedCollector):
             parts = first_rows.take(self._sides.first, axis), second_rows.take(self._sides.second, axis)
             return np.concatenate(parts, axis)
 
-        return by_part(rows, first, second)
+        return apply_to_parts(rows, first, second)
 
     def seen(self, of_all: Any, axis: int = 0) -> Any:
         """Return the observations of the policy, given those of all agents in all worlds."""
@@ -308,7 +308,7 @@ class SelfPlayLearner(MultiAgentLearner):
             rows = worlds[self._opponents[worlds] == opponent]
             policy = self._learner if opponent == _PRESENT else self.pool[opponent].policy
             actions[rows], _ = policy.predict(
-                by_part(lambda part, rows=rows: part[rows], observations),
+                apply_to_parts(lambda part, rows=rows: part[rows], observations),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
 

@@ -147,18 +147,18 @@ def make_worlds(
             next_seed=next_seed,
             recorder=recorder,
             **calls,
-            **_of_agents(run.program),
+            **_agent_settings(run.program),
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_of_agents(run.program))
+        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_agent_settings(run.program))
     stack.callback(env.close)
     return env
 
 
-def _of_agents(program: Program) -> _OfAgents:
+def _agent_settings(program: Program) -> _OfAgents:
     members = program.members.items()
     return {
         "agent_terms": {name: [*member.terms.values()] for name, member in members},

@@ -87,7 +87,7 @@ def solved_verdict(
         returns[0] if math.isfinite(returns[0]) else lowest,
         returns[1] if math.isfinite(returns[1]) else highest,
     )
-    confirmation = Confirmation.by(solved, number, bounds, episodes)
+    confirmation = Confirmation.with_episodes(solved, number, bounds, episodes)
     if confirmation.passes(outcomes):
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
     plan = Confirmation.plan(solved, number, bounds, outcomes)
@@ -157,7 +157,7 @@ def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRe
 
     def weight(entry: tuple[Path, EvaluationRecord]) -> tuple[bool, int, bool]:
         _, evaluation = entry
-        return _of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
+        return _is_of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
 
     return max(reversed(evaluations), key=weight, default=None)
 
@@ -221,14 +221,14 @@ def own_evaluations(
                 (
                     file,
                     evaluation
-                    if _of_training(evaluation, record)
+                    if _is_of_training(evaluation, record)
                     else evaluation.model_copy(update={"solved": None}),
                 )
             )
     return evaluations
 
 
-def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
+def _is_of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
     """Return whether an evaluation was made in the scenario of the training. Evaluations of older versions
     have no digest."""
     return evaluation.digest in (None, record.digest)

@@ -17,10 +17,10 @@ from deepbots_cli.analysis.courses import (
     Course,
     Required,
     Way,
-    beyond,
     hold_times,
     merged,
     thresholds_of,
+    value_beyond,
     value_within,
     ways,
 )
@@ -237,7 +237,7 @@ class _Search:
             if (key, threshold) not in sides:
                 sides.add((key, threshold))
                 self._nodes[key] = self._analysis.resolve_aliases(quantity)
-                yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
+                yield key, (single(value_beyond(threshold, -1.0)), single(value_beyond(threshold, 1.0)))
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             if (
                 isinstance(part, EngineRead)
@@ -359,7 +359,7 @@ def _just_outside(required: Required) -> float | None:
     low, high = required.within
     if low == high:
         return 1.0 - low if low in (0.0, 1.0) else None
-    return beyond(low, -1.0) if low > -INF else beyond(high, 1.0)
+    return value_beyond(low, -1.0) if low > -INF else value_beyond(high, 1.0)
 
 
 # Words

@@ -379,7 +379,7 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
         names = [entry.value.name] if is_whole and parts > 1 else [number.full_name for number in numbers]
         name = "` and `".join(names)
         verb = "never changes" if len(names) == 1 else "never change"
-        value = with_unit(_in_units(simulation, numbers[0]), numbers[0].dimension)
+        value = with_unit(_number_in_units(simulation, numbers[0]), numbers[0].dimension)
         headline = f"`{name}` {verb}" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = (
             "remove it" if is_whole else "observe only the other components"
@@ -405,7 +405,7 @@ def _constant(simulation: Simulation, number: RangedNumber) -> float:
     return next(iter(simulation.measured.values())).numbers[number.place].low
 
 
-def _in_units(simulation: Simulation, number: RangedNumber) -> float:
+def _number_in_units(simulation: Simulation, number: RangedNumber) -> float:
     value = number.low + (_constant(simulation, number) + 1.0) / 2.0 * (number.high - number.low)
     return value if abs(value) > number.slack else 0.0
 

@@ -66,7 +66,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     if checked.agents:
         root = checked.document.root
         shares_endings = root is not None and "termination" in root.entries
-        for finding in _of_agents(
+        for finding in _findings_of_agents(
             [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
         ):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
@@ -106,7 +106,7 @@ def _about_shared_ending(finding: Finding) -> Finding:
 _UNUSED = "DB205"
 
 
-def _of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
+def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
     """Yield the findings of several agents, each once. What only some agents do not use is used."""
     used = [{finding.sort_key for finding in findings if finding.code == _UNUSED} for findings in of_each]
     unused_by_all = set.intersection(*used)

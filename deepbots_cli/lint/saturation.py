@@ -259,7 +259,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
     met = set()
     for number in ranged_numbers(context.analysis):
         leaf = context.analysis.resolve_aliases(number.node)
-        reading = _at_rest(context.analysis, leaf)
+        reading = _reading_at_rest(context.analysis, leaf)
         if (
             reading is None
             or not number.entry.clip
@@ -282,7 +282,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
 
 
-def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
+def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
     that is unknown."""
     reading = analysis.sensor(leaf)

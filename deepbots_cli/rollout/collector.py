@@ -27,7 +27,7 @@ import numpy as np
 from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 
 
 class Decision(NamedTuple):
@@ -321,7 +321,7 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 
 def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
     """Join observations array by array."""
-    return by_part(lambda *parts: join_arrays(parts), *observations)
+    return apply_to_parts(lambda *parts: join_arrays(parts), *observations)
 
 
 # Shards
@@ -661,7 +661,9 @@ class ShardedCollector(FetchingCollector):
                     upcoming = next(endings, None)
             self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
             self._observations = (
-                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+                fragment.following
+                if is_last
+                else apply_to_parts(itemgetter(number + 1), fragment.observations)
             )
             yield WorldsStep(
                 self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, step_endings

@@ -74,7 +74,7 @@ def play_episodes(
             running = [lane for lane, episode in stepped if episode is None or lane.begin(forward)]
 
 
-def in_order(
+def ordered_episodes(
     finished: Iterable[NumberedEpisode],
     numbers: Sequence[int],
     on_episode: OnEpisode | None = None,

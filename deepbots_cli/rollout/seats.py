@@ -27,7 +27,7 @@ from deepbots_cli.rollout.collector import (
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
 from deepbots_cli.runtime.agents import Place
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 
 _SEPARATOR = "/"
 """Between the name of an agent and a name of its own, in names of columns, weights and memories."""
@@ -98,7 +98,9 @@ class OfferedCollector(FetchingCollector):
         for number, rewards in enumerate(fragment.rewards):
             is_last = number + 1 == len(fragment.rewards)
             following = (
-                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+                fragment.following
+                if is_last
+                else apply_to_parts(itemgetter(number + 1), fragment.observations)
             )
             dones = fragment.following_starts if is_last else fragment.starts[number + 1]
             yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
@@ -170,7 +172,7 @@ class SharedCollector(OfferedCollector):
         return np.concatenate([seat.starts for seat in self._seats])
 
     def begin(self) -> Any:
-        return by_part(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
+        return apply_to_parts(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
 
     def part_of(self, of_all: Fragment) -> Fragment:
         parts = [seat.part_of(of_all) for seat in self._seats]

@@ -29,7 +29,7 @@ from deepbots_cli.rollout.episode import (
     set_random_state,
 )
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 
 Array = NDArray[Any]
 ENDED_BY_ANOTHER_COPY = "another_copy"
@@ -566,7 +566,7 @@ class BatchWorlds(Worlds):
                     row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )
                 self._on_episode(world, episode)
-                final_observation = by_part(itemgetter(index), outcome.final_observations)
+                final_observation = apply_to_parts(itemgetter(index), outcome.final_observations)
                 endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)

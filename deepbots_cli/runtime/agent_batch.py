@@ -21,7 +21,7 @@ from deepbots_cli.runtime.batch import (
 )
 from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
-from deepbots_cli.runtime.spaces import Column, by_part, compose_rows, parts_of_rows
+from deepbots_cli.runtime.spaces import Column, apply_to_parts, compose_rows, parts_of_rows
 
 _Parts = tuple[Column, Column]
 """Actions of one agent in all worlds: options by number (world, choice), and numbers (world, range)."""
@@ -142,7 +142,7 @@ class AgentBatch:
 
     def _of_all(self, action: Any, acting: Column) -> Any:
         """Return the actions of all agents, given those of the agent, which are recorded."""
-        action = by_part(np.array, action)
+        action = apply_to_parts(np.array, action)
         self.histories.actions.append(action)
         observations = self.world.observations()
         parts = [
@@ -221,8 +221,8 @@ class _PolicyRows:
         for rows, forward in zip(self._slices, self._passes, strict=True):
             forward.put_all(observations, rows, masks)
             answer = forward.predict(self._policy, deterministic=True)
-            answers.append(by_part(itemgetter(slice(rows.stop - rows.start)), answer))
-        return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
+            answers.append(apply_to_parts(itemgetter(slice(rows.stop - rows.start)), answer))
+        return parts_of_rows(apply_to_parts(lambda *parts: np.concatenate(parts), *answers))
 
 
 def _driven(world: BatchSupervisor, seat: Place, driver: str) -> _Act:

@@ -28,7 +28,7 @@ from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.endings import EpisodeEnds
 from deepbots_cli.runtime.failures import infinite_reward, without_option
 from deepbots_cli.runtime.observations import ObservedColumns
-from deepbots_cli.runtime.spaces import Column, by_part, compose_rows, joined
+from deepbots_cli.runtime.spaces import Column, apply_to_parts, compose_rows, joined
 from deepbots_cli.runtime.supervisor import Supervisor
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
@@ -111,7 +111,7 @@ class EpisodeHistories:
         proportional to the number of actions."""
         return [
             EpisodeHistory(
-                start, [by_part(itemgetter(world), action) for action in self.actions[first:]], options
+                start, [apply_to_parts(itemgetter(world), action) for action in self.actions[first:]], options
             )
             for world, (start, first, options) in enumerate(
                 zip(self.starts, self._first, self.options, strict=True)
@@ -224,7 +224,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """Advance by one step all worlds except those that are `resting` (truth values), whose episodes have
         ended; no episode begins."""
-        action = by_part(np.array, action)
+        action = apply_to_parts(np.array, action)
         self.histories.actions.append(self.rows.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
         self._acting = self.running = None if resting is None else ~resting
@@ -246,7 +246,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         ended_worlds = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(ended_worlds):
             return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, None, [])
-        last = by_part(itemgetter(ended_worlds), observations)
+        last = apply_to_parts(itemgetter(ended_worlds), observations)
         infos = [self.info(world) for world in ended_worlds.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, last, infos)
 

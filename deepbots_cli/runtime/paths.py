@@ -360,7 +360,7 @@ class _GridLines:
         self.length = -(-blocked.size // self.stride)
         self.padding = self.length * self.stride - blocked.size
         broken = blocked.copy()
-        for row, column in _between(rows, columns):
+        for row, column in _passed_cells(rows, columns):
             broken |= np.roll(blocked, (row, column), (0, 1))  # any blocked cell that a move touches bars it
         step = cell * LENGTH_SCALE * hypot(rows, columns)
         walls = np.cumsum(self.view(broken.ravel().astype(np.float64), 1.0), axis=0)
@@ -386,7 +386,7 @@ class _GridLines:
         return np.minimum(np.minimum(lines, ahead), behind[::-1]).ravel()[: lengths.size]
 
 
-def _between(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
+def _passed_cells(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
     """Return the cells that a move passes before it ends, as seen from its end: they are shifted onto it."""
     side = 1 if columns > 0 else -1
     if abs(rows) + abs(columns) == 1:

@@ -168,7 +168,7 @@ def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.
     return rows
 
 
-def by_part(function: Callable[..., Any], *values: Any) -> Any:
+def apply_to_parts(function: Callable[..., Any], *values: Any) -> Any:
     """Return the function of observations or actions, or of each of their parts where they are dictionaries
     of arrays."""
     if isinstance(values[0], dict):
@@ -178,7 +178,7 @@ def by_part(function: Callable[..., Any], *values: Any) -> Any:
 
 def joined(rows: Sequence[Any]) -> Any:
     """Return observations or actions, one of each world or agent, as one with a row for each."""
-    return by_part(lambda *parts: np.array(parts), *rows)
+    return apply_to_parts(lambda *parts: np.array(parts), *rows)
 
 
 def is_canonical(usual: Any, action: Any) -> bool:

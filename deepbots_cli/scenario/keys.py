@@ -69,7 +69,7 @@ def keys_of(shape: Shape | None) -> str | None:
     return f"allowed keys: {listed(shape.model_fields)}" if isinstance(shape, type) else None
 
 
-def about_key(data: object, path: NodePath) -> str | None:
+def sentence_about_key(data: object, path: NodePath) -> str | None:
     """Return the sentence about the innermost known key of a path."""
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
@@ -101,7 +101,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     *_, key = map(str, path)
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
-        return Suggestion(about_key(data, path))
+        return Suggestion(sentence_about_key(data, path))
     near = replacement_for(data, path)
     if renamed := key_instead_of(section, key):
         return _renamed(root, data, path, section, renamed)
@@ -188,7 +188,9 @@ def _renamed(
     if replacement is not None:
         return Suggestion(f"write `{key}: {replacement.text}`", near, is_fix=False)
     if not fits(shape, value):
-        return Suggestion(f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", near, is_fix=False)
+        return Suggestion(
+            f"write `{key}` instead. {sentence_about_key(data, (*path[:-1], key))}", near, is_fix=False
+        )
     return Suggestion(f"write `{_line(root, path, key)}`", near)
 
 

@@ -35,10 +35,10 @@ from deepbots_cli.scenario.fields import FieldType, counted_noun, error, mismatc
 from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
-    about_key,
     keys_of,
     listed,
     misspelled_key,
+    sentence_about_key,
     suggestion_for,
 )
 from deepbots_cli.scenario.scenario import VERSION, Scenario
@@ -166,7 +166,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
             "DB102",
             _key_span(root, path),
             f"missing key `{key}` {_place(path)}",
-            about_key(data, (*path, key)),
+            sentence_about_key(data, (*path, key)),
         )
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
@@ -195,7 +195,11 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         headline = f"{headline} {_place(path)}"
         help = ". ".join(
             filter(
-                None, (help, about_key(data, (*path, context["missing"][0])) if context["missing"] else None)
+                None,
+                (
+                    help,
+                    sentence_about_key(data, (*path, context["missing"][0])) if context["missing"] else None,
+                ),
             )
         )
     elif kind == "DB107":
@@ -208,7 +212,9 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     )
     fix = _fix(key_node if at_key else node, near)
     return _Problem(
-        path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"]
+        path,
+        Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix),
+        context["missing"],
     )
 
 
@@ -217,7 +223,13 @@ def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, suggestion:
     fix = _fix(descend(root, path)[1], suggestion.replacement) if suggestion.is_fix else None
     return _Problem(
         path,
-        Finding("DB101", _key_span(root, path), headline, suggestion.help or about_key(data, path), fix=fix),
+        Finding(
+            "DB101",
+            _key_span(root, path),
+            headline,
+            suggestion.help or sentence_about_key(data, path),
+            fix=fix,
+        ),
         replacement=suggestion.replacement,
     )
 
@@ -284,7 +296,7 @@ def _typing_hint(
         case nodes.SequenceNode(items=items) if items and all(
             isinstance(item, nodes.MappingNode) for item in items
         ):
-            return ". ".join(filter(None, (_without_dashes(items[0]), about_key(data, path)))), None
+            return ". ".join(filter(None, (_without_dashes(items[0]), sentence_about_key(data, path)))), None
     return None
 
 
@@ -450,7 +462,7 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:
-    message = about_key(data, path)
+    message = sentence_about_key(data, path)
     if message is not None and message.startswith(f"`{path[-1]}`"):
         return message
     holder = shape_at(Scenario, data, path[:-1], choose=False)

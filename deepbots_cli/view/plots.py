@@ -136,10 +136,10 @@ def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool 
         log.name = f"{name} ({log.settings})" if log.settings and len(first) > 1 else name
     if not by_agent:
         return logs
-    return [agent_log for log in logs for agent_log in _by_agent(log, window, is_only=len(first) == 1)]
+    return [agent_log for log in logs for agent_log in _agent_logs(log, window, is_only=len(first) == 1)]
 
 
-def _by_agent(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[TrainingLog]:
+def _agent_logs(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[TrainingLog]:
     """Yield the log of each of several agents of a run, or the log of a run with one agent."""
     if not log.agents:
         yield log

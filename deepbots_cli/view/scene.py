@@ -306,8 +306,8 @@ class WorldScene:
         if world.terrain is not None:
             relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.with_at_most(MAX_CELLS).triangles()
-                contour = _contour(relief.with_at_most(MAX_CELLS), 0.001 * self._size)
+                surface = relief.coarsened(MAX_CELLS).triangles()
+                contour = _contour(relief.coarsened(MAX_CELLS), 0.001 * self._size)
                 # A smooth relief of one color is hard to see.
                 self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)
             else:

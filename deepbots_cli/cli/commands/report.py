@@ -89,7 +89,7 @@ def command(
         "report": target,
         "result": report.result,
         "causes": [],
-        **(_of_run(report) if isinstance(report, of_runs.Report) else {}),
+        **(_run_data(report) if isinstance(report, of_runs.Report) else {}),
         "figures": figure_paths,
         "notes": report.notes,
     }
@@ -101,7 +101,7 @@ def command(
     )
 
 
-def _of_run(report: Report) -> dict[str, object]:
+def _run_data(report: Report) -> dict[str, object]:
     """Return the causes in a run, and the results of each of several agents."""
     of_agents = {
         agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}

@@ -9,7 +9,7 @@ from math import atan2, cos, degrees, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
-from deepbots_cli.cli.starters.draft import GRAVITY, Draft, by_unit
+from deepbots_cli.cli.starters.draft import GRAVITY, Draft, grouped_by_unit
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.frames import Quaternion, Triple, quaternion
@@ -79,7 +79,7 @@ def balance(draft: Draft) -> dict[str, object]:
         if tilts:
             values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
     else:
-        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in by_unit(build.driven)]
+        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in grouped_by_unit(build.driven)]
     if not tilts:
         values["poles"] = draft.group("poles", build.poles)
         draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
@@ -279,7 +279,7 @@ def roam(draft: Draft) -> dict[str, object]:
     """Get away from the start, by any joints of the robot."""
     build = draft.build
     actions = {}
-    for kind, unit, joints in by_unit(build.driven):
+    for kind, unit, joints in grouped_by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
         if endless:
             actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
@@ -307,7 +307,7 @@ def roam(draft: Draft) -> dict[str, object]:
 def posture(draft: Draft) -> dict[str, object]:
     """Bring the joints of a mechanism to a drawn posture."""
     moved = []
-    for kind, unit, joints in by_unit(draft.build.driven):
+    for kind, unit, joints in grouped_by_unit(draft.build.driven):
         group = draft.group(f"moved_{kind}", joints)
         rest_name, swing = _middle(draft, group, f"rest_{kind}", joints)
         draft.motor(

@@ -95,7 +95,7 @@ def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> 
             numbers = {number for number in numbers if _is_entry(lines, number)}
             if not numbers:
                 break
-            lines = _without(lines, numbers)
+            lines = _with_placeholders(lines, numbers)
     raise UsageError(f"no valid scenario came out: {errors[0].headline}")
 
 
@@ -110,7 +110,7 @@ _REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
 """Keys without which no scenario is left."""
 
 
-def _without(lines: list[str], numbers: set[int]) -> list[str]:
+def _with_placeholders(lines: list[str], numbers: set[int]) -> list[str]:
     result = []
     for number, line in enumerate(lines, start=1):
         if number in numbers:

@@ -307,7 +307,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
             numHeightfieldColumns=rows,
             physicsClientId=client,
         )
-        visual = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
+        visual = _drawn_terrain(client, *heights.coarsened(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, visual, basePosition=(0.0, 0.0, middle), physicsClientId=client)

@@ -173,7 +173,7 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     empty for an unknown algorithm."""
     training = scenario.agent.training
     if scenario.members:
-        return _of_members(scenario, total_timesteps)
+        return _hyperparameters_of_members(scenario, total_timesteps)
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     values: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
@@ -200,7 +200,7 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     return effective
 
 
-def _of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
+def _hyperparameters_of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
     """Return the hyperparameters of several agents: those that all have in common once, the others under the
     name of each agent."""
     by_agent = {
