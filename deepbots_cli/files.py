@@ -13,6 +13,14 @@ from tempfile import TemporaryFile
 
 from deepbots_cli.errors import UsageError
 
+_REMEDIES = {
+    errno.ENOSPC: "; free some space there, and try again",
+    errno.EDQUOT: "; free some space there, and try again",
+    errno.EROFS: "; choose a place that may be written to",
+    errno.EACCES: "; choose a place that may be written to",
+    errno.EPERM: "; choose a place that may be written to",
+}
+
 
 def read_at_most(path: Path, limit: int) -> bytes:
     """Return the first `limit` bytes of a file.
@@ -27,15 +35,6 @@ def read_at_most(path: Path, limit: int) -> bytes:
         data = file.read(min(size + 1, limit))
         # Special files, such as those in /proc, report size 0.
         return data if len(data) <= size else data + file.read(limit - len(data))
-
-
-_REMEDIES = {
-    errno.ENOSPC: "; free some space there, and try again",
-    errno.EDQUOT: "; free some space there, and try again",
-    errno.EROFS: "; choose a place that may be written to",
-    errno.EACCES: "; choose a place that may be written to",
-    errno.EPERM: "; choose a place that may be written to",
-}
 
 
 def unwritable_message(path: Path, error: OSError) -> str:

@@ -83,6 +83,9 @@ CAMERA_RANGE_M = 100.0
 SIGHT_TOLERANCE_M = 1e-3
 """The distance from the end of a line of sight within which nothing hides it."""
 
+_PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
+"""The parameters of the port that are bodies or parts."""
+
 
 class CameraImage(NamedTuple):
     """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of
@@ -368,10 +371,6 @@ class Engine(Bindable, Protocol):
         Raises:
             EngineError: The engine cannot draw (no "rendering" among its capabilities).
         """
-
-
-_PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
-"""The parameters of the port that are bodies or parts."""
 
 
 class EngineProxy:

@@ -30,6 +30,11 @@ from deepbots_cli.robots.model import RobotModel
 Kind = Literal["changed", "added", "removed"]
 APPEARANCE_PREFIX = "look of "
 
+_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
+_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
+_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
+_SUCCESS = ("termination.success.", "goal.")
+
 
 class Effect(StrEnum):
     """The effect of a difference, the most serious first."""
@@ -165,12 +170,6 @@ class Meanings:
     acting: tuple[Change, ...] = ()
     returns: tuple[Change, ...] = ()
     success: tuple[Change, ...] = ()
-
-
-_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
-_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
-_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
-_SUCCESS = ("termination.success.", "goal.")
 
 
 def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanings:

@@ -27,6 +27,11 @@ MAX_SEED = 2**63 - 1
 MAX_SEEDS = 1000
 """The largest number of seeds of a group."""
 
+ADVANCED = "Advanced"
+"""The group of options that are rarely needed or dangerous; it is the last in the help."""
+EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
+"""The groups of options: the episodes and their driver, changes of the scenario, and the output."""
+
 
 def known_engine(name: str | None) -> str | None:
     """Refuse the name of an unknown engine, and an engine that is not installed if another one is."""
@@ -72,12 +77,6 @@ def _workers(text: str | int) -> int:
             " process"
         )
     return number
-
-
-ADVANCED = "Advanced"
-"""The group of options that are rarely needed or dangerous; it is the last in the help."""
-EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
-"""The groups of options: the episodes and their driver, changes of the scenario, and the output."""
 
 
 def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
@@ -322,6 +321,24 @@ EngineOrRun = Annotated[
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 _HELP = Path(__file__).with_name("help")
 
+_WITH_ROLES = frozenset(
+    {
+        "bench",
+        "compile",
+        "eval",
+        "inspect",
+        "lint",
+        "play",
+        "render",
+        "robustness",
+        "test",
+        "train",
+        "try",
+        "view",
+    }
+)
+"""The commands of a scenario, of which one of several agents may be named."""
+
 
 def help_text(name: str) -> str:
     """Return the help of a command, or of `deepbots`: its line in `COMMANDS`, and the text of
@@ -373,25 +390,6 @@ def _command(name: str) -> Any:
         )
     )
     return typer.main.get_command(app)
-
-
-_WITH_ROLES = frozenset(
-    {
-        "bench",
-        "compile",
-        "eval",
-        "inspect",
-        "lint",
-        "play",
-        "render",
-        "robustness",
-        "test",
-        "train",
-        "try",
-        "view",
-    }
-)
-"""The commands of a scenario, of which one of several agents may be named."""
 
 
 def _role_kinds(group: str) -> dict[str, Any]:

@@ -21,6 +21,12 @@ from deepbots_cli.learning.trials import run_study
 _MAX_SHOWN = 10
 """The number of trials in the table; --json has all."""
 
+_OBJECTIVES: Mapping[str, str] = {
+    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
+    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
+    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
+}
+
 
 def continue_study(
     study: Study,
@@ -104,13 +110,6 @@ class StudyDisplay(StudyReporter):
         self._best = f"best so far: trial {best.number}, score {best.score:.4g}" if best else ""
         result = trial.reason or trial.state if trial.score is None else _result(trial)
         self._display.print(terminal.printable(f"trial {trial.number}: {_settings(trial.values)}: {result}"))
-
-
-_OBJECTIVES: Mapping[str, str] = {
-    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
-    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
-    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
-}
 
 
 def _settings(values: Mapping[str, str]) -> str:

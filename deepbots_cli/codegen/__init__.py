@@ -71,6 +71,8 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 # The group is empty for parts that are no names: quotes, comments, numbers, attributes and the keywords of calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
+_NUMBERS = frozenset({"pi", "tau", "e", "inf"})
+
 
 @lru_cache(maxsize=16)
 def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[str, ...] = ()) -> str:
@@ -130,9 +132,6 @@ def _classes(
             else print_batch_supervisor(scenario, constants, [*map(scenario.script, scripts)])
         ),
     ]
-
-
-_NUMBERS = frozenset({"pi", "tau", "e", "inf"})
 
 
 def _imports(used: set[str], on_floats: bool) -> list[str]:

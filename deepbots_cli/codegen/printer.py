@@ -493,6 +493,8 @@ def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list
 
 # Functions of poses, which a program contains as the operations that they are made of
 
+_ONE, _OTHER = "one", "other"
+
 
 class _BodyFrameComponent(NamedTuple):
     """A component of a vector of the world, as a body sees it."""
@@ -500,9 +502,6 @@ class _BodyFrameComponent(NamedTuple):
     body: str
     axis: int
     vector: tuple[Scalar, ...]
-
-
-_ONE, _OTHER = "one", "other"
 
 
 def _patterns() -> dict[str, list[tuple[str, Scalar]]]:

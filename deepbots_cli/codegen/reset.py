@@ -243,6 +243,8 @@ def _options(place: Placement, printer: Printer) -> str:
 
 # What varies
 
+_OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
+
 
 def _is_vector(variation: RandomizedParameter) -> bool:
     """Return whether its values are set together, one for each part of an actuator or each component of a
@@ -250,9 +252,6 @@ def _is_vector(variation: RandomizedParameter) -> bool:
     return isinstance(variation.of, OfSensor) or (
         isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE
     )
-
-
-_OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
 
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:

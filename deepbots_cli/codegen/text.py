@@ -85,6 +85,10 @@ _RESERVED_NAMES = frozenset(
     | {"bodies", "body", "layout", "spot", "spots"}
 )
 
+WIDTH = 120
+_DEPTH = 8
+"""The indent of a statement in a method."""
+
 
 class Names:
     """Hands out one identifier per key, the same for the same key."""
@@ -165,11 +169,6 @@ def class_name(text: str) -> str:
     words = re.findall(r"[A-Za-z0-9]+", text)
     name = "".join(word[:1].upper() + word[1:] for word in words) or "Scenario"
     return f"S{name}" if name[0].isdigit() else name
-
-
-WIDTH = 120
-_DEPTH = 8
-"""The indent of a statement in a method."""
 
 
 def indent(lines: Iterable[str], depth: int = 1) -> list[str]:

@@ -22,17 +22,6 @@ from deepbots_cli.program.task import Script, action_names
 
 # Readers of the engine
 
-
-class ReaderKey(NamedTuple):
-    """The kind of a reader, and the parts of the world that it is about."""
-
-    kind: str
-    parts: tuple[str, ...]
-
-
-ReaderKeys = dict[ReaderKey, None]
-"""The readers that a method calls, in order of first use."""
-
 _KINDS = ("joints", "torques", "pose", "velocity")
 _OF_COLUMNS = (
     *(*_KINDS, "clearance", "contact", "contacts", "collided"),
@@ -72,6 +61,17 @@ _VECTOR_READERS = {
 }
 """The facts that are vectors x y z, and the reader of each."""
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, *_VECTOR_READERS, "line")
+
+
+class ReaderKey(NamedTuple):
+    """The kind of a reader, and the parts of the world that it is about."""
+
+    kind: str
+    parts: tuple[str, ...]
+
+
+ReaderKeys = dict[ReaderKey, None]
+"""The readers that a method calls, in order of first use."""
 
 
 class Readers:
@@ -252,6 +252,8 @@ def _part(name: str) -> str:
 
 # Names shared by the methods of a class
 
+_GOAL = ("achieved", "desired", "goal_reached")
+
 
 class ClassPrinter(ABC):
     """A printed class: the meanings of its names, and the parts that its methods share."""
@@ -286,9 +288,6 @@ class ClassPrinter(ABC):
             *statements,
             *(f"self.{name} = {code}" for name, code in self.memories.items()),
         ]
-
-
-_GOAL = ("achieved", "desired", "goal_reached")
 
 
 class SupervisorPrinter(ClassPrinter):

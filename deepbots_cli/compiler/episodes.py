@@ -54,6 +54,8 @@ from deepbots_cli.scenario.scenario import JointState
 from deepbots_cli.scenario.scenario import Route as RouteSpec
 from deepbots_cli.scenario.scenario import Truncation as TruncationSpec
 
+_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
+
 
 class Parameters(NamespaceReader):
     """The parameters: fixed ones are folded into expressions, the others are drawn."""
@@ -161,9 +163,6 @@ def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
     return False
 
 
-_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
-
-
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
     """Return the entries of `disturbances`, in the order of the file."""
     compiled = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
@@ -232,6 +231,17 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
 # How an episode begins
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
+
+# Before the first step nothing has touched or acted, and no picture was taken.
+_HELP_BEFORE_FIRST_STEP = {
+    **dict.fromkeys(
+        ("contact", "collided", "contact_force", "contact_force_vector"),
+        "contacts are not known before the first step; use `clearance(...) > 1 cm`",
+    ),
+    "joint_torque": "remove it: no motor has exerted a torque before the first step",
+    "visible": "no picture exists when the start is drawn; use the position of the body, as in"
+    " `abs(bearing(...)) < 30 deg`",
+}
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
@@ -362,18 +372,6 @@ def _start_value(
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
 
 
-# Before the first step nothing has touched or acted, and no picture was taken.
-_HELP_BEFORE_FIRST_STEP = {
-    **dict.fromkeys(
-        ("contact", "collided", "contact_force", "contact_force_vector"),
-        "contacts are not known before the first step; use `clearance(...) > 1 cm`",
-    ),
-    "joint_torque": "remove it: no motor has exerted a torque before the first step",
-    "visible": "no picture exists when the start is drawn; use the position of the body, as in"
-    " `abs(bearing(...)) < 30 deg`",
-}
-
-
 def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
     """Return the arrangement of bodies, and the walls that only maps put up.
 
@@ -492,6 +490,11 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 
 # Signals, reward and endings
 
+_MAX_SHOWN_CHARACTERS = 60
+MAX_ENDINGS = 200
+"""The maximum number of endings: every reward term is compared with each of them."""
+NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
+
 
 def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """Return a term of which nothing is known but whether it is a truth value."""
@@ -515,12 +518,6 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     return Expression(
         name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function)
     )
-
-
-_MAX_SHOWN_CHARACTERS = 60
-MAX_ENDINGS = 200
-"""The maximum number of endings: every reward term is compared with each of them."""
-NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
 
 
 class Signals(NamespaceReader):

@@ -77,6 +77,34 @@ each update."""
 
 Action = tuple[Choices | ActionRange, ...]
 
+_SNAPSHOTS = 20
+"""The number of past policies that a training with self-play keeps in all by default."""
+
+MAX_VARIANTS = 64
+"""The maximum number of cases and stages of one scenario; each is compiled."""
+MAX_VALUES = 40_000
+"""The maximum number of values of all of them together. The largest scenario that comes with deepbots has
+500, of which all 64 would take 32 000."""
+
+_FIXED_SECTIONS = frozenset(
+    (
+        "deepbots",
+        "name",
+        "summary",
+        "agent",
+        "action",
+        "observation",
+        "critic",
+        "goal",
+        "curriculum",
+        "evaluation",
+        "solved",
+        "train",
+        "tune",
+    )
+)
+_VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
+
 
 def training(
     namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None
@@ -127,10 +155,6 @@ def training(
         self_play=_self_play(spec.train),
         turns=spec.train.turns,
     )
-
-
-_SNAPSHOTS = 20
-"""The number of past policies that a training with self-play keeps in all by default."""
 
 
 def _self_play(train: TrainingSpec) -> SelfPlay | None:
@@ -268,31 +292,6 @@ def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> s
         f" a range: `{drive}: -1 .. 1`"
     )
 
-
-MAX_VARIANTS = 64
-"""The maximum number of cases and stages of one scenario; each is compiled."""
-MAX_VALUES = 40_000
-"""The maximum number of values of all of them together. The largest scenario that comes with deepbots has
-500, of which all 64 would take 32 000."""
-
-_FIXED_SECTIONS = frozenset(
-    (
-        "deepbots",
-        "name",
-        "summary",
-        "agent",
-        "action",
-        "observation",
-        "critic",
-        "goal",
-        "curriculum",
-        "evaluation",
-        "solved",
-        "train",
-        "tune",
-    )
-)
-_VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
 Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]

@@ -39,6 +39,12 @@ from deepbots_cli.scenario.world import Pose
 _MAX_AREA_RATIO = 16.0
 """The multiple of the area of a top from which on the unit of a body on it is probably wrong."""
 
+_ROTATION_KEYS = ("roll", "pitch", "yaw")
+
+_EMPTY_CELL = "."
+_WALL_CELL = "wall"
+_MAX_CELLS = 250_000
+
 
 def has_top(body: ObjectBody) -> bool:
     """Return whether other bodies can stand on an object: a single one with a level top that is solid."""
@@ -327,9 +333,6 @@ def _size(covered: Footprint) -> str:
     )
 
 
-_ROTATION_KEYS = ("roll", "pitch", "yaw")
-
-
 def _fixed(value: float, dimension: Dimension) -> Constant:
     """Return a number in SI units that is not written in the text."""
     return Constant(Type(dimension, interval=single(value)), 0, 0, (value,))
@@ -546,11 +549,6 @@ class Places(NamespaceReader):
 def draws_owner(path: NodePath) -> str:
     """Return the place of an item in the scenario, after which its draws are named."""
     return ".".join(map(str, path))
-
-
-_EMPTY_CELL = "."
-_WALL_CELL = "wall"
-_MAX_CELLS = 250_000
 
 
 class Layouts(NamespaceReader):

@@ -70,6 +70,15 @@ _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
     (("reset", "layout"), "layouts"),
 )
 
+MIN_IMAGE_SIDE = 36
+"""The smallest side of a picture in pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one
+pixel."""
+
+_PARTS = ("achieved", "desired")
+_RECOMPUTED = (*_PARTS, "goal_reached")
+
+_WORD = re.compile(r"\w+", re.ASCII)
+
 
 def copies(namespace: Namespace) -> RobotCopies | None:
     """Return the copies requested by `agent.each` and the `count` of its robot; None for a single robot, and
@@ -302,10 +311,6 @@ class Actions(NamespaceReader):
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 
-MIN_IMAGE_SIDE = 36
-"""The smallest side of a picture in pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one
-pixel."""
-
 
 class Observations(NamespaceReader):
     """Reads the entries of the observation, and of what only the critic gets."""
@@ -520,10 +525,6 @@ class Observations(NamespaceReader):
             keys |= {key} if entry.value.typed.type.picture else set()
 
 
-_PARTS = ("achieved", "desired")
-_RECOMPUTED = (*_PARTS, "goal_reached")
-
-
 class Goals(NamespaceReader):
     """Reads `goal`, and gives the names in it their meaning."""
 
@@ -641,9 +642,6 @@ def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
         case _:
             for part in children(value):
                 yield from _parts_besides_goal(part)
-
-
-_WORD = re.compile(r"\w+", re.ASCII)
 
 
 def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:

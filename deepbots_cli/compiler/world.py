@@ -56,6 +56,32 @@ from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLORS
 
+MAX_TRIANGLES = 200_000
+# Sizes in m; beyond the inner two a mesh is probably in another unit.
+_MIN_MESH_M = 1e-5
+_SMALL_MESH_M = 1e-4
+_LARGE_MESH_M = 1e3
+_MAX_MESH_M = 1e6
+
+_PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
+_MAX_HEIGHT_M = 1e4
+_FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
+
+_TILE_LENGTHS = ("side", "platform", "border", "cell")
+_MAX_HEIGHTS = 2_000_000
+_MAX_SLOPE = math.radians(80.0)  # rad; its tangent is 5.7, that of a right angle has no end
+_TOLERANCE = 1e-6  # of a multiple, as a share of a cell
+
+_WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
+_DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
+_OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
+
+# Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
+_MIN_TIMESTEP_S = 1e-6
+_SHORT_TIMESTEP_S = 1e-4
+_LONG_TIMESTEP_S = 1.0
+_MAX_TIMESTEP_S = 10.0
+
 
 def define_bodies(namespace: Namespace) -> None:
     """Give robots, objects, walls and lines their names, and groups their size."""
@@ -100,14 +126,6 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
         values.add("DB005", count.span, f"the count can be {highest:,.0f}; the limit is {MAX_BODIES}", help)
         return None
     return ObjectGroup(name, max(1, int(highest)), count)
-
-
-MAX_TRIANGLES = 200_000
-# Sizes in m; beyond the inner two a mesh is probably in another unit.
-_MIN_MESH_M = 1e-5
-_SMALL_MESH_M = 1e-4
-_LARGE_MESH_M = 1e3
-_MAX_MESH_M = 1e6
 
 
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
@@ -264,11 +282,6 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     return boxes
 
 
-_PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
-_MAX_HEIGHT_M = 1e4
-_FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
-
-
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """Return the terrain; None after a finding."""
     friction = namespace.fields.scalar_or_randomized(
@@ -308,12 +321,6 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
         case world_spec.TileTerrain():
             return _tiles(spec, namespace)
     return None
-
-
-_TILE_LENGTHS = ("side", "platform", "border", "cell")
-_MAX_HEIGHTS = 2_000_000
-_MAX_SLOPE = math.radians(80.0)  # rad; its tangent is 5.7, that of a right angle has no end
-_TOLERANCE = 1e-6  # of a multiple, as a share of a cell
 
 
 def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
@@ -482,11 +489,6 @@ def _formula_at(heights: Scalar, position: dict[str, float]) -> Scalar:
             return heights
 
 
-_WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
-_DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
-_OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
-
-
 def bodies(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
     """Return the object, or every copy of a group; none after a finding about its shape. Figures that are
     drawn become variations."""
@@ -601,13 +603,6 @@ def _usual_mass(
             "DB102", material.path, "a movable mesh needs a `mass`", "add `mass`, or write `fixed: true`"
         )
     return _WATER_DENSITY * (volume(body_shape) or 0.0)
-
-
-# Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_MIN_TIMESTEP_S = 1e-6
-_SHORT_TIMESTEP_S = 1e-4
-_LONG_TIMESTEP_S = 1.0
-_MAX_TIMESTEP_S = 10.0
 
 
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:

@@ -265,6 +265,18 @@ def _joined_pieces(
 
 Leaf = Callable[[Name | EngineRead | State | Draw], str]
 
+_COLUMN_FUNCTIONS = {
+    **{name: f"{name}(x)" for name in ("exp", "log")},
+    **{name: f"{name}(angle)" for name in ("sin", "cos", "tan")},
+    "atan2": "atan2(y, x)",
+    "hypot": "hypot(x, *y)",
+    "pow": "pow(a, b)",
+    "min": "minimum(*x)",
+    "max": "maximum(*x)",
+}
+"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these otherwise than
+`math` does."""
+
 
 class Target(NamedTuple):
     """The kind of values that generated code computes with: `function_code` gives the Python of an operation
@@ -281,18 +293,6 @@ def _scalar_code(function: Function) -> str:
 
 
 SCALAR = Target("scalar", _scalar_code)
-
-_COLUMN_FUNCTIONS = {
-    **{name: f"{name}(x)" for name in ("exp", "log")},
-    **{name: f"{name}(angle)" for name in ("sin", "cos", "tan")},
-    "atan2": "atan2(y, x)",
-    "hypot": "hypot(x, *y)",
-    "pow": "pow(a, b)",
-    "min": "minimum(*x)",
-    "max": "maximum(*x)",
-}
-"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these otherwise than
-`math` does."""
 
 
 def _column_code(function: Function) -> str:

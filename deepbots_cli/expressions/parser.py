@@ -585,6 +585,12 @@ def _rewritten(node: Node, text: str, *, in_operation: bool = False) -> str:
 
 # Hints: signs and words of other languages, and the commonest slips.
 
+_OUT_OF_PLACE = {
+    ")": "a closing parenthesis without an opening one",
+    "else": "`else` without `if`",
+    "when": "`when` within an expression",
+}
+
 
 class _Hint(NamedTuple):
     """The correction in words and, if it has only one meaning, as text."""
@@ -635,13 +641,6 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     "#": _Hint("write a space before the `#` of a comment"),
     "->": _Hint("use a schedule only under `train`"),
     "when": _Hint("`when` applies to the whole text; here, write `value if condition else 0`"),
-}
-
-
-_OUT_OF_PLACE = {
-    ")": "a closing parenthesis without an opening one",
-    "else": "`else` without `if`",
-    "when": "`when` within an expression",
 }
 
 

@@ -44,6 +44,9 @@ MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
 0."""
 
+_MAX_LISTED = 5
+"""The number of differences of two scenarios that a note lists."""
+
 
 @dataclass(frozen=True)
 class GroupResult:
@@ -540,10 +543,6 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
     return GroupDifference(
         first.name, group.name, measure, returns, success, between_seeds, steps, world.own, world.meanings
     )
-
-
-_MAX_LISTED = 5
-"""The number of differences of two scenarios that a note lists."""
 
 
 def _notes(

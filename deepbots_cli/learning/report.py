@@ -24,6 +24,10 @@ LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
 """The time in s after a line without a terminal until the next one, and until one that an evaluation
 causes."""
 
+MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
+"""The time in s, or the share of its steps, for which a training is timed before the display shows the
+remaining time."""
+
 
 class Activity(NamedTuple):
     """The activity of a training beside learning, and details about it."""
@@ -79,11 +83,6 @@ class TrainingProgress:
             return None  # the first updates are slow: they predicted 20 min for a training of 4 min
         seconds_per_step = max(0.0, elapsed - self.evaluation_seconds) / steps
         return (self.total_steps - self.steps) * seconds_per_step + self.evaluation_seconds_left
-
-
-MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
-"""The time in s, or the share of its steps, for which a training is timed before the display shows the
-remaining time."""
 
 
 class Reporter:

@@ -84,6 +84,8 @@ def interquartile_mean(values: Sequence[float]) -> float:
 # -- tests that may be read after every episode
 # ---------------------------------------------------------------------------
 
+_LARGEST_BET = 0.75  # the largest share of the capital that may be lost at once
+
 
 def rate_evidence(rate: float, successes: int, episodes: int) -> float:
     """Return the natural logarithm of the evidence against a success rate of exactly `rate`, from 0 to 1.
@@ -117,9 +119,6 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
     low = 0.0 if excess(tiny) <= 0 else brentq(excess, tiny, max(rate, 2 * tiny))
     high = 1.0 if excess(1 - tiny) <= 0 else brentq(excess, min(rate, 1 - 2 * tiny), 1 - tiny)
     return low, high
-
-
-_LARGEST_BET = 0.75  # the largest share of the capital that may be lost at once
 
 
 def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tuple[float, float]:

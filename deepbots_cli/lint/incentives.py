@@ -29,6 +29,8 @@ MIN_WORTH = 0.25
 
 # Failing early
 
+LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
+
 
 @rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
@@ -86,9 +88,6 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         )
         help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
     yield Finding("DB705", dearest.span, headline, help, labels=also)
-
-
-LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
 
 
 def _price(cost: float) -> str:
@@ -244,6 +243,11 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 
 
 # Staying short of the success
+
+PROGRESS_HELP = (
+    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
+    " episode without success can collect"
+)
 
 
 class _StillRanges(Ranges):
@@ -464,12 +468,6 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         is_reached = any(episode.end == "success" for episode in simulation.report.episodes)
         idle = [] if is_reached else _idle_pays(simulation, successes[0])
         yield from idle or _place_pays(simulation, successes[0])
-
-
-PROGRESS_HELP = (
-    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
-    " episode without success can collect"
-)
 
 
 def _better_than_success(

@@ -54,6 +54,8 @@ MULTI_AGENT_RULES = rivals.MULTI_AGENT_RULES
 _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
 
+_UNUSED = "DB205"
+
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
     """Yield the findings of all static rules; none for a scenario with errors. With several agents, each rule
@@ -101,9 +103,6 @@ def _about_shared_ending(finding: Finding) -> Finding:
         f" `endings`, as in `caught: {{when: ..., success: NAME}}`; otherwise {finding.help}"
     )
     return replace(finding, help=help, fix=None)
-
-
-_UNUSED = "DB205"
 
 
 def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:

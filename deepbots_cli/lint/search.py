@@ -52,6 +52,8 @@ _MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
 """The share of the range of a joint within which it is at a limit."""
 
+_MAX_SHOWN = 80
+
 
 class ExploitSearch:
     """Plays the episodes of a scenario. `write` takes each, `begin_step` the number of the next step."""
@@ -254,9 +256,6 @@ class ExploitSearch:
             distribution.move_to(
                 [numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]]
             )
-
-
-_MAX_SHOWN = 80
 
 
 # Fixed drivers

@@ -47,6 +47,31 @@ from deepbots_cli.scenario.scenario import Scenario
 
 _OPTION = Reference("option")
 
+_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_COLON = re.compile(r"[\"']?[ \t]*:")
+_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
+
+_START = types.Range(types.Position(0, 0), types.Position(0, 0))
+_ALIAS = re.compile(r"\*([\w-]+)")
+
+_DEPTH = 4
+_SECTIONS = {
+    "parameters": types.SymbolKind.Constant,
+    "signals": types.SymbolKind.Variable,
+    "augment": types.SymbolKind.Variable,
+    "robots": types.SymbolKind.Class,
+    "objects": types.SymbolKind.Object,
+    "action": types.SymbolKind.Event,
+    "reward": types.SymbolKind.Number,
+    "success": types.SymbolKind.Boolean,
+    "failure": types.SymbolKind.Boolean,
+    "sensors": types.SymbolKind.Interface,
+    "actuators": types.SymbolKind.Interface,
+    "scripts": types.SymbolKind.Function,
+    "tests": types.SymbolKind.Method,
+}
+"""The symbol kind of the names in a section."""
+
 
 def shapes_at(path: NodePath, data: Any) -> list[Shape]:
     """Return every shape that the schema allows at `path`; several while the data does not determine the form
@@ -116,11 +141,6 @@ def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
         section = shape.find(data)
         return (section,) if section else shape.distinct_models
     return (shape,) if isinstance(shape, type) else ()
-
-
-_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
-_COLON = re.compile(r"[\"']?[ \t]*:")
-_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 
 
 class ExpressionNode(NamedTuple):
@@ -267,10 +287,6 @@ def ignore_finding(*_finding: object, **_more: object) -> None:
     """Discard a finding, because the analysis reports it."""
 
 
-_START = types.Range(types.Position(0, 0), types.Position(0, 0))
-_ALIAS = re.compile(r"\*([\w-]+)")
-
-
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
     """Return the definitions of the name, alias or file under the cursor; several for a pattern that matches
     several names."""
@@ -365,25 +381,6 @@ def _setting(root: MappingNode, text: str) -> list[Span]:
     return [key.span] if key else []
 
 
-_DEPTH = 4
-_SECTIONS = {
-    "parameters": types.SymbolKind.Constant,
-    "signals": types.SymbolKind.Variable,
-    "augment": types.SymbolKind.Variable,
-    "robots": types.SymbolKind.Class,
-    "objects": types.SymbolKind.Object,
-    "action": types.SymbolKind.Event,
-    "reward": types.SymbolKind.Number,
-    "success": types.SymbolKind.Boolean,
-    "failure": types.SymbolKind.Boolean,
-    "sensors": types.SymbolKind.Interface,
-    "actuators": types.SymbolKind.Interface,
-    "scripts": types.SymbolKind.Function,
-    "tests": types.SymbolKind.Method,
-}
-"""The symbol kind of the names in a section."""
-
-
 def document_symbols(document: Document) -> list[types.DocumentSymbol]:
     """Return the keys of a document in the order of the file; empty if the document cannot be parsed."""
     _, root, _ = document.read()
@@ -421,6 +418,8 @@ def _document_symbol(
 
 _CODE = re.compile(r"DB\d{3}")
 _MAX_CHARACTERS = 300
+
+_LONGEST_NOUN = 120
 
 
 def hover(view: CursorView) -> types.Hover | None:
@@ -604,9 +603,6 @@ def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> s
         (entry for entry in names_at(checked, field.kind, target.path) if entry.name == target.text), None
     )
     return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
-
-
-_LONGEST_NOUN = 120
 
 
 def summary(part: type[Section], key: str) -> str:

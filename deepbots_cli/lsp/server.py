@@ -53,6 +53,15 @@ _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.Diagnos
 _UNNECESSARY = frozenset({"DB205", "DB901"})
 """The rules that report unnecessary text, which editors show faded."""
 
+_DEBOUNCE = 0.05
+"""Seconds between a change and its analysis; people type up to ten letters a second."""
+
+FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
+KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
+
+_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
+_MAX_TITLE = 40
+
 
 def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     """Convert a finding with its related locations."""
@@ -85,9 +94,6 @@ def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[
         by_uri.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
     return by_uri
 
-
-_DEBOUNCE = 0.05
-"""Seconds between a change and its analysis; people type up to ten letters a second."""
 
 Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
 Warn = Callable[[str], None]
@@ -203,13 +209,6 @@ class Checker:
                 for diagnostic in chain.from_iterable(groups)
             }
             self._publish(uri, document.version if document else None, list(unique.values()))
-
-
-FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
-KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
-
-_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
-_MAX_TITLE = 40
 
 
 class CodeActions:

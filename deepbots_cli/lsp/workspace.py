@@ -38,6 +38,8 @@ _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
 _UTF_16 = PositionCodec()
 
+_NAMELESS = "<untitled {:08x}>"
+
 
 class Lines:
     """Converts between offsets in a text and positions of the protocol, whose columns count units of the
@@ -82,9 +84,6 @@ class Lines:
                 list(accumulate(map(self._codec.client_num_units, text))), max(0, position.character)
             )
         return max(0, start + column - self._mark)
-
-
-_NAMELESS = "<untitled {:08x}>"
 
 
 @dataclass(frozen=True, eq=False)

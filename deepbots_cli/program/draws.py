@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 
 _PLANE = ("x", "y")
 
+_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
+
+_OF_COPY = re.compile(r"\w+#\d+\.")
+
 
 class _Units(TypedDict):
     """The SI unit of a draw, and the unit in which the scenario writes it."""
@@ -79,15 +83,9 @@ def key_of_member(member: str, name: str) -> str:
     return f"{member}|{name}"
 
 
-_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
-
-
 def is_of_member(name: str) -> bool:
     """Return whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
     return _OF_MEMBER.match(name) is not None
-
-
-_OF_COPY = re.compile(r"\w+#\d+\.")
 
 
 def without_copy(name: str) -> str:

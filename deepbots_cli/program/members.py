@@ -24,12 +24,6 @@ RANDOM, ZERO = "random", "zero"
 """Drivers of an agent besides its scripts."""
 _SEPARATOR = "__"
 
-
-def qualified_name(agent: str, name: str) -> str:
-    """Return the name of something of an agent in the program of all agents."""
-    return f"{agent}{_SEPARATOR}{name}"
-
-
 PREVIOUS_ACTION = "previous_action"
 PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
 """Values of an agent itself: they are made of its own reward terms."""
@@ -37,6 +31,11 @@ TERMINATED, ENDED = "terminated", "ended"
 """Values of an agent itself if its episode may end while others go on."""
 _OWN_SECTIONS = frozenset({"action", "augment", "critic", "observation", "reward", "scripts"})
 _SIGNALS = "signals"
+
+
+def qualified_name(agent: str, name: str) -> str:
+    """Return the name of something of an agent in the program of all agents."""
+    return f"{agent}{_SEPARATOR}{name}"
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,9 @@ EngineParameter = WorldParameter | LinkParameter | JointParameter
 WALL_COLOR: Color = (0.55, 0.60, 0.68, 1.0)
 """The color of walls without a color of their own."""
 
+TILE_MARGIN_M = 0.5
+"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -80,10 +83,6 @@ class Formula:
 
     heights: Scalar
     size: tuple[float, float]
-
-
-TILE_MARGIN_M = 0.5
-"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, obser
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.spaces import apply_to_parts
 
+_NOISE = 0.1
+"""The standard deviation of the noise on ranges while a script drives, in the agent's [-1, 1]."""
+
 
 class Decision(NamedTuple):
     """The output of an actor: `actions` for the worlds, one per row, and further arrays (`columns`) to store
@@ -41,10 +44,6 @@ class Decision(NamedTuple):
 Actor = Callable[[Any, Array, Array | None], Decision]
 """Acts on the observations of all rows, given which rows begin an episode, and which options are allowed
 (None: all)."""
-
-
-_NOISE = 0.1
-"""The standard deviation of the noise on ranges while a script drives, in the agent's [-1, 1]."""
 
 
 class Lesson(NamedTuple):

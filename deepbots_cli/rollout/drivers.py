@@ -24,6 +24,8 @@ HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
 """The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
 option of each choice."""
 
+_MAX_DIGITS = 6
+
 
 def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     """Return the driver of a name: `random`, `zero`, a script of the scenario, or actions such as
@@ -173,9 +175,6 @@ class _RepeatedActions(Driver):
 
     def _acts(self) -> Iterator[Callable[[], Any]]:
         return (act for act, times in cycle(self._parts) for _ in range(times))
-
-
-_MAX_DIGITS = 6
 
 
 def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 500_000
 
+EVENT_PREFIXES = {
+    "safe": "safe posture: ",
+    "resumed": "the policy acts again: ",
+    "refused": "a message was refused: ",
+}
+
 
 class LoggedStep(msgspec.Struct, frozen=True):
     """A command, and the inputs of the policy for it.
@@ -169,10 +175,3 @@ def _episodes(
     twice = any(times > 1 for times in numbers.values())
     for index, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
         yield LoggedEpisode(index if twice else number, steps)
-
-
-EVENT_PREFIXES = {
-    "safe": "safe posture: ",
-    "resumed": "the policy acts again: ",
-    "refused": "a message was refused: ",
-}

@@ -285,6 +285,8 @@ def reaction_torque(site: Site) -> Instrument:
 
 # Rays
 
+_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
+
 
 def ranging(site: Site) -> Instrument:
     """Measure the free distance along each ray from its frame, or one value for all rays, in m; or the
@@ -352,9 +354,6 @@ def _slopes(distance: Values, column: Values) -> list[float]:
     """Return the change of a column per m after each row; 0 after the last row."""
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
-
-
-_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
 
 
 def reflectance(site: Site) -> Instrument:

@@ -33,6 +33,9 @@ _FLOAT32_ROUNDING = 1e-6
 """The share of the size of a limit by which a value may lie beyond it and is then the limit: 0.6 as a float32
 is 0.60000002."""
 
+_MAX_NAMES = 24
+"""The number of names that a message lists; find_and_avoid draws 94 values."""
+
 
 def derive_seed(root: int, *names: str | int) -> int:
     """Return a 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
@@ -266,10 +269,6 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
     return [
         (full, _checked(EpisodeDraw(full, full, tree), number, scenario)) for (full, tree), number in parts
     ]
-
-
-_MAX_NAMES = 24
-"""The number of names that a message lists; find_and_avoid draws 94 values."""
 
 
 def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:

@@ -51,6 +51,8 @@ _MAX_HOMES = 6
 _MAX_HOLDERS = 3
 """The number of mappings one level down that can have a name; above this, a suggestion is useless."""
 
+_STEP = "  "  # one level of indentation
+
 
 class Suggestion(NamedTuple):
     """The advice for an unknown key: in words, and as the probable key; `is_fix` is true if the key alone can
@@ -204,9 +206,6 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     if behind.startswith("="):  # an assignment of the command line
         return f"--set {text[: word.span.start]}{key}{behind}"
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
-
-
-_STEP = "  "  # one level of indentation
 
 
 def _indentation(word: nodes.ScalarNode) -> str:

@@ -42,6 +42,9 @@ LinkName = tuple[str, str]
 # Turns x to -z, the direction of a reflectance sensor.
 _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)
 
+_ARC_STEP = np.radians(6.0)
+_REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach
+
 
 class PlottedField(NamedTuple):
     """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to;
@@ -539,7 +542,3 @@ def _sector(mount: Pose, radar: RadarConfig) -> NDArray[np.float64]:
     inner, outer = (np.array(origin) + reach * directions for reach in (max(0.0, radar.near), radar.far))
     arcs = [np.stack([arc[:-1], arc[1:]], axis=1) for arc in (inner, outer)]
     return np.concatenate([*arcs, np.stack([inner, outer], axis=1)[[0, -1]]])
-
-
-_ARC_STEP = np.radians(6.0)
-_REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach

@@ -57,6 +57,11 @@ _MAX_DRAWN_LETTERS = 1 << 23
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
 
+_AGENT_RETURNS = "/rollout/ep_rew_mean"
+"""The end of the tags of the returns of several agents, whose names come before it."""
+
+DECLINE_COLOR = "#c0392b"
+
 
 class StageStart(NamedTuple):
     """A stage of a curriculum, and the number of timesteps of the training after which it began."""
@@ -220,10 +225,6 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
             tag.removeprefix("teacher/"): curve for tag, curve in curves.items() if tag.startswith("teacher/")
         }
     return log
-
-
-_AGENT_RETURNS = "/rollout/ep_rew_mean"
-"""The end of the tags of the returns of several agents, whose names come before it."""
 
 
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
@@ -585,9 +586,6 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
             panel.plot(
                 step, value, "D", color=color, markersize=6, markeredgecolor="white", clip_on=False, zorder=3
             )
-
-
-DECLINE_COLOR = "#c0392b"
 
 
 def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:

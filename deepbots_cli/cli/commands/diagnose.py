@@ -29,6 +29,12 @@ if TYPE_CHECKING:
 
 FAILED_EPISODES = "failed"
 
+_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
+"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
+success."""
+MAX_SHOWN = 10
+"""The number of failed episodes of which `eval --episodes failed` prints the margin."""
+
 
 def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
     """Parse a number, or `failed`."""
@@ -244,13 +250,6 @@ def _outcome(training: TrainingEvidence) -> str:
         if verdict.evaluation is not None
         else "; not evaluated since the end of the training"
     )
-
-
-_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
-"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
-success."""
-MAX_SHOWN = 10
-"""The number of failed episodes of which `eval --episodes failed` prints the margin."""
 
 
 def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:

@@ -50,6 +50,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
     from deepbots_cli.rollout.policies import StopCondition
 
+_REQUIREMENTS = "Requirements"
+
 
 def _engines(names: list[str] | None) -> list[str] | None:
     """Return the names between commas, each of which is a known and installed engine."""
@@ -59,9 +61,6 @@ def _engines(names: list[str] | None) -> list[str] | None:
     if len(set(engines)) < len(engines):
         raise typer.BadParameter("an engine is named twice")
     return engines or None
-
-
-_REQUIREMENTS = "Requirements"
 
 
 def command(

@@ -43,6 +43,15 @@ from deepbots_cli.scenario.scenario import Scenario
 _CODE = re.compile(r"db\d", re.IGNORECASE)
 """The form of the codes of findings."""
 
+_MIN_MISSPELLED = 5
+"""The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
+away from `tests`."""
+_MIN_BEGINNING = 3
+
+GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
+_MAX_SHOWN = 8
+"""The largest number of listed places, because a name such as `range` is a key of many sections."""
+
 
 def command(
     words: Annotated[
@@ -147,15 +156,6 @@ def _wrapped(text: str) -> str:
 def _width() -> int:
     return min(terminal.width(), 100)
 
-
-_MIN_MISSPELLED = 5
-"""The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
-away from `tests`."""
-_MIN_BEGINNING = 3
-
-GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
-_MAX_SHOWN = 8
-"""The largest number of listed places, because a name such as `range` is a key of many sections."""
 
 Lines = tuple[str, ...]
 """The kind of a word, such as `key`, and the lines that explain it."""

@@ -35,6 +35,14 @@ from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
 
+_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
+    "error": ("error",),
+    "warning": ("error", "warning"),
+    "never": (),
+}
+
+_WATCH_INTERVAL_S = 0.3
+
 
 class Format(StrEnum):
     full = "full"
@@ -50,12 +58,6 @@ class FailOn(StrEnum):
     warning = "warning"
     never = "never"
 
-
-_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
-    "error": ("error",),
-    "warning": ("error", "warning"),
-    "never": (),
-}
 
 Codes = list[str] | None
 _RULES = "Rules"
@@ -195,9 +197,6 @@ def lint(
         raise typer.Exit(INTERNAL_ERROR)
     if any(finding.severity in failing for finding in (*selected, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
-
-
-_WATCH_INTERVAL_S = 0.3
 
 
 def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], look: LintOptions) -> None:

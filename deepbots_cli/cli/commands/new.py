@@ -62,6 +62,9 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
+_TEMPLATES = Path(starters.__file__).parent
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+
 
 class Template(StrEnum):
     cartpole = "cartpole"
@@ -229,10 +232,6 @@ def _name_faster_engine(program: Program) -> None:
     except ModuleNotFoundError:
         return
     throughput.note_faster_engine(program)
-
-
-_TEMPLATES = Path(starters.__file__).parent
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
 
 
 def validated_name(name: str) -> str:

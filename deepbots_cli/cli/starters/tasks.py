@@ -40,6 +40,10 @@ _LARGEST_PUSH = 5.0
 _LIMITED_PUSH = 1.0
 """How much the wheels push if the robot file allows more than `_LARGEST_PUSH`, in weights of the robot."""
 
+_FRONT = re.compile(r"(?<![A-Za-z])(?:FL|FR|LF|RF)(?![a-z])|front|fore", re.ASCII)
+_REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind|back", re.ASCII)
+"""The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
+
 
 def drive(draft: Draft) -> dict[str, object]:
     """Drive to a mark that lies somewhere around the robot."""
@@ -208,11 +212,6 @@ def walk(draft: Draft) -> dict[str, object]:
         "load": load / 4,
         "engine": "mujoco" if ENGINES["mujoco"].is_installed else "",
     }
-
-
-_FRONT = re.compile(r"(?<![A-Za-z])(?:FL|FR|LF|RF)(?![a-z])|front|fore", re.ASCII)
-_REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind|back", re.ASCII)
-"""The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
 
 
 def _front(build: Build, positions: Sequence[float]) -> int:

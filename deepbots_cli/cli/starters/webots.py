@@ -74,6 +74,9 @@ def _robot_file(name: str, robot: DraftRobot) -> str:
 
 # A valid text
 
+_REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
+"""Keys without which no scenario is left."""
+
 
 def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> list[str]:
     """Return the lines with those commented out that make an error: a value may lack a form in the language
@@ -104,10 +107,6 @@ def _is_entry(lines: Sequence[str], number: int) -> bool:
         return False
     line = lines[number - 1].strip()
     return ": " in line and not line.startswith((*_REQUIRED, "#"))
-
-
-_REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
-"""Keys without which no scenario is left."""
 
 
 def _with_placeholders(lines: list[str], numbers: set[int]) -> list[str]:

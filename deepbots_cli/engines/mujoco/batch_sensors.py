@@ -26,6 +26,18 @@ FORCE_SLOTS = 32
 """Contacts of a link whose forces a batch adds up."""
 SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
+_FOUND = mj.mjtConDataField.mjCONDATA_FOUND
+_FORCE = mj.mjtConDataField.mjCONDATA_FORCE
+_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
+    "touch": ((_FOUND,), 0, 1),
+    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
+    "force": ((_FORCE,), 3, 1),
+}
+"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
+world frame), and the number of contacts."""
+
+_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
+
 
 class Sensor(NamedTuple):
     """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
@@ -39,19 +51,6 @@ class Sensor(NamedTuple):
     one: tuple[int, bool]
     other: tuple[int, bool] | None
     measures: Literal["touch", "forces", "force", "joint_force", "joint_torque", "distance"] = "touch"
-
-
-_FOUND = mj.mjtConDataField.mjCONDATA_FOUND
-_FORCE = mj.mjtConDataField.mjCONDATA_FORCE
-_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
-    "touch": ((_FOUND,), 0, 1),
-    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
-    "force": ((_FORCE,), 3, 1),
-}
-"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
-world frame), and the number of contacts."""
-
-_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
 
 
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:

@@ -34,6 +34,10 @@ _LIBRARY_TITLES = {
 }
 _UNIFORM = "uniform"
 
+_MANY_ENVIRONMENTS = 16
+"""The number of environments from which batches grow with their number, so that an epoch has 8 batches.
+Larger batches cost less per row."""
+
 
 class Default(NamedTuple):
     """A default of ours: its value, of the training, its timesteps in all and the steps of its longest
@@ -63,11 +67,6 @@ def _batch(training: Training) -> int:
     if training.environments >= _MANY_ENVIRONMENTS:
         return rows // 8
     return 64 if rows % 64 == 0 else 32
-
-
-_MANY_ENVIRONMENTS = 16
-"""The number of environments from which batches grow with their number, so that an epoch has 8 batches.
-Larger batches cost less per row."""
 
 
 _PPO = {
