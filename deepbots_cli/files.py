@@ -112,9 +112,10 @@ def refuse_links_within(folder: Path) -> None:
     Raises:
         UsageError: One is.
     """
-    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
-        if path.is_symlink() or not (path.is_file() or path.is_dir()):
-            raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
+    if folder.is_dir():
+        for path in sorted(folder.rglob("*")):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
 
 
 def check_folder(folder: Path) -> None:

@@ -42,14 +42,15 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
     """Return the largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing
     limits it."""
     controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
-    for command in controller.commands if controller is not None else ():
-        actuator = command.actuator
-        if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
-            at = actuator.joints.index(joint)
-            trees = analysis.value_on_robot(command.target, robot)
-            speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
-            limit = actuator.max_velocity[at]
-            return speed if limit is None else min(speed, limit)
+    if controller is not None:
+        for command in controller.commands:
+            actuator = command.actuator
+            if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
+                at = actuator.joints.index(joint)
+                trees = analysis.value_on_robot(command.target, robot)
+                speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
+                limit = actuator.max_velocity[at]
+                return speed if limit is None else min(speed, limit)
     return INF
 
 

@@ -223,10 +223,11 @@ class LocalCalls:
             self._processes.end(owed.worker)
 
     def news(self, *, stop: bool) -> News:
-        for item in self._begun - self._stopped if stop else ():
-            if self._running[item].result is None:
-                self._stopped.add(item)
-                self._running[item].worker.send(None)
+        if stop:
+            for item in self._begun - self._stopped:
+                if self._running[item].result is None:
+                    self._stopped.add(item)
+                    self._running[item].worker.send(None)
         news = News(self._reports, self._notes, self._begun)
         self._reports = {}
         self._notes = []

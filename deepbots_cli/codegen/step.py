@@ -273,9 +273,10 @@ def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> 
             resting[interval.name] = repr(min(max(0.0, interval.low), interval.high))
     components = dict(supervisor.variables)
     ended = supervisor.ended_of(agent)
-    for name, value in resting.items() if printer.on_floats else ():
-        many = len(components[name])
-        resting[name] = f"({value},) * {many}" if many else value
+    if printer.on_floats:
+        for name, value in resting.items():
+            many = len(components[name])
+            resting[name] = f"({value},) * {many}" if many else value
     if printer.on_floats:
         settings = [f"    {supervisor.local(name)} = {value}" for name, value in resting.items()]
         printer.lines += [f"if {ended}:", *settings]

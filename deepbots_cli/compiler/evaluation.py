@@ -438,13 +438,14 @@ class _VariantCompiler:
         """Yield the paths that a variant leaves out of `tests`: all other tests, and the keys that name the
         variant."""
         tests = self._values.root.get("tests")
-        for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
-            node = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
-            yield (
-                ("tests", test, word)
-                if isinstance(node, ScalarNode) and node.text == name
-                else ("tests", test)
-            )
+        if isinstance(tests, MappingNode):
+            for test, entry in tests.entries.items():
+                node = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
+                yield (
+                    ("tests", test, word)
+                    if isinstance(node, ScalarNode) and node.text == name
+                    else ("tests", test)
+                )
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Return whether a setting changes a property that a policy is made for, after a finding about it."""
@@ -738,15 +739,14 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     """Yield the single values that comparisons of a condition compare, except constants."""
     spans: set[tuple[int, int]] = set()
     for node in walk(tree):
-        for part in (
-            node.args if isinstance(node, Operation) and node.operator in COMPARISONS.values() else ()
-        ):
-            single = part.type.components is None and not part.type.boolean
-            if (
-                single
-                and constant_values(part) is None
-                and not isinstance(part, Constant)
-                and (part.start, part.end) not in spans
-            ):
-                spans.add((part.start, part.end))
-                yield part
+        if isinstance(node, Operation) and node.operator in COMPARISONS.values():
+            for part in node.args:
+                single = part.type.components is None and not part.type.boolean
+                if (
+                    single
+                    and constant_values(part) is None
+                    and not isinstance(part, Constant)
+                    and (part.start, part.end) not in spans
+                ):
+                    spans.add((part.start, part.end))
+                    yield part

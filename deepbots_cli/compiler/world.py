@@ -340,10 +340,11 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
     largest = side - 2 * TILE_MARGIN_M
     _check_width(spec, spec, "platform", platform, 0.0, largest, namespace)
     for tile_spec, tile in zip(spec.tiles.values(), tiles.values(), strict=True):
-        for key, width in _widths(tile) if tile is not None else ():
-            # Without gaps and trenches, a level is flat.
-            smallest = 0.0 if key in ("gap", "width") and width == 0.0 else cell
-            _check_width(spec, tile_spec, key, width, smallest, largest, namespace)
+        if tile is not None:
+            for key, width in _widths(tile):
+                # Without gaps and trenches, a level is flat.
+                smallest = 0.0 if key in ("gap", "width") and width == 0.0 else cell
+                _check_width(spec, tile_spec, key, width, smallest, largest, namespace)
     terrain = Tiles(
         tuple(tile for tile in tiles.values() if tile is not None),
         spec.levels,

@@ -199,9 +199,10 @@ class Checkpoints:
         root = self.run.checkpoints
         above = {parent for path in remaining for parent in path.parents if parent.is_relative_to(root)}
         for folder in above:
-            for path in folder.iterdir() if folder.is_dir() else ():
-                if path not in remaining and path not in above:
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if folder.is_dir():
+                for path in folder.iterdir():
+                    if path not in remaining and path not in above:
+                        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self._learner.arrays()

@@ -405,15 +405,16 @@ def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
     texts: dict[int, tuple[str, Dimension | None]] = {}
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:
-        for node in walk(value.typed) if value.foreign is None else ():
-            parts = node.args if isinstance(node, Operation) else (node,)
-            for part in parts:
-                trees = analysis.lowered(part, value.owner)
-                text = value.text[part.start : part.end]
-                dimension = None if part.type.boolean else part.type.dimension
-                key = analysis.identity(trees[0])
-                if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
-                    texts[key] = text, dimension
+        if value.foreign is None:
+            for node in walk(value.typed):
+                parts = node.args if isinstance(node, Operation) else (node,)
+                for part in parts:
+                    trees = analysis.lowered(part, value.owner)
+                    text = value.text[part.start : part.end]
+                    dimension = None if part.type.boolean else part.type.dimension
+                    key = analysis.identity(trees[0])
+                    if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
+                        texts[key] = text, dimension
     return texts
 
 

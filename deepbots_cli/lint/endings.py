@@ -254,14 +254,21 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
         for node in analysis.scalars(entry.value)
         for name in _leaves(analysis, node)
     }
-    for ending in context.program.endings if not observed_names & _CLOCK_NAMES else ():
-        names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
-            headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
-            limits = " or ".join(
-                f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
-            )
-            yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}")
+    if not observed_names & _CLOCK_NAMES:
+        for ending in context.program.endings:
+            names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
+            if (
+                names
+                and names <= _CLOCK_NAMES
+                and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single
+            ):
+                headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
+                limits = " or ".join(
+                    f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
+                )
+                yield Finding(
+                    "DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}"
+                )
 
 
 @rule("DB806")

@@ -410,16 +410,19 @@ def _first_step(analysis: Analysis, ending: Expression) -> float:
     5 s`."""
     first = 0.0
     ranges = analysis.ranges_in(0.0, float(analysis.last_step))
-    for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
-        match node:
-            case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
-                clock = analysis.resolve_aliases(late)
-                if isinstance(clock, State) and clock.function == "duration":
-                    clock = Name("time")
-                if isinstance(clock, Name) and clock.name in CLOCKS:
-                    first = max(
-                        first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
-                    )
+    if ending.foreign is None:
+        for node in analysis.conjuncts(*analysis.scalars(ending)[:1]):
+            match node:
+                case Op("greater" | "greater_equal", (late, limit)) | Op(
+                    "less" | "less_equal", (limit, late)
+                ):
+                    clock = analysis.resolve_aliases(late)
+                    if isinstance(clock, State) and clock.function == "duration":
+                        clock = Name("time")
+                    if isinstance(clock, Name) and clock.name in CLOCKS:
+                        first = max(
+                            first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
+                        )
     return min(first, float(analysis.last_step))
 
 

@@ -478,14 +478,15 @@ def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     """Return the limits of each joint, if an entry has the positions of several; else nothing."""
     parts = entry.value.components
     dimension = entry.value.typed.type.dimension
-    for body in program.world.robots if len(parts) > 1 else ():
-        joints = {
-            joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension
-        }
-        if joints.keys() >= set(parts):
-            limits = [joint_interval(joints[part]) for part in parts]
-            if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
-                return limits
+    if len(parts) > 1:
+        for body in program.world.robots:
+            joints = {
+                joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension
+            }
+            if joints.keys() >= set(parts):
+                limits = [joint_interval(joints[part]) for part in parts]
+                if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
+                    return limits
     return []
 
 

@@ -76,18 +76,21 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression)
     analysis = reward.analysis
     running = reward.ranges_while_running()
     compared = only_comparison(analysis, ending)
-    for threshold in thresholds(compared, running) if compared else ():
-        if is_clock(analysis, threshold.quantity):
-            continue
-        slope = Slope(running, threshold)
-        wrong = -1.0 if threshold.above else 1.0
-        slopes = [slope.of(node) for _, node in ordinary]
-        if all(sign in (wrong, 0.0) for sign in slopes) and wrong in slopes:
-            for (term, _), sign in zip(ordinary, slopes, strict=True):
-                if sign == wrong:
-                    headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
-                    yield _wrong_sign(term, headline, (Label(ending.span, "success requires the opposite"),))
-            return
+    if compared:
+        for threshold in thresholds(compared, running):
+            if is_clock(analysis, threshold.quantity):
+                continue
+            slope = Slope(running, threshold)
+            wrong = -1.0 if threshold.above else 1.0
+            slopes = [slope.of(node) for _, node in ordinary]
+            if all(sign in (wrong, 0.0) for sign in slopes) and wrong in slopes:
+                for (term, _), sign in zip(ordinary, slopes, strict=True):
+                    if sign == wrong:
+                        headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
+                        yield _wrong_sign(
+                            term, headline, (Label(ending.span, "success requires the opposite"),)
+                        )
+                return
 
 
 class Slope:

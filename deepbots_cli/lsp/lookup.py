@@ -444,11 +444,12 @@ def _suppressed_code(view: CursorView) -> HoverText | None:
     end = text.find("\n", view.offset)
     line = text[begin : end if end >= 0 else len(text)]
     comment = line.find("deepbots:")
-    for match in _CODE.finditer(line, max(0, comment)) if comment >= 0 else ():
-        if begin + match.start() <= view.offset <= begin + match.end() and (
-            page := describe_rule(match.group())
-        ):
-            return page, begin + match.start(), begin + match.end()
+    if comment >= 0:
+        for match in _CODE.finditer(line, max(0, comment)):
+            if begin + match.start() <= view.offset <= begin + match.end() and (
+                page := describe_rule(match.group())
+            ):
+                return page, begin + match.start(), begin + match.end()
     return None
 
 

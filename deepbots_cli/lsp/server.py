@@ -305,12 +305,13 @@ class CodeActions:
         documents."""
         changes: dict[Document, list[types.TextEdit]] = {}
         by_path = self._workspace.by_path
-        for edit in finding.fix.edits if finding.fix else ():
-            document = by_path.get(analysis.path(edit.span.source))
-            if document is None or document.plain != edit.span.source.text:
-                return {}
-            span = document.lines.range(edit.span.start, edit.span.end)
-            changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
+        if finding.fix:
+            for edit in finding.fix.edits:
+                document = by_path.get(analysis.path(edit.span.source))
+                if document is None or document.plain != edit.span.source.text:
+                    return {}
+                span = document.lines.range(edit.span.start, edit.span.end)
+                changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
         return changes
 
     def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:

@@ -95,9 +95,10 @@ def advice(data: Any) -> Iterator[Advice]:
 
 def _entries(data: Any, section: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     entries = data.get(section) if isinstance(data, Mapping) else None
-    for name, entry in entries.items() if isinstance(entries, Mapping) else ():
-        if isinstance(entry, Mapping):
-            yield name, entry
+    if isinstance(entries, Mapping):
+        for name, entry in entries.items():
+            if isinstance(entry, Mapping):
+                yield name, entry
 
 
 def _for_reward(name: str, entry: Mapping[str, Any]) -> Advice:

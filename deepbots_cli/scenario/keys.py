@@ -146,12 +146,13 @@ def misspelled_key(
     what to write for it; None if no key is like them."""
     section = descend(root, path)[0]
     words = section.entries.keys() if isinstance(section, nodes.MappingNode) else set()
-    for word in words if words.isdisjoint(missing) else ():
-        near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
-        if near is not None:
-            key = (*path, word)
-            help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
-            return key, Suggestion(help, Replacement(near, safe=False))
+    if words.isdisjoint(missing):
+        for word in words:
+            near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
+            if near is not None:
+                key = (*path, word)
+                help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
+                return key, Suggestion(help, Replacement(near, safe=False))
     return None
 
 
@@ -301,8 +302,9 @@ def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
     """Return the paths of the sections that have each key; `*` is a name that the user chooses."""
     homes: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in walk_sections(Scenario):
-        for key in section.model_fields if isinstance(section, type) else ():
-            homes.setdefault(key, set()).add(home)
+        if isinstance(section, type):
+            for key in section.model_fields:
+                homes.setdefault(key, set()).add(home)
     return {key: frozenset(places) for key, places in homes.items()}
 
 

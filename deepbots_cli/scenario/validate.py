@@ -455,10 +455,12 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
         for finding in findings
         if finding.code == "DB107" and finding.help == GIVE_A_VALUE
     }
-    for path, node in walk(root) if vague else ():
-        for key in node.keys_without_value if isinstance(node, nodes.MappingNode) else ():
-            if finding := vague.get(key.span):
-                findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
+    if vague:
+        for path, node in walk(root):
+            if isinstance(node, nodes.MappingNode):
+                for key in node.keys_without_value:
+                    if finding := vague.get(key.span):
+                        findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:

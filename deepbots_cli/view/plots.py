@@ -685,8 +685,9 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
             starts.setdefault(start.name, []).append(start.steps)
         first = sorted((min(steps), name) for name, steps in starts.items())
         for index, (begin, name) in enumerate(first):
-            for steps in starts[name] if index else ():
-                panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
+            if index:
+                for steps in starts[name]:
+                    panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
             end = first[index + 1][0] if index + 1 < len(first) else high
             fits = (len(name) + 1) * _LETTER_WIDTH < (end - max(begin, low)) / (high - low) * width
             text = name if fits else str(index + 1)

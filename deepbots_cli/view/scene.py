@@ -347,12 +347,13 @@ class WorldScene:
                 side="double",
                 cast_shadow=False,
             )
-        for wall in objects.arena_walls(world.arena) if world.arena else ():
-            self._add(
-                f"{root}/arena/{wall.name.replace(' ', '_')}",
-                Geometry(wall.shape, wall.pose, wall.color),
-                frames.IDENTITY_FRAME,
-            )
+        if world.arena:
+            for wall in objects.arena_walls(world.arena):
+                self._add(
+                    f"{root}/arena/{wall.name.replace(' ', '_')}",
+                    Geometry(wall.shape, wall.pose, wall.color),
+                    frames.IDENTITY_FRAME,
+                )
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
         groups = rigid_groups(model)

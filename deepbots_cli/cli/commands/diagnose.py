@@ -138,8 +138,9 @@ def _explain_episode(
 
         trace = _trace(source, episode, seed, last=last, permissions=permissions, agent=agent)
         statements = explain(trace)
-    for note in () if as_json else trace.notes:
-        terminal.note(f"note: {note}")
+    if not as_json:
+        for note in trace.notes:
+            terminal.note(f"note: {note}")
     terminal.show(
         explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json
     )

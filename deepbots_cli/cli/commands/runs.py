@@ -184,8 +184,9 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     notes = list(_own_notes(run))
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
     notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
-    for note in () if as_json else notes:
-        terminal.note(note)
+    if not as_json:
+        for note in notes:
+            terminal.note(note)
 
 
 def _evaluation(folder: Path, number: int, record: EvaluationRecord) -> Row:

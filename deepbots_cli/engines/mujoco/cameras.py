@@ -126,10 +126,11 @@ class WorldRenderer:
     def _lay_tiles(self, renderer: Any) -> None:
         """Show the tiles of a terrain."""
         material = mj.mj_name2id(self._model, mj.mjtObj.mjOBJ_MATERIAL, TERRAIN_TILES)
-        for geom in renderer.scene.geoms[: renderer.scene.ngeom] if material >= 0 else ():
-            if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
-                geom.matid = material
-                geom.rgba = (1.0, 1.0, 1.0, 1.0)
+        if material >= 0:
+            for geom in renderer.scene.geoms[: renderer.scene.ngeom]:
+                if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
+                    geom.matid = material
+                    geom.rgba = (1.0, 1.0, 1.0, 1.0)
 
     def render_camera(
         self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float

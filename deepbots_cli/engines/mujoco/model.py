@@ -265,8 +265,9 @@ class ModelBuilder:
         geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
-        for line in world.lines if self._for_rendering else ():
-            self._paint(line)
+        if self._for_rendering:
+            for line in world.lines:
+                self._paint(line)
 
     def _relief(self, terrain: Terrain) -> HeightGrid:
         relief = height_grid(terrain.shape)
@@ -402,8 +403,9 @@ class ModelBuilder:
             if self._flat and above is not None:
                 geoms[name] += self._add_tires(body_element, link, above, geoms[name])
             order += children.get(name, ())
-        for follower, mimic in model.followers.items() if not self._for_rendering else ():
-            self._follow(joints[follower], joints[mimic.joint], mimic)
+        if not self._for_rendering:
+            for follower, mimic in model.followers.items():
+                self._follow(joints[follower], joints[mimic.joint], mimic)
         self._made.append((body, links, joints, geoms))
         return body
 
@@ -589,13 +591,14 @@ class ModelBuilder:
         """
         staying: list[tuple[MjObject, Frame]] = []
         for body, _, _, geoms in self._made:
-            for link, elements in geoms.items() if body.name != GROUND else ():
-                if body.fixed and link == body.model.root:
-                    staying += [
-                        (geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in elements
-                    ]
-                else:
-                    _part([(geom, _frame_of(geom)) for geom in elements])
+            if body.name != GROUND:
+                for link, elements in geoms.items():
+                    if body.fixed and link == body.model.root:
+                        staying += [
+                            (geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in elements
+                        ]
+                    else:
+                        _part([(geom, _frame_of(geom)) for geom in elements])
         _part(staying)
 
     # Pairs
@@ -610,9 +613,10 @@ class ModelBuilder:
                     if not (stays and stays_too):
                         self._add_pair(first, second)
         for body, _, _, geoms in self._made:
-            for link, other_link in self_collision_pairs(body.model) if body.self_collision else ():
-                for first, second in product(geoms[link], geoms[other_link]):
-                    self._add_pair(first, second)
+            if body.self_collision:
+                for link, other_link in self_collision_pairs(body.model):
+                    for first, second in product(geoms[link], geoms[other_link]):
+                        self._add_pair(first, second)
 
     def _add_pair(self, first: MjObject, second: MjObject) -> None:
         if self._meet(first, second) and self._meet(second, first):

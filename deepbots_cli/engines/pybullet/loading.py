@@ -142,12 +142,13 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         cylinder.write_text(_cylinder_mesh(), encoding="ascii")
         for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
             variants = [(name, _object(client, form, file)) for name, form in forms_of(object_body).items()]
-            for _, body in variants if object_body.pooled else ():
-                parked += 1
-                body.initial_pose = (
-                    (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
-                    frames.IDENTITY_ROTATION,
-                )
+            if object_body.pooled:
+                for _, body in variants:
+                    parked += 1
+                    body.initial_pose = (
+                        (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
+                        frames.IDENTITY_ROTATION,
+                    )
             yield Pool(object_body.name, variants, object_body.pooled)
         for robot in world.robots:
             if len(robot.model.joints) > MAX_JOINTS:
