@@ -250,8 +250,7 @@ Start = Annotated[
     option(
         "--start NAME=VALUE",
         "Set a value that each episode otherwise draws at random, in SI units, such as mark.x=0.5; may be"
-        " repeated. `deepbots try SCENARIO"
-        " --json` lists the names under `drawn`.",
+        " repeated. `deepbots try SCENARIO --json` lists the names under `drawn`.",
         SCENARIO,
     ),
 ]
@@ -260,8 +259,7 @@ Engine = Annotated[
     option(
         "--engine NAME",
         "Physics engine: pybullet, mujoco, or an engine that an installed package adds; by default"
-        " `world.engine` of the scenario, else"
-        " pybullet.",
+        " `world.engine` of the scenario, else pybullet.",
         SCENARIO,
         callback=known_engine,
     ),
@@ -299,9 +297,8 @@ Loggers = Annotated[
     list[str] | None,
     option(
         "--logger NAME",
-        "Write the scalars with this logger too: csv, or one that an installed package adds; may be"
-        " repeated. `none` drops those of a"
-        " resumed training.",
+        "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated."
+        " `none` drops those of a resumed training.",
         ADVANCED,
     ),
 ]

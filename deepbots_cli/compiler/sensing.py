@@ -394,8 +394,8 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
             help = (
-                "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30"
-                " deg}}`"
+                "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays:"
+                " {left: {yaw: 30 deg}}`"
             )
             values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:

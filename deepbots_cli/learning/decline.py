@@ -82,8 +82,8 @@ class Decline:
         )
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,}"
-            f" steps to {last}"
-            f" in {self.last} ({self.last_episodes:,} episodes), since about {self.since_steps:,} steps"
+            f" steps to {last} in {self.last} ({self.last_episodes:,} episodes), since about"
+            f" {self.since_steps:,} steps"
         )
 
 

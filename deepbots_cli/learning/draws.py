@@ -129,8 +129,7 @@ class DrawnEffects:
             amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
             size = (
                 f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest"
-                " quarter"
-                f" of a value is found with a probability of {POWER:.0%}"
+                f" quarter of a value is found with a probability of {POWER:.0%}"
             )
         if count and self.detectable is None:
             size = ""

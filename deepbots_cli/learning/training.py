@@ -431,8 +431,7 @@ def _validate_setup(
         changed = "; ".join(identity.differences(source.run.program, program))
         return (
             f"{label}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
-            " tensors"
-            f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
+            f" tensors{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 
 

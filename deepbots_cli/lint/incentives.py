@@ -376,8 +376,8 @@ def _end_at_one_time(analysis: Analysis, success: Expression) -> str:
     if not limit < INF:
         return ""
     return (
-        ", or let all episodes last equally long, with"
-        f" `{success.name}: time > {limit - analysis.period / 2.0:.6g} s and ...`"
+        f", or let all episodes last equally long, with `{success.name}: time >"
+        f" {limit - analysis.period / 2.0:.6g} s and ...`"
     )
 
 

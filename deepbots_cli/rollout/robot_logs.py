@@ -91,8 +91,7 @@ class RobotLog:
             if description is None or "resolved.yaml" not in files:
                 raise RecordingError(
                     f"{path} is the log of a robot without the scenario, which the page draws; serve a whole"
-                    " bundle of this version of"
-                    f" deepbots, or read the log with: deepbots diagnose {path}"
+                    f" bundle of this version of deepbots, or read the log with: deepbots diagnose {path}"
                 )
             info = decode(description)
             files = {safe_name(name): content for name, content in files.items()}

@@ -78,9 +78,8 @@ def advice(data: Any) -> Iterator[Advice]:
             ("observation", groups[0]),
             tuple(("observation", name) for name in groups),
             f"`{groups[0]}` is a group of observations",
-            "list the entries of the policy directly under `observation`, as in"
-            " `observation: {v: -2 .. 2 m/s}`, and those of the group `critic` under `critic`, at the top"
-            " level",
+            "list the entries of the policy directly under `observation`, as in `observation:"
+            " {v: -2 .. 2 m/s}`, and those of the group `critic` under `critic`, at the top level",
         )
     for name, entry in _entries(data, "disturbances"):
         if "velocity" in entry and not {"force", "torque"} & entry.keys():

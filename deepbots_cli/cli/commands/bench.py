@@ -70,8 +70,7 @@ def command(
         option(
             "--engine NAME[,NAME]",
             "Physics engine; by default that of the scenario. Several, with commas between, are compared."
-            " `batch` steps many"
-            " worlds in MuJoCo.",
+            " `batch` steps many worlds in MuJoCo.",
         ),
     ] = None,
     shards: Annotated[

@@ -47,8 +47,7 @@ def command(
         typer.Argument(
             metavar="RUN|MODEL|GROUP|RECORDING|FAILURE",
             help="A run directory, with --episode also a model in it, the folder of a group, a recording"
-            " (.mcap), or the file of an"
-            " episode that raised an error, in `failures` of a run.",
+            " (.mcap), or the file of an episode that raised an error, in `failures` of a run.",
         ),
     ],
     episode: Annotated[

@@ -37,8 +37,8 @@ def command(
         Path | None,
         typer.Argument(
             metavar="RUN|MODEL|BUNDLE|SCENARIO",
-            help="A run directory, a model in it, with --check a folder that `export` wrote, or with --to webots"
-            " a scenario.",
+            help="A run directory, a model in it, with --check a folder that `export` wrote, or with --to"
+            " webots a scenario.",
             show_default=False,
         ),
     ] = None,

@@ -91,9 +91,8 @@ def lint(
         option(
             "--ignore CODES",
             "Do not report these findings. If --select also matches a finding, the longer code decides:"
-            " `--select DB603 --ignore DB6`"
-            " reports DB603. If both are equally long, the finding is ignored. A name, such as"
-            " term-dominates, counts as its code, DB702.",
+            " `--select DB603 --ignore DB6` reports DB603. If both are equally long, the finding is ignored."
+            " A name, such as term-dominates, counts as its code, DB702.",
             _RULES,
         ),
     ] = None,
@@ -122,8 +121,7 @@ def lint(
         option(
             "--exploits",
             "Also search for exploits of the reward: episodes without success that pay more than a success."
-            " Recordings of them are kept in"
-            " ./exploits.",
+            " Recordings of them are kept in ./exploits.",
         ),
     ] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,

@@ -94,8 +94,7 @@ def command(
         option(
             "--quick",
             "Leave out the evaluations with noise, delays, other masses and weaker motors. Without"
-            " --episodes, the two others end after"
-            f" {QUICK_STEPS:,} steps, but not before 8 episodes.",
+            f" --episodes, the two others end after {QUICK_STEPS:,} steps, but not before 8 episodes.",
         ),
     ] = False,
     log: Annotated[

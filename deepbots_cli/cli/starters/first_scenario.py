@@ -80,8 +80,8 @@ def _found(draft: Draft) -> list[str]:
         f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
         " chosen from these: change them.",
         *(
-            f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to its"
-            " link."
+            f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
+            " its link."
             for link in build.intangible
         ),
     ]

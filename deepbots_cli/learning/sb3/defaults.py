@@ -77,8 +77,7 @@ _PPO = {
     "batch_size": Default(
         lambda training, *_: _batch(training),
         "with up to 15 `environments`: 64, or 32 if the default `n_steps` times `environments` is not a"
-        " multiple of 64; with 16 or more:"
-        " an eighth of this product",
+        " multiple of 64; with 16 or more: an eighth of this product",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier
@@ -96,8 +95,7 @@ _OFF_POLICY = {
             max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10)
         ),
         "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the"
-        " steps of the"
-        " longest episode, at least 1_000",
+        " steps of the longest episode, at least 1_000",
     ),
     "replay": Default(lambda *_: _UNIFORM, "uniform"),
 }
