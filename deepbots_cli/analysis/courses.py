@@ -410,7 +410,8 @@ def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:
 
 def value_within(ranges: Ranges, required: Required) -> float:
     """Return a value that a way allows: the middle of two bounds, or just beyond the only one."""
-    bounds, (low, high) = ranges.of(required.node), required.within
+    bounds = ranges.of(required.node)
+    low, high = required.within
     if low == high:
         return low
     if low == -INF and 0.0 < high < INF and bounds.low > -INF:

@@ -124,7 +124,8 @@ def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
     for name in model.links_below(model.root, rigid=True):
         offset = next((joint.origin.xyz for joint in model.joints if joint.child == name), (0.0, 0.0, 0.0))
         for part in model.link(name).collisions:
-            (x, y, z), shape = part.origin.xyz, part.shape
+            x, y, z = part.origin.xyz
+            shape = part.shape
             reach = getattr(shape, "radius", 0.0)
             low = z + offset[2] - (reach if isinstance(shape, Sphere) else _half_height(shape))
             if low < bottom + _GROUND_GAP:

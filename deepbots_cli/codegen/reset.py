@@ -155,7 +155,8 @@ def _placing(place: Placement, printer: Printer) -> str:
 
 
 def _print_joints(start: JointStart, printer: Printer) -> None:
-    robot, (joints, positions, velocities) = quoted(start.robot), zip(*start.states, strict=True)
+    robot = quoted(start.robot)
+    joints, positions, velocities = zip(*start.states, strict=True)
     if len(joints) > 2:
         moving = "" if _all_zero(velocities) else f", {printer.vector(velocities)}"
         printer.line(

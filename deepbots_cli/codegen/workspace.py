@@ -144,7 +144,8 @@ class Readers:
         return None
 
     def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
-        single, (robot, _, name) = _joint_reader(leaf, ()), leaf.subjects[0].partition(".")
+        single = _joint_reader(leaf, ())
+        robot, _, name = leaf.subjects[0].partition(".")
         vectors = (
             key
             for key, names in self._joints.items()

@@ -76,7 +76,9 @@ class _LevelsReader(NamespaceReader):
         )
         if ends is None:
             return None
-        (low,), (high,), last = ends.low, ends.high, self._levels.levels - 1
+        (low,) = ends.low
+        (high,) = ends.high
+        last = self._levels.levels - 1
         numbers = (*(low + (high - low) * level / last for level in range(last)), high)
         return numbers if self._is_drawable(entry, parameter, numbers, path) else None
 

@@ -271,7 +271,8 @@ def _standing_patch(body: ObjectBody, place: Placement | None) -> Patch | None:
     not fixed."""
     low, high = footprint.bounds_of_shape(body.shape)
     if place is None:  # a piece of a wall
-        (x, y, z), rpy = body.pose.xyz, body.pose.rpy
+        x, y, z = body.pose.xyz
+        rpy = body.pose.rpy
         return footprint.shape_footprint(body.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
     height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:

@@ -509,7 +509,8 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
         noise, relative_noise = _error(namespace, spec, "noise", typed)
         bias, relative_bias = _error(namespace, spec, "bias", typed)
         drift, _ = _error(namespace, spec, "drift", typed)
-        resolution, (low, high) = _resolution(namespace, spec, typed), _range(namespace, spec, typed)
+        resolution = _resolution(namespace, spec, typed)
+        low, high = _range(namespace, spec, typed)
         model = NoiseModel(
             1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution
         )

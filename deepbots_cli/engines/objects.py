@@ -70,7 +70,9 @@ def as_robot(body: ObjectBody) -> RobotModel:
 def arena_walls(arena: Arena) -> tuple[ObjectBody, ...]:
     """Return four fixed boxes around the inner size of the arena. They are not one body of four parts, since
     an engine discards distant boxes cheaply."""
-    (x, y), height, thick = arena.size, arena.wall_height, arena.wall_thickness
+    x, y = arena.size
+    height = arena.wall_height
+    thick = arena.wall_thickness
     sides = (
         ((x + thick) / 2, 0.0, thick, y + 2 * thick),
         (-(x + thick) / 2, 0.0, thick, y + 2 * thick),

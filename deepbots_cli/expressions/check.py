@@ -422,7 +422,8 @@ class _Checker:
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """Return `position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
-            body, (member, *components) = ".".join(node.parts[:length]), node.parts[length:]
+            body = ".".join(node.parts[:length])
+            member, *components = node.parts[length:]
             subject = (
                 self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
             )

@@ -424,7 +424,8 @@ class Surface(NamedTuple):
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
         """Return the part of the area in which the origin of a body may keep `margin` from the edge; may be
         empty."""
-        at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
+        at_origin = covered.at(0.0, 0.0, yaw)
+        low_x, low_y, high_x, high_y = self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
         return intersection(
@@ -546,7 +547,8 @@ class Forms:
 
     def at_home(self, body: str) -> tuple[Patch, float]:
         """Return the patch and the top of an object at the pose of the world model."""
-        (x, y, z), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy
+        x, y, z = self.things[body].pose.xyz
+        rpy = self.things[body].pose.rpy
         return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
 
 

@@ -212,7 +212,9 @@ class Accelerometer:
         (_, rotation), (velocity, angular) = self._motion()
         if self._arm is not None:
             velocity = frames.add(velocity, frames.cross(angular, frames.rotate(rotation, self._arm)))
-        (vx, vy, vz), (bx, by, bz), (fx, fy, fz) = velocity, self._before, self._fall
+        vx, vy, vz = velocity
+        bx, by, bz = self._before
+        fx, fy, fz = self._fall
         (ax, ay, az, aw), (x, y, z, w) = self._turned, rotation
         if ax * x + ay * y + az * z + aw * w < 0.0:
             ax, ay, az, aw = -ax, -ay, -az, -aw
@@ -273,7 +275,8 @@ def reaction_force(site: Site) -> Instrument:
 def reaction_torque(site: Site) -> Instrument:
     """Measure the torque of the joint that carries the link, about the origin of the sensor and along its
     axes, in N m."""
-    read, (arm, rotation) = site.engine.joint_wrench((site.robot, site.link)), site.mount
+    read = site.engine.joint_wrench((site.robot, site.link))
+    arm, rotation = site.mount
     back = frames.inverse(rotation)
 
     def torque() -> Triple:

@@ -248,7 +248,8 @@ def _further_in(
 ) -> str:
     """Return the line that is missing above an entry whose name the user chooses."""
     why = "a name that you choose stands one level further in"
-    section, (_, key, _) = descend(root, path[:-1])[0], descend(root, path)
+    section = descend(root, path[:-1])[0]
+    _, key, _ = descend(root, path)
     line = _line(root, path, str(path[-1]))
     names = tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
     present = [holder for holder in holders if holder in names]

@@ -104,7 +104,8 @@ class SensorRays(NamedTuple):
 
         Free rays are green, and rays that end near the sensor are red.
         """
-        free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
+        free = np.array(frame.rays[key])[:, None]
+        origin, turn = frame.links[self.part]
         turn = frames.yaw_only(turn) if self.upright else turn
         axes = np.array(
             [frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]

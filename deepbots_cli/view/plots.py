@@ -675,7 +675,8 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
 
     Each group of trainings has a row of names. Returns the number of rows, and the meaning of the numbers.
     """
-    (low, high), width = panel.get_xlim(), _PANEL_WIDTH
+    low, high = panel.get_xlim()
+    width = _PANEL_WIDTH
     rows = 0
     key: list[str] = []
     for number, members in enumerate(groups):

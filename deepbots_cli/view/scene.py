@@ -510,7 +510,8 @@ class WorldScene:
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
         if force is not None:
-            (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
+            part, push = force
+            strength = max(1e-9, float(np.linalg.norm(force[1])))
             at = np.array(frame.links.get(part, (ZERO_VECTOR,))[0])
             self._arrows.points = np.array(
                 [[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32

@@ -106,7 +106,8 @@ class Limb:
             before = missing
             for joint in reversed(used):
                 poses = self.frames(positions)
-                (pivot, turn), tip = poses[joint.name], poses[self.path[-1].name][0]
+                pivot, turn = poses[joint.name]
+                tip = poses[self.path[-1].name][0]
                 axis = frames.rotate(turn, joint.axis)
                 if joint.type == "prismatic":
                     change = frames.dot(frames.subtract(target, tip), axis)
@@ -253,7 +254,8 @@ class Build:
         ]
 
     def _center_of_mass(self, link: str) -> Triple:
-        inertial, (origin, turn) = self.model.link(link).inertial, self.frames[link]
+        inertial = self.model.link(link).inertial
+        origin, turn = self.frames[link]
         return frames.add(origin, frames.rotate(turn, inertial.origin.xyz)) if inertial else origin
 
     @cached_property

@@ -164,7 +164,9 @@ class MuJoCoEngine:
         self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        model, data, (number,) = self._world.model, self._world.data, self._joints(robot, (joint,))
+        model = self._world.model
+        data = self._world.data
+        (number,) = self._joints(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
         body = self._pool(robot).current
         for follower, mimic in body.model.followers_of(joint).items():

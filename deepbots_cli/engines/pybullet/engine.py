@@ -81,7 +81,8 @@ class Substeps(NamedTuple):
     def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
         """Return `Engine.step`. In most worlds nothing acts or looks; checking for it costs 1 % of the
         cheapest step. `now` counts states of the world."""
-        advance, (begins, acts, drives, looks) = p.stepSimulation, self
+        advance = p.stepSimulation
+        begins, acts, drives, looks = self
 
         def step(substeps: int) -> None:
             if acts or drives or looks:

@@ -32,7 +32,9 @@ def velocity_motor(
     limits = _limits(max_torque)
     mode = p.VELOCITY_CONTROL
     if len(indices) == 1:
-        (index,), (limit,), set_one = indices, limits, p.setJointMotorControl2
+        (index,) = indices
+        (limit,) = limits
+        set_one = p.setJointMotorControl2
         return lambda targets: set_one(body, index, mode, 0.0, targets[0], limit, *DEFAULT_GAINS, client)
     zeros = [0.0] * len(indices)
     gains = [[gain] * len(indices) for gain in DEFAULT_GAINS[:2]]
@@ -160,7 +162,8 @@ class CurvedMotor(Springs):
         targets = self._targets
         if targets is None:
             return
-        states, (stiffness, damping, _, limits) = self._read(), self._columns
+        states = self._read()
+        stiffness, damping, _, limits = self._columns
         efforts = targets
         if self._is_spring:
             efforts = [

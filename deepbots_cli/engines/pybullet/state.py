@@ -110,7 +110,8 @@ class Body:
 
     def _apply_weight(self, index: int) -> None:
         """Set mass and inertia in one call: a mass alone would get the inertia of the link's shape."""
-        loaded, (of_mass, of_inertia) = self.dynamics(index), self._factors[index]
+        loaded = self.dynamics(index)
+        of_mass, of_inertia = self._factors[index]
         p.changeDynamics(
             self.number,
             index,
@@ -271,7 +272,8 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
         for index, (position, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
-            arm, (x, y, z) = frames.subtract(position, base), frames.rotate_back(rotation, turning)
+            arm = frames.subtract(position, base)
+            x, y, z = frames.rotate_back(rotation, turning)
             spin = frames.rotate(rotation, (ix * x, iy * y, iz * z))
             momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
             first = frames.add(first, frames.scaled(arm, mass))
