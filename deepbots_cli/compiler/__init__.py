@@ -7,7 +7,8 @@ namespace.py    one flat namespace, each name typed on first use; the names that
 fields.py       fields of the scenario, read by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
-controllers.py  actuators and their limits, poses, commands and messages of a robot
+actuators.py    actuators of a robot: kinds, limits, responses
+controllers.py  poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
 agents.py       several agents: a scenario for each of them

@@ -17,7 +17,7 @@ active.py                the parts of a training that runs in this process
 callbacks.py             the callback of a training, and when to stop
 training_evaluations.py  the evaluations of a training, and the choice of its best model
 confirmations.py         the confirmations of a training
-confirmation.py          how a confirmation is judged, which may end the training
+confirmation_rule.py     how a confirmation is judged, which may end the training
 scalars.py               the scalars that a training logs
 signals.py               Ctrl-C and SIGTERM
 order.py                 the order of policies, and the best models of a training

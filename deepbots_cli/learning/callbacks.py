@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.learning.active import OFF_POLICY_FACTOR, ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.confirmations import Confirmations
 from deepbots_cli.learning.episodes import Summary, agent_returns
 from deepbots_cli.learning.held_out import play_script

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
+from deepbots_cli.learning.confirmation_rule import COST_SHARE, Confirmation
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.held_out import confirmation_root
 from deepbots_cli.learning.report import Activity

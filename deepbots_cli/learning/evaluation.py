@@ -22,7 +22,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
-from deepbots_cli.learning.confirmation import error_level
+from deepbots_cli.learning.confirmation_rule import error_level
 from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary, agent_scores

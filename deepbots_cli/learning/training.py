@@ -91,7 +91,7 @@ def train(
         total_timesteps: Number of steps, summed over all rows of the environment; by default that of the
             scenario. On-policy algorithms complete their current rollout, so they may take a few more steps.
         stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and
-            a confirmation on new starts shows it (`learning.confirmation`).
+            a confirmation on new starts shows it (`learning.confirmation_rule`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and
             the last one.

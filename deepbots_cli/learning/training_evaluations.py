@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.episodes import AGENTS_COLUMN, Summary, agents_line
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
 from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes

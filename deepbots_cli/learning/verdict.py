@@ -79,7 +79,7 @@ def solved_verdict(
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    from deepbots_cli.learning.confirmation import Confirmation
+    from deepbots_cli.learning.confirmation_rule import Confirmation
 
     lowest = min(episode.total_return for episode in outcomes)
     highest = max(episode.total_return for episode in outcomes)

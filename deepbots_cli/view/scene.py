@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames, geometry
-from deepbots_cli.engines import objects
+from deepbots_cli.engines import masses, objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
@@ -92,7 +92,7 @@ def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     in the frame of this first link."""
     held = {joint.child for joint in model.joints if joint.type == "fixed"}
     heads = [link.name for link in model.links if link.name not in held]
-    return {link: (head, pose) for head in heads for link, pose in objects.rigid_group(model, head).items()}
+    return {link: (head, pose) for head in heads for link, pose in masses.rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:

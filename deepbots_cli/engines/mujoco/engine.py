@@ -8,13 +8,13 @@ from math import inf
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
+from deepbots_cli.engines.bodies import Pool, named
 from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import inverse_kinematics
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
 from deepbots_cli.engines.mujoco.state import LinkMotions, MujocoWorld, WorldSnapshot
-from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
 from deepbots_cli.program.world import GROUND
@@ -433,11 +433,11 @@ class MuJoCoEngine:
     # Names
 
     def _pool(self, name: str) -> Pool[Body]:
-        return find(self._world.require_open().pools, name, "the world has no body")
+        return named(self._world.require_open().pools, name, "the world has no body")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
         body = self._pool(robot).current
-        return tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
+        return tuple(named(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> motors.Motor:
         return motors.Motor(self._motors, self._joints(robot, joints), max_torque)
@@ -451,4 +451,4 @@ class MuJoCoEngine:
 
 
 def _link(body: Body, link: str | None) -> int:
-    return body.root_id if link is None else find(body.links, link, f"'{body.name}' has no link")
+    return body.root_id if link is None else named(body.links, link, f"'{body.name}' has no link")

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.engines.bodies import Pool, named
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
-from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
@@ -316,7 +316,7 @@ class MujocoWorld:
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
-                number = find(body.links, link, f"'{owner[0]}' has no link")
+                number = named(body.links, link, f"'{owner[0]}' has no link")
                 if parameter == "color":
                     self.colors[owner[0], link] = values
                 elif parameter == "mass":
@@ -328,7 +328,7 @@ class MujocoWorld:
                     self._friction_changed = True
 
     def body(self, name: str) -> Body:
-        return find(self.require_open().pools, name, "the world has no body").current
+        return named(self.require_open().pools, name, "the world has no body").current
 
     def _set_joint(
         self,
@@ -339,7 +339,7 @@ class MujocoWorld:
     ) -> None:
         body = self.body(robot)
         model = self.model
-        dof = model.jnt_dofadr[find(body.joints, joint, f"'{robot}' has no joint")]
+        dof = model.jnt_dofadr[named(body.joints, joint, f"'{robot}' has no joint")]
         if parameter == "joint_damping":
             model.dof_damping[dof] = value
         elif parameter == "joint_friction":

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.bodies import named
 from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import inverse_kinematics
-from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -33,7 +33,7 @@ from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.bodies import Pool
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
@@ -467,11 +467,11 @@ class PyBulletEngine:
         return self
 
     def _pool(self, name: str) -> Pool[Body]:
-        return find(self._require_open()._pools, name, "the world has no body")
+        return named(self._require_open()._pools, name, "the world has no body")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, tuple[int, ...]]:
         body = self._pool(robot).current
-        return body.number, tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
+        return body.number, tuple(named(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _bound(
         self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK
@@ -481,7 +481,7 @@ class PyBulletEngine:
 
 
 def _index(body: Body, link: str | None, none: int = BASE_LINK) -> int:
-    return none if link is None else find(body.links, link, f"'{body.name}' has no link")
+    return none if link is None else named(body.links, link, f"'{body.name}' has no link")
 
 
 def _release(client: int, substeps: Substeps, cache: ReadCache) -> None:

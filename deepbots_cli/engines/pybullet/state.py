@@ -11,7 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import find, rigid_group
+from deepbots_cli.engines.bodies import named
+from deepbots_cli.engines.masses import rigid_group
 from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
@@ -20,7 +21,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.bodies import Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (
@@ -340,15 +341,15 @@ class Parameters:
             set_value(*owner, *values)
 
     def _body(self, name: str) -> Body:
-        return find(self._pools, name, "the world has no body").current
+        return named(self._pools, name, "the world has no body").current
 
     def _link(self, body: str, link: str) -> tuple[Body, int]:
         owner = self._body(body)
-        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE_LINK
+        return owner, named(owner.links, link, f"'{body}' has no link") if link else BASE_LINK
 
     def _joint(self, robot: str, joint: str) -> tuple[Body, int]:
         owner = self._body(robot)
-        return owner, find(owner.joints, joint, f"'{robot}' has no joint")
+        return owner, named(owner.joints, joint, f"'{robot}' has no joint")
 
     def _set_mass(self, body: str, link: str, mass: float) -> None:
         """Set the mass of a link. The base of a fixed body keeps its mass, because another mass would free
