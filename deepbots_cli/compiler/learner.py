@@ -40,7 +40,8 @@ _PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "normalize": "reward",
 }
-_TRAIN, _ALGORITHM = "train", "algorithm"
+_TRAIN = "train"
+_ALGORITHM = "algorithm"
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,10 @@ from deepbots_cli.rollout import Episode
 Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
 
-MAX_OPTIONS, BINS = 6, 4
-"""The number of parts of a drawn value: one for each of at most 6 different outcomes, otherwise 4 parts with
-equally many episodes."""
+MAX_OPTIONS = 6
+"""The largest number of different outcomes of a drawn value that has a part for each of them."""
+BINS = 4
+"""The number of parts of other values; they have equally many episodes."""
 POWER = 0.9
 """The probability with which an effect of the size `DrawnEffects.detectable` is found."""
 _QUARTERS = 0.75 * math.sqrt(12)

@@ -20,13 +20,15 @@ from deepbots_cli.program.task import Solved
 if TYPE_CHECKING:
     from rich.console import Group
 
-LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
-"""The time in s after a line without a terminal until the next one, and until one that an evaluation
-causes."""
+LINE_INTERVAL_S = 30.0
+"""The time in s after a line without a terminal until the next one."""
+EVALUATION_INTERVAL_S = 10.0
+"""The same until a line that an evaluation causes."""
 
-MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
-"""The time in s, or the share of its steps, for which a training is timed before the display shows the
-remaining time."""
+# A training is timed for this time in s, or this share of its steps, before the display shows the remaining
+# time.
+MIN_TIMED_S = 15.0
+MIN_TIMED_SHARE = 0.05
 
 
 class Activity(NamedTuple):

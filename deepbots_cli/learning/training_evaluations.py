@@ -22,9 +22,12 @@ from deepbots_cli.rollout import Episode
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
 
-EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
-"""The largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one
-evaluation may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
+EVALUATION_SHARE = 0.1
+"""The largest ratio of the steps of evaluations to the steps of the training."""
+URGENT_SHARE = 0.4
+"""The same when an evaluation may end the training soon, because its recent episodes meet `solved` or a
+teacher drives."""
+UNLIMITED_SHARE = math.inf
 
 
 class TrainingEvaluations:

@@ -47,8 +47,10 @@ _MAX_HELD = 400
 """The maximum number of timesteps of a cycle in which a success is nearly held."""
 _MIN_STEPS = 10
 """The least number of steps left in an episode in which a cycle can repeat."""
-_MAX_INSIDE, _MAX_WAYS = 2, 4
-"""The numbers of ways to succeed, and to avoid success, that are examined."""
+_MAX_INSIDE = 2
+"""The number of ways to succeed that are examined."""
+_MAX_WAYS = 4
+"""The number of ways to avoid success that are examined."""
 _MAX_PLAYED = 12_000
 """The maximum number of timesteps of all courses of a scenario."""
 

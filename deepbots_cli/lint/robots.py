@@ -36,9 +36,10 @@ _MIN_SHARE = 0.25
 """The share of the commands of the agent that an actuator must be able to follow."""
 _MIN_MISS_SHARE = 0.1
 """The share of the commands of an episode: a script may pass over positions out of reach on its way."""
-_MIN_SHOWN_DISTANCE_M, _MIN_SHOWN_ANGLE = 0.001, radians(0.5)
-"""The least distance (m) and angle (rad) that a finding mentions; a smaller miss is given only by the other
-measure."""
+# The least distance (m) and angle (rad) that a finding mentions; a smaller miss is given only by the other
+# measure.
+_MIN_SHOWN_DISTANCE_M = 0.001
+_MIN_SHOWN_ANGLE = radians(0.5)
 _SAME_HEIGHT_M = 1e-4
 """The difference of heights (m) below which they are equal."""
 _FOOT_HEIGHT_M = 0.005
@@ -47,8 +48,9 @@ _RESTING_GAP_M = 0.05
 """The distance (m) from its resting height within which a robot comes to rest there."""
 _MIN_WHEEL_TURN = pi
 """The angle (rad) that a driven wheel has turned where its robot should have moved."""
-_MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
-"""The distance (m) and angle (rad) that a robot that slips moves at most."""
+# A robot that slips moves at most by this distance (m) and angle (rad).
+_MAX_STAY_M = 0.01
+_MAX_STAY_ANGLE = radians(5.0)
 _STEP_MARGIN = 1.5
 """The factor by which a suggested engine step is shorter than the longest one that is stable."""
 _TOPPLED = radians(45.0)

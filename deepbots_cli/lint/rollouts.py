@@ -53,10 +53,11 @@ from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 
 _MIN_TERM_SIZE = 1e-9
-"""The same for a term of the reward."""
-_FIRST_EPISODES, _FIRST_STEPS = 2, 10
-"""The number of episodes in which the first command of each arm is checked, and the steps within which it
-must arrive."""
+"""A term of the reward has fired in a step in which its absolute value is above this."""
+_FIRST_EPISODES = 2
+"""The number of episodes in which the first command of each arm is checked."""
+_FIRST_STEPS = 10
+"""The steps within which an arm must arrive at its first command."""
 _VARIANTS_LABEL = "cases and stages"
 
 

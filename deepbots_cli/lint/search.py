@@ -40,9 +40,11 @@ _HOLDS = (2, 10)
 """The numbers of steps for which alternating actions are held."""
 _CONFIRMED = 3
 """The number of best drivers of the first start that are tried on the others, for each kind of end."""
-_INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
-"""Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are
-none that lasts."""
+# Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none
+# that lasts.
+_INTERRUPTIONS = (1, 3)
+_MAX_INTERRUPTIONS = 5
+_MIN_BETWEEN = 2
 _SHARE_OF_INTERRUPTIONS = 0.05
 """The share of the steps that are left for the interruptions from each start."""
 _POPULATION = 12

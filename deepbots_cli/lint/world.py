@@ -34,9 +34,11 @@ _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 m^3."""
 _MAX_SIZE_RATIO = 4.0
 """The width of an object from which a robot in it is too small, as a multiple of the size of the robot."""
-_MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-5
-"""The length (m) of a large robot, and the mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg
-has 8, an arm of 0.75 m and 3.5 kg too."""
+_MIN_LARGE_ROBOT_M = 10.0
+"""The length (m) of a large robot."""
+_MIN_ROBOT_DENSITY = 1e-5
+"""Its mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg
+too."""
 _MIN_OVERLAP_M = 0.01
 """The overlap (m) of the heights of two bodies of which one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5

@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.forward_pass import Predictor
 
-HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
-"""The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
-option of each choice."""
+# The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
+# option of each choice.
+HAND = "you"
+POLICY = "policy"
+RECORDED = "recording"
+ROBOT = "robot"
 
 _MAX_DIGITS = 6
 

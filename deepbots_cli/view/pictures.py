@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 SUFFIXES = (".mp4", ".gif", ".html")
-_GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # pictures per second
+# Pictures per second.
+_GIF_FRAME_RATE = 12.5
+_MP4_FRAME_RATE = 30.0
+_PAGE_FRAME_RATE = 20.0
 _GIF_COLORS = 96
 _GIF_SHADE = 8  # of 256; shades that are closer are one color
 _SUPERSAMPLING = 2  # the factor by which pictures are drawn larger before they are reduced

@@ -42,9 +42,15 @@ _MAX_COLORED_ENDINGS = 20  # endings with their own color
 _MAX_STAGES = 100  # stages with a mark
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
-_PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # the width of a panel, and of a letter in its legend, in inches
+_PANEL_WIDTH = 4.3
+"""The width of a panel, in inches."""
+_LETTER_WIDTH = 0.068
+"""The width of a letter in the legend of a panel, in inches."""
 _ROW_HEIGHT = 9  # the height of the names of stages above a panel, in points
-_MAX_LINE, _MAX_TITLE_LINE = 58, 64  # the length of a name below a panel, and of its title, in letters
+_MAX_LINE = 58
+"""The length of a name below a panel, in letters."""
+_MAX_TITLE_LINE = 64
+"""The length of the title of a panel, in letters."""
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """The colors of background, text and grid."""
 _EPISODE_COLUMNS = [

@@ -30,8 +30,10 @@ Positions = Mapping[str, float]
 """Joint positions by name, in rad or m; joints that are not named are at 0."""
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
-_MAX_LEVEL_Z, _MIN_UPRIGHT_Z = 0.3, 0.7
-"""The largest z component of a level unit axis, and the smallest of an upright one."""
+_MAX_LEVEL_Z = 0.3
+"""The largest z component of a level unit axis."""
+_MIN_UPRIGHT_Z = 0.7
+"""The smallest z component of an upright unit axis."""
 _WHEEL_TOLERANCE = 0.15
 """The tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
 _MAX_ITERATIONS = 80

@@ -56,9 +56,10 @@ triangle may be further away than this for a step.
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # drawn cells along either side; more of them take longer and are hardly seen
 _CYLINDER = "cylinder.obj"
-GEAR_ERP, GEAR_FORCE = 0.2, 1e5
-"""The share of the error of a follower that is removed in a physics step, and the largest force (N or N m)
-for it."""
+GEAR_ERP = 0.2
+"""The share of the error of a follower that is removed in a physics step."""
+GEAR_FORCE = 1e5
+"""The largest force (N) or torque (N m) for it."""
 NO_RATIO = 1e-12  # PyBullet takes 0 for a ratio that is not given
 GEAR_ITERATIONS = 100
 """The iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier

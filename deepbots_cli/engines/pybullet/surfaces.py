@@ -188,7 +188,10 @@ def clearance(client: int, first: LinkKey, second: LinkKey) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of moving bodies, and of static ones
+ALL_GROUPS = -1
+"""The mask of moving bodies."""
+ALL_BUT_STATIC = ~2
+"""The mask of static bodies."""
 MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
 RoundShape = Sphere | Cylinder | Capsule
 
