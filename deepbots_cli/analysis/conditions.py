@@ -174,10 +174,12 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
         case "sub" if unknown is a:
             bound = iv.add(threshold.bound, limit)
         case "sub":
-            bound, above = iv.subtract(limit, threshold.bound), not above
+            bound = iv.subtract(limit, threshold.bound)
+            above = not above
         case _:
             solve = iv.divide if op == "mul" else iv.multiply
-            bound, above = solve(threshold.bound, limit), above == (limit.low > 0.0)
+            bound = solve(threshold.bound, limit)
+            above = above == (limit.low > 0.0)
     dimension = threshold.dimension if op in ("add", "sub") else None
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 

@@ -153,7 +153,8 @@ def batch_obstacles(scenario: Program, scripts: Sequence[str] = ()) -> list[str]
         of_all = world_of(scenario, others)
         alone = [f"the episode of {others.agent} may end before those of others"]
         return batch_obstacles(of_all, others.scripts) + (alone if of_all.members[others.agent].alone else [])
-    agent, scripts = scenario.agent, scripts or scenario.scripted_rivals
+    agent = scenario.agent
+    scripts = scripts or scenario.scripted_rivals
     reasons = [
         (
             bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),

@@ -114,7 +114,8 @@ def _unused(base: str, used: set[str]) -> str:
     name = base
     number = 1
     while name in used:
-        name, number = f"{base}_{number}", number + 1
+        name = f"{base}_{number}"
+        number = number + 1
     return name
 
 
@@ -398,7 +399,8 @@ def _outside(code: str) -> str:
     for match in _BRACKET_OR_QUOTED.finditer(code):
         between = code[end : match.start()]
         pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(match[0])]
-        depth, end = depth + _DEEPER.get(match[0], 0), match.end()
+        depth = depth + _DEEPER.get(match[0], 0)
+        end = match.end()
     return "".join([*pieces, "" if depth else code[end:]])
 
 

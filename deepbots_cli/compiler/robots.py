@@ -107,7 +107,8 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
         joint = above.get(link)
         if joint is None:
             break
-        link, frame = joint.parent, compose(pose_frame(joint.origin), frame)
+        link = joint.parent
+        frame = compose(pose_frame(joint.origin), frame)
     return link, frame
 
 
@@ -387,10 +388,8 @@ class Overrides:
             )
             for key, (field, parameter) in _CONTACT.items()
         }
-        model, paint = (
-            with_friction(model, link.name, **contact),
-            self.namespace.fields.color(change, subject),
-        )
+        model = with_friction(model, link.name, **contact)
+        paint = self.namespace.fields.color(change, subject)
         return with_color(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:

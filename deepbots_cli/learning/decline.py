@@ -112,7 +112,8 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
     earlier = [number for number, row in enumerate(rows) if row["stage"] != rows[-1]["stage"]]
     stage_start = 0.0
     if earlier:
-        stage_start, rows = rows[earlier[-1]]["steps"], rows[earlier[-1] + 1 :]
+        stage_start = rows[earlier[-1]]["steps"]
+        rows = rows[earlier[-1] + 1 :]
     if len(rows) < 2:
         return None
     quarter_start = rows[-1]["steps"] - LAST_SHARE * (rows[-1]["steps"] - stage_start)

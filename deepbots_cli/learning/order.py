@@ -154,7 +154,8 @@ def most_episodes(models: int) -> int:
     per_model = FIRST_ROUND
     while models > 1:
         episodes += models * per_model
-        models, per_model = (models + 1) // 2, 2 * per_model
+        models = (models + 1) // 2
+        per_model = 2 * per_model
     return episodes
 
 

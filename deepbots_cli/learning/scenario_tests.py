@@ -227,7 +227,8 @@ def _unmet_over_episodes(
     """Yield the expectations that the episodes together do not meet."""
     if test.agent is not None:
         member = program.members[test.agent]
-        program, episodes = member.program, [own_episode(member, episode) for episode in episodes]
+        program = member.program
+        episodes = [own_episode(member, episode) for episode in episodes]
     returns = [episode.total_return for episode in episodes]
     for expected in test.expected:
         match expected.key:

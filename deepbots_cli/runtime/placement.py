@@ -226,10 +226,13 @@ class Arrangement:
         """
         generator = self._streams[stream]
         coordinates = self._chosen_spot(stream)
-        area, surface, base = area or UNBOUNDED_AREA, None, -inf
+        area = area or UNBOUNDED_AREA
+        surface = None
+        base = -inf
         if on:
             surface = self._surface(on, body)
-            area, base = intersection(area, surface.area), surface.height
+            area = intersection(area, surface.area)
+            base = surface.height
         for number in range(MAX_ROUNDS):
             if number or body not in self.forms.chosen:
                 self.forms.draw(body, self._streams)

@@ -482,13 +482,16 @@ def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True)
     for step in path:
         match chosen_shape(shape, data), data:
             case (ListOf(item=item), list()) if isinstance(step, int) and 0 <= step < len(data):
-                shape, data = item, data[step]
+                shape = item
+                data = data[step]
             case (MappingOf(value=value), dict()) if step in data:
-                shape, data = value, data[step]
+                shape = value
+                data = data[step]
             case (type() as section, dict()) if (
                 step in data and (below := section_fields(section).get(str(step))) is not None
             ):
-                shape, data = below, data[step]
+                shape = below
+                data = data[step]
             case _:
                 return None
     return chosen_shape(shape, data) if choose else shape

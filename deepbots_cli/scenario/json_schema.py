@@ -419,7 +419,8 @@ def definition_of(section: type[Section]) -> type[Section]:
         and "type" in getattr(base, "model_fields", ())
         and vars(section).get("__annotations__", {}).keys() == {"type"}
     ):
-        section, base = base, base.__base__
+        section = base
+        base = base.__base__
     return section
 
 

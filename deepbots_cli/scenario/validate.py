@@ -190,7 +190,8 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         headline = f"expected {expected}, found {_describe(node)}"
         help = help or keys_of(shape_at(Scenario, data, path))
         if hint := _typing_hint(node, data, path, takes_mapping=expected == "a mapping"):
-            help, near = hint[0], near or hint[1]
+            help = hint[0]
+            near = near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
         help = ". ".join(

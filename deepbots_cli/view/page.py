@@ -345,7 +345,8 @@ class Page:
                     )
                 )
                 self._draw(texts=frame_count % FRAMES_PER_TEXT == 0)
-            frame_count, due = frame_count + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
+            frame_count = frame_count + 1
+            due = max(due + period, time.perf_counter() - MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _draw(self, *, texts: bool) -> None:

@@ -229,7 +229,8 @@ def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int],
     if agent is not None:
         member = ref.run.member(agent)
         outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
-        record, program = record.model_copy(update={"outcomes": outcomes}), member.program
+        record = record.model_copy(update={"outcomes": outcomes})
+        program = member.program
     failed = record.failed(program)
     if not failed:
         raise UsageError(

@@ -261,7 +261,8 @@ class TrackingMotor(BatchMotor):
         aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
-            worlds, gains = np.arange(batch.count)[worlds][renewed], gains[renewed]
+            worlds = np.arange(batch.count)[worlds][renewed]
+            gains = gains[renewed]
         added = gains * self._step
         bias = batch.rows["actuator_biasprm"]
         self._gains[worlds] = gains

@@ -666,7 +666,8 @@ def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Trip
     half = [float(size) for size in geom.size]
     normals: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     if geom.type == mj.mjtGeom.mjGEOM_CYLINDER:
-        half, normals = [half[0], half[0], half[1]], normals[2:]
+        half = [half[0], half[0], half[1]]
+        normals = normals[2:]
     elif geom.type != mj.mjtGeom.mjGEOM_BOX:
         return
     for along, sign in product(normals, (1.0, -1.0)):

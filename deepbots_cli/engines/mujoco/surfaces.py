@@ -75,7 +75,9 @@ class ContactMonitor:
                 self._ignored_pairs = pairs if not met else []
 
     def reader(self, own_geoms: Iterable[int], other_geoms: Iterable[int]) -> ContactReader:
-        index, touched, other_geoms = len(self._touched), self._touched, tuple(other_geoms)
+        index = len(self._touched)
+        touched = self._touched
+        other_geoms = tuple(other_geoms)
         self._ignored_pairs = []
         for geom in own_geoms:
             for other_geom in other_geoms:
