@@ -44,6 +44,9 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime.parallel import ParallelEnvironment
     from deepbots_cli.runtime.vector import BatchEnvironment
 
+MAX_WORLDS = 4096
+"""Worlds in a batch; each takes 0.1 to 1 MB of memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
@@ -338,7 +341,8 @@ def _build_batch(
     from deepbots_cli.program.identity import digest
     from deepbots_cli.runtime.copies import make_batch
 
-    name, mark = class_name(program.name), digest(program)[:12]
+    name = class_name(program.name)
+    mark = digest(program)[:12]
     of_batch = load_module(
         generate_module(program, "batch", scripts),
         f"deepbots_batch_{name}",
@@ -350,10 +354,6 @@ def _build_batch(
     for single in batch.singles:
         single.fixed = fixed
     return batch
-
-
-MAX_WORLDS = 4096
-"""Worlds in a batch; each takes 0.1 to 1 MB of memory."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,6 +13,14 @@ from tempfile import TemporaryFile
 
 from deepbots_cli.errors import UsageError
 
+_REMEDIES = {
+    errno.ENOSPC: "; free some space there, and try again",
+    errno.EDQUOT: "; free some space there, and try again",
+    errno.EROFS: "; choose a place that may be written to",
+    errno.EACCES: "; choose a place that may be written to",
+    errno.EPERM: "; choose a place that may be written to",
+}
+
 
 def read_at_most(path: Path, limit: int) -> bytes:
     """Return the first `limit` bytes of a file.
@@ -27,15 +35,6 @@ def read_at_most(path: Path, limit: int) -> bytes:
         data = file.read(min(size + 1, limit))
         # Special files, such as those in /proc, report size 0.
         return data if len(data) <= size else data + file.read(limit - len(data))
-
-
-_REMEDIES = {
-    errno.ENOSPC: "; free some space there, and try again",
-    errno.EDQUOT: "; free some space there, and try again",
-    errno.EROFS: "; choose a place that may be written to",
-    errno.EACCES: "; choose a place that may be written to",
-    errno.EPERM: "; choose a place that may be written to",
-}
 
 
 def unwritable_message(path: Path, error: OSError) -> str:
@@ -113,9 +112,10 @@ def refuse_links_within(folder: Path) -> None:
     Raises:
         UsageError: One is.
     """
-    for path in sorted(folder.rglob("*")) if folder.is_dir() else ():
-        if path.is_symlink() or not (path.is_file() or path.is_dir()):
-            raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
+    if folder.is_dir():
+        for path in sorted(folder.rglob("*")):
+            if path.is_symlink() or not (path.is_file() or path.is_dir()):
+                raise UsageError(f"{path} is neither a file nor a directory; choose another folder")
 
 
 def check_folder(folder: Path) -> None:

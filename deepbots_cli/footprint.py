@@ -97,7 +97,10 @@ class Patch(NamedTuple):
             dx, dy = other.x - self.x, other.y - self.y
             axes = ((self.cos, self.sin, self.half[0]), (-self.sin, self.cos, self.half[1]))
             return all(
-                abs(c * dx + s * dy) + (_along(other, c, s) if other.half else other.radius) + margin <= half
+                abs(c * dx + s * dy)
+                + (_half_projection(other, c, s) if other.half else other.radius)
+                + margin
+                <= half
                 for c, s, half in axes
             )
         if other.half is None:
@@ -127,10 +130,10 @@ def _parted(a: Patch, b: Patch) -> bool:
     """Return whether two rectangles are disjoint: the separating axis theorem."""
     dx, dy = b.x - a.x, b.y - a.y
     axes = ((a.cos, a.sin), (-a.sin, a.cos), (b.cos, b.sin), (-b.sin, b.cos))
-    return any(abs(c * dx + s * dy) >= _along(a, c, s) + _along(b, c, s) for c, s in axes)
+    return any(abs(c * dx + s * dy) >= _half_projection(a, c, s) + _half_projection(b, c, s) for c, s in axes)
 
 
-def _along(patch: Patch, c: float, s: float) -> float:
+def _half_projection(patch: Patch, c: float, s: float) -> float:
     """Return half the length of a rectangle's projection on the axis (c, s)."""
     a, b = patch.half or (0.0, 0.0)
     return a * abs(c * patch.cos + s * patch.sin) + b * abs(s * patch.cos - c * patch.sin)
@@ -248,7 +251,8 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
             name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()
         }
         positions = {**followers, **positions}
-    frames_by_link, waiting = {model.root: frames.IDENTITY_FRAME}, [model.root]
+    frames_by_link = {model.root: frames.IDENTITY_FRAME}
+    waiting = [model.root]
     while waiting:
         parent = waiting.pop()
         for joint in below.get(parent, ()):

@@ -23,6 +23,8 @@ _VERTICAL = 1 - 1e-9
 """The sine of the pitch, 45 microradians from 90 degrees, above which roll and yaw are noise: at exactly 90
 degrees, a pole came out turned by 0.4 rad."""
 
+IDENTITY_FRAME: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
+
 
 def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     """Return the rotation by roll about x, then pitch about y, then yaw about z (rad), all of them fixed
@@ -135,9 +137,6 @@ def rotate_back(q: Quaternion, v: Triple) -> Triple:
     ty = 2.0 * (x * v[2] - z * v[0])
     tz = 2.0 * (y * v[0] - x * v[1])
     return (v[0] + w * tx - y * tz + z * ty, v[1] + w * ty - z * tx + x * tz, v[2] + w * tz - x * ty + y * tx)
-
-
-IDENTITY_FRAME: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
 
 
 def frame(pose: Pose) -> Frame:

@@ -3,12 +3,12 @@ inertials of meshes.
 
 Engines and the placement of bodies use the same surface. trimesh and yourdfpy read meshes: the triangles of a
 terrain, and the masses of links with a density. Importing the two libraries takes 0.57 s of CPU. Each
-function imports them when it is called, so a world without such a mesh starts as fast as before, and lint
-never needs them.
+function imports them when it is called, so only a world with such a mesh pays for them, and lint never needs
+them.
 
 COLLADA files stay with the engine. Of 13 files in pybullet_data, trimesh and PyBullet build 3 differently:
 trimesh leaves the unit to the caller (duck.dae comes out 100 times as large), and PyBullet ignores `<rotate>`
-(hokuyo.dae lies).
+(hokuyo.dae lies on its side).
 """
 
 from __future__ import annotations
@@ -48,13 +48,23 @@ edge."""
 Heights = Callable[["Column", "Column"], "Column"]
 """The same for columns, to the bit; NaN where a coordinate is NaN."""
 
-RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))  # the radius of a pit's rim over the width of its bell
-_PIT_CELLS = 200  # along either side
-_PIT_WIDTH = 0.135  # the width of the bell, as a share of the side
-_LUMPS = 20  # the number of lumps of the noise along either side
-_LEAST_AREA = 1e-12  # m^2, twice that of a triangle seen from above; smaller ones are vertical
-_FAR = 1e6  # m; farther places, also infinite ones, have the height of such a place
-_HIGHEST = 1e4  # m; higher ground is a mistake, and engines lose their digits
+RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))
+"""The radius of a pit's rim over the width of its bell."""
+_PIT_CELLS = 200
+"""Cells along either side of a pit."""
+_PIT_WIDTH = 0.135
+"""The width of the bell, as a share of the side."""
+_LUMPS = 20
+"""The number of lumps of the noise along either side."""
+_MAX_HEIGHT_M = 1e4
+"""Higher ground is a mistake, and engines lose their digits."""
+_MIN_AREA_M2 = 1e-12
+"""Twice the area, seen from above, of the smallest triangle that is not vertical."""
+_EDGE_TOLERANCE = 1e-9
+"""By how much barycentric coordinates of a point in a triangle may miss 0 .. 1, so that no point between two
+triangles is in neither."""
+_MAX_DISTANCE_M = 1e6
+"""Farther points, also infinite ones, have the height of such a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +98,11 @@ class HeightGrid:
         upper = np.stack([first + 1, first + columns + 1, first + columns], axis=1)
         return np.stack([x.ravel(), y.ravel(), self.heights.ravel()], axis=1), np.concatenate([lower, upper])
 
-    def with_at_most(self, most: int) -> HeightGrid:
-        """Return the same surface in at most so many cells along either side."""
+    def coarsened(self, max_cells: int) -> HeightGrid:
+        """Return the same surface in at most `max_cells` cells along either side, interpolated linearly."""
         heights = self.heights
         for _ in range(2):  # along y, then along x
-            at = np.linspace(0.0, len(heights) - 1, min(len(heights) - 1, most) + 1)
+            at = np.linspace(0.0, len(heights) - 1, min(len(heights) - 1, max_cells) + 1)
             first = np.minimum(at.astype(int), len(heights) - 2)
             part = (at - first)[:, None]
             heights = (heights[first] * (1 - part) + heights[first + 1] * part).T
@@ -104,7 +114,8 @@ class HeightGrid:
         z = self.heights
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
 
-        def at(x: Column, y: Column) -> Column:
+        def heights_at(x: Column, y: Column) -> Column:
+            # (u, v): x and y in cells, from the corner of the grid, and then from that of the cell.
             u = np.minimum(np.maximum((np.asarray(x, float) + half_x) / dx, 0.0), columns - 1.0)
             v = np.minimum(np.maximum((np.asarray(y, float) + half_y) / dy, 0.0), rows - 1.0)
             u, v = np.broadcast_arrays(u, v)
@@ -113,6 +124,7 @@ class HeightGrid:
             column = np.minimum(u.astype(int), columns - 2)
             row = np.minimum(v.astype(int), rows - 2)
             u, v = u - column, v - row
+            # Two triangles per cell, as in the engine; bilinear interpolation would differ from it.
             east, north = z[row, column + 1], z[row + 1, column]
             corner, far = z[row, column], z[row + 1, column + 1]
             if self.diagonal == "rising":
@@ -125,22 +137,25 @@ class HeightGrid:
                 heights = np.where(u + v <= 1.0, lower, upper)
             return np.where(exists, heights, np.nan)
 
-        return at
+        return heights_at
 
     def height_function(self) -> Height:
         """Return a function of plain floats, for use in a loop."""
         rows, columns = self.heights.shape
-        z, is_rising = self.heights.tolist(), self.diagonal == "rising"
+        z = self.heights.tolist()
+        is_rising = self.diagonal == "rising"
         (dx, dy), (half_x, half_y) = self.cell, (self.size[0] / 2, self.size[1] / 2)
 
-        def at(x: float, y: float) -> float:
+        def height_at(x: float, y: float) -> float:
+            # The same operations in the same order as in `heights_function`.
             u = min(max((x + half_x) / dx, 0.0), columns - 1.0)
             v = min(max((y + half_y) / dy, 0.0), rows - 1.0)
             column, row = min(floor(u), columns - 2), min(floor(v), rows - 2)
             u, v = u - column, v - row
             here, there = z[row], z[row + 1]
             if is_rising:
-                corner, far = here[column], there[column + 1]
+                corner = here[column]
+                far = there[column + 1]
                 if v <= u:
                     return float(corner + u * (here[column + 1] - corner) + v * (far - here[column + 1]))
                 return float(corner + v * (there[column] - corner) + u * (far - there[column]))
@@ -152,7 +167,7 @@ class HeightGrid:
                 corner + (1.0 - u) * (there[column] - corner) + (1.0 - v) * (here[column + 1] - corner)
             )
 
-        return at
+        return height_at
 
 
 def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
@@ -172,7 +187,7 @@ def height_grid(terrain_shape: TerrainShape) -> HeightGrid | None:
             grid = HeightGrid(tiles.heights(terrain_shape), terrain_shape.size)
         case _:
             return None
-    if not np.all(np.abs(grid.heights) < _HIGHEST):  # false for NaN
+    if not np.all(np.abs(grid.heights) < _MAX_HEIGHT_M):  # false for NaN
         raise EngineError("somewhere in the terrain, the height is undefined or outside -10 km .. 10 km")
     return grid
 
@@ -224,11 +239,11 @@ def _heights_of(terrain_shape: TerrainShape, diagonal: Diagonal) -> Heights:
         return replace(grid, diagonal=diagonal).heights_function()
     height = _height_of(terrain_shape, diagonal)
 
-    def at(x: Column, y: Column) -> Column:
+    def heights_at(x: Column, y: Column) -> Column:
         x, y = np.broadcast_arrays(x, y)
         return np.array([height(*place) for place in zip(x.ravel(), y.ravel(), strict=True)]).reshape(x.shape)
 
-    return at
+    return heights_at
 
 
 def _pit(pit: Pit) -> HeightGrid:
@@ -307,21 +322,24 @@ def _mesh_height(corners: NDArray[np.float64]) -> Height:
     """Return the highest point of any triangle above or below a place; where there is none, that of the
     nearest edge of a triangle."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (corners[:, corner].T for corner in range(3))
+    # Twice the area of each triangle, seen from above.
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    level = np.abs(area) > _LEAST_AREA
-    area = np.where(level, area, 1.0)
-    beyond = _edge_height(corners[level])
+    is_level = np.abs(area) > _MIN_AREA_M2
+    area = np.where(is_level, area, 1.0)
+    beyond = _edge_height(corners[is_level])
 
-    def at(x: float, y: float) -> float:
-        x, y = min(max(x, -_FAR), _FAR), min(max(y, -_FAR), _FAR)
-        # Barycentric coordinates of (x, y) in each triangle, seen from above.
+    def height_at(x: float, y: float) -> float:
+        x, y = min(max(x, -_MAX_DISTANCE_M), _MAX_DISTANCE_M), min(max(y, -_MAX_DISTANCE_M), _MAX_DISTANCE_M)
+        # Barycentric coordinates of (x, y) in each triangle, seen from above: 1 - b - c, b, c.
         b = ((x - ax) * (cy - ay) - (cx - ax) * (y - ay)) / area
         c = ((bx - ax) * (y - ay) - (x - ax) * (by - ay)) / area
-        under = level & (b >= -1e-9) & (c >= -1e-9) & (b + c <= 1 + 1e-9)
-        top = np.max(np.where(under, az + b * (bz - az) + c * (cz - az), -inf), initial=-inf)
+        is_inside = (
+            is_level & (b >= -_EDGE_TOLERANCE) & (c >= -_EDGE_TOLERANCE) & (b + c <= 1 + _EDGE_TOLERANCE)
+        )
+        top = np.max(np.where(is_inside, az + b * (bz - az) + c * (cz - az), -inf), initial=-inf)
         return float(top) if top > -inf else beyond(x, y)
 
-    return at
+    return height_at
 
 
 def _edge_height(corners: NDArray[np.float64]) -> Height:
@@ -330,7 +348,7 @@ def _edge_height(corners: NDArray[np.float64]) -> Height:
     along = np.roll(corners, -1, axis=1).reshape(-1, 3) - starts
     squared_lengths = along[:, 0] ** 2 + along[:, 1] ** 2
 
-    def at(x: float, y: float) -> float:
+    def height_at(x: float, y: float) -> float:
         away = np.array([x, y]) - starts[:, :2]
         share = np.clip((away * along[:, :2]).sum(axis=1) / squared_lengths, 0.0, 1.0)
         distances = np.hypot(*(away - share[:, None] * along[:, :2]).T)
@@ -338,7 +356,7 @@ def _edge_height(corners: NDArray[np.float64]) -> Height:
         heights = (starts[:, 2] + share * along[:, 2])[nearest]
         return float(heights.max()) if len(heights) else 0.0 * (x + y)
 
-    return at
+    return height_at
 
 
 # Meshes

@@ -40,7 +40,8 @@ def picture_problem(data: bytes) -> str | None:
 
 def _packed(data: bytes) -> bytes:
     """Return the contents of the IDAT chunks."""
-    packed, at = [], len(_PNG)
+    packed = []
+    at = len(_PNG)
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")
         if data[at + 4 : at + 8] == b"IDAT":

@@ -83,6 +83,9 @@ CAMERA_RANGE_M = 100.0
 SIGHT_TOLERANCE_M = 1e-3
 """The distance from the end of a line of sight within which nothing hides it."""
 
+_PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
+"""The parameters of the port that are bodies or parts."""
+
 
 class CameraImage(NamedTuple):
     """One picture: `colors` uint8 (height, width, 3); `depth` float32 (height, width) in m along the line of
@@ -370,10 +373,6 @@ class Engine(Bindable, Protocol):
         """
 
 
-_PARTS = frozenset({"body", "robot", "part", "one", "other", "others"})
-"""The parameters of the port that are bodies or parts."""
-
-
 class EngineProxy:
     """An `Engine` that passes each call on to another one. A method that is added to the port is added here.
 
@@ -385,7 +384,8 @@ class EngineProxy:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self.name, self.capabilities = engine.name, engine.capabilities
+        self.name = engine.name
+        self.capabilities = engine.capabilities
 
     def body(self, name: str) -> str:
         """Return the name of a body in the other engine."""

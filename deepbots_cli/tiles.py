@@ -112,7 +112,8 @@ _SHAPES: Mapping[str, Callable[..., Heights]] = {
 
 def tile_heights(tiles: Tiles, kind: int, level: int) -> Heights:
     """Heights (m) of one tile; shape (n, n), rows along y and columns along x."""
-    tile, share = tiles.tiles[kind], level / max(1, tiles.levels - 1)
+    tile = tiles.tiles[kind]
+    share = level / max(1, tiles.levels - 1)
     along = np.linspace(-tiles.side / 2, tiles.side / 2, round(tiles.side / tiles.cell) + 1).round(9)
     x, y = np.meshgrid(along, along)
     random = np.random.Generator(np.random.PCG64([tiles.seed, kind, level]))

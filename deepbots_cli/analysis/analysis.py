@@ -349,7 +349,8 @@ def _goal_reached(goal: Goal) -> Expression:
     scenario: its owner is empty."""
     distance_text = "norm(achieved - desired)"
     limit = f"{goal.tolerance:g} {goal.achieved.typed.type.dimension}".strip()
-    text, end = f"{distance_text} <= {limit}", len(distance_text)
+    text = f"{distance_text} <= {limit}"
+    end = len(distance_text)
     size = Type(goal.achieved.typed.type.dimension, known=Known.STEP)
     vector_type = size._replace(components=goal.achieved.typed.type.components)
     sides = tuple(
@@ -378,7 +379,8 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
     values are known: a distance `a - b`, beside `b`, makes `a` known, but a speed along a heading does not
     make the heading known. Noise and clipping are left out.
     """
-    analysis, agent = Analysis(program).ideal, program.agent
+    analysis = Analysis(program).ideal
+    agent = program.agent
 
     def source(node: Name | EngineRead) -> Hashable:
         """Return one tree for all components of an orientation: the sine or cosine of a heading makes it
@@ -398,7 +400,8 @@ def unobserved_reads(program: Program, script: str) -> list[str]:
         for tree in analysis.scalars(value)
     ]
     observed_identities = {analysis.identity(tree) for tree in numbers}
-    observed_sources, unsolved = set[Hashable](), [sources([tree]) for tree in numbers]
+    observed_sources: set[Hashable] = set()
+    unsolved = [sources([tree]) for tree in numbers]
     while solved := [names for names in unsolved if len(names - observed_sources) <= 1]:
         observed_sources.update(*solved)
         unsolved = [names for names in unsolved if not names <= observed_sources]

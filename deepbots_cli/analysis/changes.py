@@ -30,6 +30,11 @@ from deepbots_cli.robots.model import RobotModel
 Kind = Literal["changed", "added", "removed"]
 APPEARANCE_PREFIX = "look of "
 
+_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
+_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
+_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
+_SUCCESS = ("termination.success.", "goal.")
+
 
 class Effect(StrEnum):
     """The effect of a difference, the most serious first."""
@@ -72,7 +77,8 @@ class WrittenScenario:
         """Return the patterns of joints and links in a group of a robot; the name itself if it is no
         group."""
         reached: list[str] = []
-        waiting, expanded = [name], set[str]()
+        waiting = [name]
+        expanded: set[str] = set()
         while waiting:
             name = waiting.pop(0)
             group = self._written(f"robots.{robot}.groups.{name}")
@@ -166,12 +172,6 @@ class Meanings:
     success: tuple[Change, ...] = ()
 
 
-_PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
-_ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
-_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
-_SUCCESS = ("termination.success.", "goal.")
-
-
 def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanings:
     """Return the differences that limit the comparison of the policies of two scenarios."""
     changes = [
@@ -179,7 +179,9 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
         for change in scenario_changes(first, second)
         if change.group not in (Effect.cosmetic, Effect.training)
     ]
-    acting, returns, success = set[str](), set[str](), set[str]()
+    acting: set[str] = set()
+    returns: set[str] = set()
+    success: set[str] = set()
     for program in (first.program, second.program):
         agent = program.agent
         acting |= _names_behind(program, (program.robots, agent.observation, agent.action, agent.goal))
@@ -306,10 +308,10 @@ def scenario_changes(first: WrittenScenario, second: WrittenScenario) -> list[Ch
     """Return all differences, the most serious group first; empty if both scenarios compile to the same
     program, except for paths of files."""
     changes = [
-        *_of_interface(first, second),
-        *_of_values(first, second),
-        *_of_variants(first, second),
-        *_of_orders(first.program, second.program),
+        *_interface_changes(first, second),
+        *_value_changes(first, second),
+        *_variant_changes(first, second),
+        *_order_changes(first.program, second.program),
     ]
     if not changes and identity.digest(first.program) != identity.digest(second.program):
         path = (
@@ -329,7 +331,7 @@ def scenario_changes(first: WrittenScenario, second: WrittenScenario) -> list[Ch
     return list(by_path.values())
 
 
-def _of_interface(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _interface_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences in the interface of a policy: ranges, choices and messages."""
     before, after = (identity.interface(side.program)[side.program.agent.name] for side in (first, second))
     for name in dict.fromkeys((*before, *after)):
@@ -344,7 +346,7 @@ def _of_interface(first: WrittenScenario, second: WrittenScenario) -> Iterator[C
             yield _change(path, Effect.policy, old, new, first, second)
 
 
-def _of_values(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _value_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     before, after = values(first.program), values(second.program)
     items: dict[tuple[int, str, Effect], tuple[dict[str, str], dict[str, str]]] = {}
     for raw in dict.fromkeys((*before, *after)):
@@ -459,7 +461,8 @@ def _altered_names(
     `excluded` are names that are not looked up.
     """
     altered: dict[str, tuple[str, str]] = {}
-    met, waiting = set(excluded), [text]
+    met = set(excluded)
+    waiting = [text]
     while waiting:
         names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
         met |= {*names}
@@ -506,7 +509,7 @@ def _differing_entries(path: str, first: WrittenScenario, second: WrittenScenari
     return f"{{{before}}}" if before else "", f"{{{after}}}" if after else ""
 
 
-def _of_variants(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
+def _variant_changes(first: WrittenScenario, second: WrittenScenario) -> Iterator[Change]:
     """Yield the differences of cases and stages, by the values that each changes in its scenario."""
     for section, before, after in (
         (
@@ -550,7 +553,7 @@ def _variants(scenario: Program, entries: Iterable[Any]) -> dict[str, object]:
     return variants
 
 
-def _of_orders(first: Program, second: Program) -> Iterator[Change]:
+def _order_changes(first: Program, second: Program) -> Iterator[Change]:
     """Yield the same names in another order, where the order has a meaning."""
     before, after = dict(_orders(first)), dict(_orders(second))
     for (path, group), names in before.items():

@@ -117,7 +117,8 @@ def has_choice(analysis: Analysis, condition: Expression) -> bool:
 
 def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:
     """Yield the thresholds that a comparison sets for each quantity of its sides, for each component."""
-    analysis, node = ranges.analysis, comparison.node
+    analysis = ranges.analysis
+    node = comparison.node
     left, right = (analysis.lowered(arg, comparison.value.owner) for arg in node.args)
     count = max(len(left), len(right))
     rising = node.operator.startswith("greater")
@@ -173,10 +174,12 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
         case "sub" if unknown is a:
             bound = iv.add(threshold.bound, limit)
         case "sub":
-            bound, above = iv.subtract(limit, threshold.bound), not above
+            bound = iv.subtract(limit, threshold.bound)
+            above = not above
         case _:
             solve = iv.divide if op == "mul" else iv.multiply
-            bound, above = solve(threshold.bound, limit), above == (limit.low > 0.0)
+            bound = solve(threshold.bound, limit)
+            above = above == (limit.low > 0.0)
     dimension = threshold.dimension if op in ("add", "sub") else None
     yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
 
@@ -187,7 +190,9 @@ def shadowed_endings(analysis: Analysis) -> Mapping[Expression, Expression]:
 
     A failure has precedence over a success, so a failure behind a success still counts.
     """
-    program, success, ranges = analysis.program, analysis.program.agent.success, analysis.ranges_in(0.0, INF)
+    program = analysis.program
+    success = analysis.program.agent.success
+    ranges = analysis.ranges_in(0.0, INF)
     endings = [
         ending
         for ending in program.endings

@@ -98,9 +98,13 @@ def _compared(
     analysis: Analysis, comparison: Op, a: Scalar, b: Scalar, *, rising: bool, truth: bool
 ) -> list[Way]:
     """Return the ways to have `a` above `b`, or below where not `rising`."""
-    quantity, bound, above = a, analysis.ranges.of(b), rising
+    quantity = a
+    bound = analysis.ranges.of(b)
+    above = rising
     if _is_settled(analysis, a):
-        quantity, bound, above = b, analysis.ranges.of(a), not rising
+        quantity = b
+        bound = analysis.ranges.of(a)
+        above = not rising
     if not (_is_settled(analysis, a) or _is_settled(analysis, b)) or not bound.is_finite:
         return [{analysis.identity(comparison): Required(comparison, ALWAYS if truth else NEVER)}]
     if is_clock(analysis, quantity):
@@ -164,7 +168,8 @@ def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
 def _ways_to_count(analysis: Analysis, counted: tuple[State, bool], *, above: bool) -> list[Way]:
     """Return the ways to make the argument that a memory counts grow, or fall."""
     state, rises = counted
-    inner, up = state.args[0], above == rises
+    inner = state.args[0]
+    up = above == rises
     if state.function == "duration":
         return ways(analysis, inner, truth=up)
     meaning = analysis.resolve_aliases(inner)
@@ -224,7 +229,8 @@ class Course(Ranges):
 
     def follow(self, values: Mapping[int, Interval]) -> None:
         """Move to a timestep in which the quantities have these values."""
-        self._values, self._flags = values, _GOES_ON
+        self._values = values
+        self._flags = _GOES_ON
         self._set_clock(self._ticks + 1.0)
         self._now = {}
         self._forget()
@@ -265,7 +271,8 @@ class Course(Ranges):
         Facts of the present may have any value, at any time. The range of a memory does not bound its change:
         a `running_max` of a range does not rise by this range in each timestep.
         """
-        value, identity = self.of(node), self.analysis.identity(node)
+        value = self.of(node)
+        identity = self.analysis.identity(node)
         if identity not in self._remembers:
             self._remembers[identity] = has_memory(self.analysis, node)
         return value.low if self._remembers[identity] else value.high
@@ -347,7 +354,8 @@ class Course(Ranges):
 
     def _advanced(self, node: State, identity: int) -> Interval:
         args = [self.of(arg) for arg in node.args]
-        x, before = args[0], self._memory.get(identity)
+        x = args[0]
+        before = self._memory.get(identity)
         memory = x
         match node.function:
             case "delta" | "previous":
@@ -402,17 +410,18 @@ def _mixed(before: Interval, x: Interval, share: Interval) -> Interval:
 
 def value_within(ranges: Ranges, required: Required) -> float:
     """Return a value that a way allows: the middle of two bounds, or just beyond the only one."""
-    bounds, (low, high) = ranges.of(required.node), required.within
+    bounds = ranges.of(required.node)
+    low, high = required.within
     if low == high:
         return low
     if low == -INF and 0.0 < high < INF and bounds.low > -INF:
         return (max(bounds.low, 0.0) + high) / 2
     if low > -INF and high < INF:
         return (low + high) / 2
-    return beyond(low, 1.0) if low > -INF else beyond(high, -1.0)
+    return value_beyond(low, 1.0) if low > -INF else value_beyond(high, -1.0)
 
 
-def beyond(threshold: float, side: float) -> float:
+def value_beyond(threshold: float, side: float) -> float:
     """Return a value just above (`side` 1) or below (-1) a threshold."""
     return threshold + side * max(EDGE * abs(threshold), _SMALLEST_EDGE)
 

@@ -40,10 +40,13 @@ class Deployment:
         component."""
         sensors: dict[EngineRead, tuple[Robot, Sensor, int]] = {}
         for robot in self._program.robots:
-            for sensor in robot.sensors if self._program.is_direct(robot, "from_robot") else ():
-                for index, component in enumerate(sensor.components or (None,)):
-                    if sensor.is_direct:
-                        sensors.setdefault(sensor.world_value(robot.name, component), (robot, sensor, index))
+            if self._program.is_direct(robot, "from_robot"):
+                for sensor in robot.sensors:
+                    for index, component in enumerate(sensor.components or (None,)):
+                        if sensor.is_direct:
+                            sensors.setdefault(
+                                sensor.world_value(robot.name, component), (robot, sensor, index)
+                            )
         return sensors
 
     def subjects(self, reading: EngineRead) -> tuple[str, ...]:

@@ -27,6 +27,9 @@ _MAX_CONDITIONS = 64
 """The number of conditions of a conjunction that are compared with each other."""
 _NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
+_PLANE_AXES = ("x", "y")
+_ROTATION_KEYS = ("roll", "pitch", "yaw")
+
 
 class Ranges:
     """The ranges of values in some steps of an episode."""
@@ -185,10 +188,6 @@ class Ranges:
                     if isinstance(inner := analysis.resolve_aliases(small), Op) and inner.op == "abs":
                         yield analysis.identity(inner.args[0]), Interval(-high, high)
                     yield analysis.identity(large), Interval(self.of(small).low, INF)
-
-
-_PLANE_AXES = ("x", "y")
-_ROTATION_KEYS = ("roll", "pitch", "yaw")
 
 
 class StartRanges(Ranges):

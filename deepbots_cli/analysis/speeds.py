@@ -42,14 +42,15 @@ def joint_speed(analysis: Analysis, robot: str, joint: str) -> float:
     """Return the largest speed (rad/s or m/s) that a velocity motor gives a joint; infinite where nothing
     limits it."""
     controller = next((entry for entry in analysis.program.robots if entry.name == robot), None)
-    for command in controller.commands if controller is not None else ():
-        actuator = command.actuator
-        if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
-            at = actuator.joints.index(joint)
-            trees = analysis.value_on_robot(command.target, robot)
-            speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
-            limit = actuator.max_velocity[at]
-            return speed if limit is None else min(speed, limit)
+    if controller is not None:
+        for command in controller.commands:
+            actuator = command.actuator
+            if isinstance(actuator, Motor) and actuator.kind == "velocity_motor" and joint in actuator.joints:
+                at = actuator.joints.index(joint)
+                trees = analysis.value_on_robot(command.target, robot)
+                speed = iv.absolute(analysis.ranges.of(trees[at if len(trees) > 1 else 0])).high
+                limit = actuator.max_velocity[at]
+                return speed if limit is None else min(speed, limit)
     return INF
 
 
@@ -123,7 +124,8 @@ def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
     for name in model.links_below(model.root, rigid=True):
         offset = next((joint.origin.xyz for joint in model.joints if joint.child == name), (0.0, 0.0, 0.0))
         for part in model.link(name).collisions:
-            (x, y, z), shape = part.origin.xyz, part.shape
+            x, y, z = part.origin.xyz
+            shape = part.shape
             reach = getattr(shape, "radius", 0.0)
             low = z + offset[2] - (reach if isinstance(shape, Sphere) else _half_height(shape))
             if low < bottom + _GROUND_GAP:
@@ -225,18 +227,19 @@ class SpeedRanges(Ranges):
     """Value ranges that limits of speed narrow: of speeds, and of changes in a timestep."""
 
     def _world(self, node: EngineRead) -> Interval:
-        interval, limit = super()._world(node), INF
+        interval = super()._world(node)
+        limit = INF
         if node.function == "velocity":
             limit = _speed_of(self.analysis, node.subjects[0])
         elif node.function == "joint_velocity":
             robot, _, joint = node.subjects[0].partition(".")
             limit = joint_speed(self.analysis, robot, joint) * _TOLERANCE
-        return _within(interval, limit)
+        return _clipped(interval, limit)
 
     def _state(self, node: State) -> Interval:
         interval = super()._state(node)
         return (
-            _within(interval, self.change(node.args[0]))
+            _clipped(interval, self.change(node.args[0]))
             if node.function == "delta" and len(node.args) == 1
             else interval
         )
@@ -244,7 +247,7 @@ class SpeedRanges(Ranges):
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
         interval = super()._op(op, args)
         if op == "sub" and (quantity := change_of(self.analysis, args[0], args[1])) is not None:
-            return _within(interval, self.change(quantity))
+            return _clipped(interval, self.change(quantity))
         if op == "hypot":
             parts = [self.analysis.resolve_aliases(arg) for arg in args]
             subjects = {
@@ -255,7 +258,7 @@ class SpeedRanges(Ranges):
             if len(subjects) == 1 and all(
                 isinstance(part, EngineRead) and part.function == "velocity" for part in parts
             ):
-                return _within(interval, _speed_of(self.analysis, subjects.pop()[0]))
+                return _clipped(interval, _speed_of(self.analysis, subjects.pop()[0]))
         return interval
 
     def change(self, quantity: Scalar) -> float:
@@ -274,7 +277,7 @@ def change_of(analysis: Analysis, first: Scalar, second: Scalar) -> Scalar | Non
     return None
 
 
-def _within(interval: Interval, limit: float) -> Interval:
+def _clipped(interval: Interval, limit: float) -> Interval:
     return Interval(max(interval.low, -limit), min(interval.high, limit)) if limit < INF else interval
 
 
@@ -283,7 +286,8 @@ def _within(interval: Interval, limit: float) -> Interval:
 
 def highest_return(analysis: Analysis) -> float:
     """Return the highest return of an episode within limits of speed; infinite where nothing bounds it."""
-    reward, highest = analysis.reward, return_range(analysis).high
+    reward = analysis.reward
+    highest = return_range(analysis).high
     if not reward.is_complete:
         return INF
     ranges = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
@@ -324,7 +328,7 @@ def _total_change(ranges: SpeedRanges, quantity: Scalar, ticks: int) -> Interval
     """Return the change of a quantity over an episode: within its range, and no faster than it can change."""
     limit = rate_of(ranges.analysis, quantity, exact=True) * ranges.analysis.program.world.timestep * ticks
     change = iv.subtract(ranges.of(quantity), ranges.analysis.start.of(quantity))
-    return _within(change, limit) if 0.0 in change else change
+    return _clipped(change, limit) if 0.0 in change else change
 
 
 def speed_notes(analysis: Analysis) -> tuple[str, ...]:

@@ -27,6 +27,11 @@ MAX_SEED = 2**63 - 1
 MAX_SEEDS = 1000
 """The largest number of seeds of a group."""
 
+ADVANCED = "Advanced"
+"""The group of options that are rarely needed or dangerous; it is the last in the help."""
+EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
+"""The groups of options: the episodes and their driver, changes of the scenario, and the output."""
+
 
 def known_engine(name: str | None) -> str | None:
     """Refuse the name of an unknown engine, and an engine that is not installed if another one is."""
@@ -72,12 +77,6 @@ def _workers(text: str | int) -> int:
             " process"
         )
     return number
-
-
-ADVANCED = "Advanced"
-"""The group of options that are rarely needed or dangerous; it is the last in the help."""
-EPISODES, SCENARIO, OUTPUT = "Episodes", "Scenario", "Output"
-"""The groups of options: the episodes and their driver, changes of the scenario, and the output."""
 
 
 def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
@@ -267,8 +266,7 @@ Start = Annotated[
     option(
         "--start NAME=VALUE",
         "Set a value that each episode otherwise draws at random, in SI units, such as mark.x=0.5; may be"
-        " repeated. `deepbots try SCENARIO"
-        " --json` lists the names under `drawn`.",
+        " repeated. `deepbots try SCENARIO --json` lists the names under `drawn`.",
         SCENARIO,
     ),
 ]
@@ -277,8 +275,7 @@ Engine = Annotated[
     option(
         "--engine NAME",
         "Physics engine: pybullet, mujoco, or an engine that an installed package adds; by default"
-        " `world.engine` of the scenario, else"
-        " pybullet.",
+        " `world.engine` of the scenario, else pybullet.",
         SCENARIO,
         callback=known_engine,
     ),
@@ -316,9 +313,8 @@ Loggers = Annotated[
     list[str] | None,
     option(
         "--logger NAME",
-        "Write the scalars with this logger too: csv, or one that an installed package adds; may be"
-        " repeated. `none` drops those of a"
-        " resumed training.",
+        "Write the scalars with this logger too: csv, or one that an installed package adds; may be repeated."
+        " `none` drops those of a resumed training.",
         ADVANCED,
     ),
 ]
@@ -337,6 +333,24 @@ EngineOrRun = Annotated[
 
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 _HELP = Path(__file__).with_name("help")
+
+_WITH_ROLES = frozenset(
+    {
+        "bench",
+        "compile",
+        "eval",
+        "inspect",
+        "lint",
+        "play",
+        "render",
+        "robustness",
+        "test",
+        "train",
+        "try",
+        "view",
+    }
+)
+"""The commands of a scenario, of which one of several agents may be named."""
 
 
 def help_text(name: str) -> str:
@@ -389,25 +403,6 @@ def _command(name: str) -> Any:
         )
     )
     return typer.main.get_command(app)
-
-
-_WITH_ROLES = frozenset(
-    {
-        "bench",
-        "compile",
-        "eval",
-        "inspect",
-        "lint",
-        "play",
-        "render",
-        "robustness",
-        "test",
-        "train",
-        "try",
-        "view",
-    }
-)
-"""The commands of a scenario, of which one of several agents may be named."""
 
 
 def _role_kinds(group: str) -> dict[str, Any]:
@@ -601,7 +596,8 @@ def run_command(arguments: Sequence[str] | None) -> None:
 def without_old_spelling(words: list[str]) -> list[str]:
     """Return `train --resume RUN`, `tune --resume STUDY` and `schema` of earlier versions as the commands
     `resume`, `apply` and `lsp --schema`, with a note."""
-    command, options = (words or [""])[0], words[1:]
+    command = (words or [""])[0]
+    options = words[1:]
     if command == "schema":
         terminal.note(
             "note: `deepbots schema` is now `deepbots lsp --schema`; the next version drops the old spelling"

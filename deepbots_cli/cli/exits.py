@@ -21,9 +21,15 @@ from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError, extra_
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-FAILED, WRONG_USAGE, INTERNAL_ERROR, INTERRUPTED = 1, 2, 3, 130
-"""The exit codes of every command: findings or a result that was not met; wrong usage or a missing file; a
-fault of deepbots itself, which `lint` also reports as DB903 of the file; Ctrl-C or SIGTERM."""
+# The exit codes of every command.
+FAILED = 1
+"""Findings, or a result that was not met."""
+WRONG_USAGE = 2
+"""Wrong usage, or a missing file."""
+INTERNAL_ERROR = 3
+"""A fault of deepbots itself, which `lint` also reports as DB903 of the file."""
+INTERRUPTED = 130
+"""Ctrl-C or SIGTERM."""
 
 _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 

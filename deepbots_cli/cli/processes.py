@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.errors import UsageError, counted
@@ -55,10 +55,7 @@ def executor(
             terminal.note(
                 f"{workers} workers share {counted(cores, 'core')}; more workers than cores are not faster"
             )
-    cluster = Cluster(workers=workers, address=address)
-    with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
-        cluster.__enter__()
-    try:
+    with ExitStack() as stack:
+        with terminal.transient_line("" if quiet or address is None else f"joining {address} ..."):
+            cluster = stack.enter_context(Cluster(workers=workers, address=address))
         yield cluster
-    finally:
-        cluster.__exit__()

@@ -386,7 +386,9 @@ def _group_of_rivals_text(group: GroupResult) -> str:
 
 def group_text(group: GroupResult) -> str:
     """Return a row for each seed, and the statistics over the seeds."""
-    first, count, has_success = group.evaluations[0], len(group.evaluations), group.success_defined
+    first = group.evaluations[0]
+    count = len(group.evaluations)
+    has_success = group.success_defined
     solved = [solved_by(result) for result in group.evaluations]
     over_starts = {
         "mean return": with_interval(group.mean_return, group.return_interval_over_starts),

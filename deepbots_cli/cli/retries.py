@@ -68,7 +68,8 @@ def _show(begin: Callable[..., RetriedTraining], *, quiet: bool, as_json: bool) 
         again = f"; continue with: deepbots resume {quote(str(begun[-1].parent))}" if begun else ""
         terminal.note(f"interrupted{again}")
         raise typer.Exit(INTERRUPTED) from None
-    group, best = quote(str(training.group)), training.attempts[training.best - 1]
+    group = quote(str(training.group))
+    best = training.attempts[training.best - 1]
     lines = [
         f"group {training.group}\n{table(list(map(_row, training.attempts)))}",
         f"best: {best.path.name}, {best.verdict.text}",
@@ -132,7 +133,8 @@ def cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
     causes = [cause for cause in causes if not is_change(cause)]
     if not causes:
         return changed
-    first, further_count = causes[0], len(causes) - 1
+    first = causes[0]
+    further_count = len(causes) - 1
     more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
     return [*changed, f"\nmost likely cause{of}{more}: {first.text}", f"try: {first.advice}"]
 

@@ -21,6 +21,12 @@ from deepbots_cli.learning.trials import run_study
 _MAX_SHOWN = 10
 """The number of trials in the table; --json has all."""
 
+_OBJECTIVES: Mapping[str, str] = {
+    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
+    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
+    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
+}
+
 
 def continue_study(
     study: Study,
@@ -45,7 +51,9 @@ class StudyDisplay(StudyReporter):
     """A line for each trial that ends; on a terminal, a line below it that is rewritten during a training."""
 
     def __init__(self, study: Study, *, quiet: bool) -> None:
-        self._study, self._quiet, self._best = study, quiet, ""
+        self._study = study
+        self._quiet = quiet
+        self._best = ""
         self._display = Display(transient=True)
         self._begun: dict[int, StudyTrial] = {}
         self._at_work: dict[int, TrialProgress] = {}
@@ -104,13 +112,6 @@ class StudyDisplay(StudyReporter):
         self._display.print(terminal.printable(f"trial {trial.number}: {_settings(trial.values)}: {result}"))
 
 
-_OBJECTIVES: Mapping[str, str] = {
-    "solved": "score: fraction of the timesteps until solved, the mean over the seeds; above 1: not solved",
-    "success_rate": "score: success rate of the evaluation, the mean over the seeds",
-    "mean_return": "score: mean return of the evaluation, the mean over the seeds",
-}
-
-
 def _settings(values: Mapping[str, str]) -> str:
     return ", ".join(f"{name}={text}" for name, text in values.items())
 
@@ -140,7 +141,8 @@ def _row(study: Study, trial: StudyTrial) -> Row:
 def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
     """Show the best trials, and the next commands."""
     trials = study.trials()
-    ranked, path = study.ranked(trials), quote(str(study.path))
+    ranked = study.ranked(trials)
+    path = quote(str(study.path))
     counts = {
         state: sum(trial.state == state for trial in trials)
         for state in ("complete", "pruned", "failed", "running")
@@ -187,7 +189,8 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
 def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
     """Return the best trial, those with its score, and whether it is clearly better than the values of the
     scenario itself."""
-    best, over_first = ranked[0], study.over_first(ranked)
+    best = ranked[0]
+    over_first = study.over_first(ranked)
     text = f"best: trial {best.number}, score {best.score:.4g}"
     if equals := sum(trial.score == best.score for trial in ranked) - 1:
         measures = (
@@ -200,7 +203,8 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
     if over_first is None:
         is_first = best.number == 0 and study.record.present
         return text + ("; it has the values of the scenario itself" if is_first else "")
-    difference, first = over_first.difference, next(trial for trial in ranked if trial.number == 0)
+    difference = over_first.difference
+    first = next(trial for trial in ranked if trial.number == 0)
     reference = f"the values of the scenario itself (trial 0, score {first.score:.4g})"
     if over_first.is_clear:
         return f"{text}; it is clearly better than {reference}"

@@ -171,9 +171,11 @@ class ProgressBar:
     """
 
     def __init__(self, total: int, unit: str, *, stream: TextIO | None = None) -> None:
-        self._total, self._unit = max(1, total), unit
+        self._total = max(1, total)
+        self._unit = unit
         self._display = Display(stream, transient=True)
-        self._began, self._tenth = time.perf_counter(), 0
+        self._began = time.perf_counter()
+        self._tenth = 0
 
     def update(self, count: int) -> None:
         """Show that `count` of the total is done."""

@@ -30,7 +30,8 @@ def note_faster_engine(
 def speed_table(name: str, measured: list[list[Speed]]) -> str:
     """Return the table of the rounds of each engine, the meaning of its columns, and a remark on a busy
     machine."""
-    speeds, rounds = [*map(medians, measured)], len(measured[0])
+    speeds = [*map(medians, measured)]
+    rounds = len(measured[0])
     rows = [
         {
             "engine": speed.engine,

@@ -38,7 +38,8 @@ class Owed:
     before."""
 
     def __init__(self, worker: Worker, hear: Callable[[str, Any], None] | None = None) -> None:
-        self.worker, self.hear = worker, hear
+        self.worker = worker
+        self.hear = hear
         self.result: tuple[str, Any] | None = None
 
 
@@ -222,12 +223,14 @@ class LocalCalls:
             self._processes.end(owed.worker)
 
     def news(self, *, stop: bool) -> News:
-        for item in self._begun - self._stopped if stop else ():
-            if self._running[item].result is None:
-                self._stopped.add(item)
-                self._running[item].worker.send(None)
+        if stop:
+            for item in self._begun - self._stopped:
+                if self._running[item].result is None:
+                    self._stopped.add(item)
+                    self._running[item].worker.send(None)
         news = News(self._reports, self._notes, self._begun)
-        self._reports, self._notes = {}, []
+        self._reports = {}
+        self._notes = []
         return news
 
     def leave_out(self) -> None:

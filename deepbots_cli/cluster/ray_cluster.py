@@ -166,7 +166,8 @@ class RayCalls:
     def __init__(self, cluster: RayCluster, requirements: Requirements, *, can_stop: bool) -> None:
         import ray
 
-        self._cluster, self._requirements = cluster, requirements
+        self._cluster = cluster
+        self._requirements = requirements
         for reason in self._unfit_nodes().values():
             raise UsageError(reason)
         self._board = _make_board()
@@ -221,7 +222,8 @@ class RayCalls:
         import ray
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-        checks, unfit = [], {}
+        checks = []
+        unfit = {}
         for node, host in _nodes().items():
             there = NodeAffinitySchedulingStrategy(node, soft=False)
             check = ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(Requirements.unmet)
@@ -258,10 +260,12 @@ class _BoardLine:
     """The `Line` of a call to the board, in a thread."""
 
     def __init__(self, call: Call, board: Any) -> None:
-        self._call, self._board = call, board
+        self._call = call
+        self._board = board
         self._newest: object = None
         self._notes: list[str] = []
-        self._is_stopping, self._ended = False, threading.Event()
+        self._is_stopping = False
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def __enter__(self) -> Self:
@@ -283,7 +287,8 @@ class _BoardLine:
         from ray.exceptions import RayError
 
         while True:
-            is_last, notes = self._ended.wait(_EXCHANGE_INTERVAL_S), tuple(self._notes)
+            is_last = self._ended.wait(_EXCHANGE_INTERVAL_S)
+            notes = tuple(self._notes)
             try:
                 # A future: a task that waits for an object in another way lends its CPU to the next task.
                 answer = self._board.tell.remote(self._call.item, self._newest, notes).future()
@@ -320,8 +325,10 @@ def _make_board() -> Any:
             return self.stop
 
         def news(self, stop: bool) -> tuple[dict[int, object], list[tuple[int, str]], set[int]]:
-            news, self.stop = (self.reports, self.notes, self.begun), stop
-            self.reports, self.notes = {}, []
+            news = (self.reports, self.notes, self.begun)
+            self.stop = stop
+            self.reports = {}
+            self.notes = []
             return news
 
     here = NodeAffinitySchedulingStrategy(ray.get_runtime_context().get_node_id(), soft=False)

@@ -51,7 +51,8 @@ class ShardWorker:
         from deepbots_cli.learning.sb3.algorithms import torch_settings
 
         self._settings.enter_context(torch_settings())
-        self._path, self._number = run, number
+        self._path = run
+        self._number = number
         self._shards: dict[int, Any] = {}
 
     def unmet(self, requirements: Requirements, digest: str) -> str | None:
@@ -121,7 +122,10 @@ class RemoteShards:
         note: Callable[[str], None],
     ) -> None:
         self._pool = pool
-        self._run, self._permissions, self._worlds, self._note = run, permissions, worlds, note
+        self._run = run
+        self._permissions = permissions
+        self._worlds = worlds
+        self._note = note
         self._wanted = min(pool.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
@@ -220,10 +224,8 @@ class RemoteShards:
         load = Counter(dict.fromkeys(self._workers, 0))
         load.update(home for home in self._homes if home is not None)
         for shard, home in enumerate(self._homes):
-            busiest, idlest = (
-                max(load, key=lambda worker: load[worker]),
-                min(load, key=lambda worker: load[worker]),
-            )
+            busiest = max(load, key=lambda worker: load[worker])
+            idlest = min(load, key=lambda worker: load[worker])
             if home is None or (balance and home == busiest and load[busiest] > load[idlest] + 1):
                 if home is not None:
                     load[home] -= 1
@@ -275,7 +277,8 @@ class RemoteShards:
         free = self._pool.free()
         if not self._workers and not free and not self._vain_starts:
             self._note("waiting for a free CPU in the cluster")
-        waiting, requirements = {}, Requirements.of_this_process([self._run.path / RESOLVED_NAME])
+        waiting = {}
+        requirements = Requirements.of_this_process([self._run.path / RESOLVED_NAME])
         for _ in range(min(missing, free) if self._workers else max(1, min(missing, free))):
             number, self._started = self._started, self._started + 1
             worker = self._pool.start(ShardWorker, self._run.path.absolute(), number)

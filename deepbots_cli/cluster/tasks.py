@@ -25,8 +25,10 @@ class Tasks:
     """
 
     def __init__(self, pool: WorkerPool, options: CallOptions) -> None:
-        self._pool, self._watcher = pool, options.get("watcher", UNWATCHED)
-        self._log, self._stop = options.get("log"), options.get("stop")
+        self._pool = pool
+        self._watcher = options.get("watcher", UNWATCHED)
+        self._log = options.get("log")
+        self._stop = options.get("stop")
         self._requirements = Requirements.of_this_process(options.get("files", ()))
         self._calls = pool.calls(self._requirements, can_stop=self._stop is not None)
         self._running: dict[Any, Call] = {}
@@ -38,7 +40,9 @@ class Tasks:
         self, function: Callable[[Item, Attempt], Result], items: Iterable[Item]
     ) -> Generator[Result | DeepbotsError | None]:
         """Yield the outcomes in the order of the items."""
-        waiting, following, is_stopping = self._waiting(function, items), 0, False
+        waiting = self._waiting(function, items)
+        following = 0
+        is_stopping = False
         try:
             while True:
                 if self._stop is not None and not is_stopping and self._stop():

@@ -26,7 +26,8 @@ class Parent:
     """
 
     def __init__(self, out: IO[bytes]) -> None:
-        self._out, self._lock = out, threading.Lock()
+        self._out = out
+        self._lock = threading.Lock()
         self.state: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
@@ -62,7 +63,8 @@ def invoke(
 
 
 def _main() -> None:
-    source, parent = os.fdopen(os.dup(0), "rb"), Parent(os.fdopen(os.dup(1), "wb"))
+    source = os.fdopen(os.dup(0), "rb")
+    parent = Parent(os.fdopen(os.dup(1), "wb"))
     nowhere = os.open(os.devnull, os.O_RDWR)
     os.dup2(nowhere, 0)
     os.dup2(nowhere, 1)

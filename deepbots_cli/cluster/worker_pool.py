@@ -141,7 +141,8 @@ class Requirements:
 
     def unmet(self) -> str | None:
         """Return a sentence with the requirement that this process does not meet."""
-        worker, here = f"the worker on {socket.gethostname()}", library_versions()
+        worker = f"the worker on {socket.gethostname()}"
+        here = library_versions()
         for name, version in self.versions.items():
             if here.get(name) != version:
                 return (

@@ -71,6 +71,8 @@ _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 # The group is empty for parts that are no names: quotes, comments, numbers, attributes and the keywords of calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 
+_NUMBERS = frozenset({"pi", "tau", "e", "inf"})
+
 
 @lru_cache(maxsize=16)
 def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[str, ...] = ()) -> str:
@@ -132,9 +134,6 @@ def _classes(
     ]
 
 
-_NUMBERS = frozenset({"pi", "tau", "e", "inf"})
-
-
 def _imports(used: set[str], on_floats: bool) -> list[str]:
     if on_floats:
         return [
@@ -154,7 +153,8 @@ def batch_obstacles(scenario: Program, scripts: Sequence[str] = ()) -> list[str]
         of_all = world_of(scenario, others)
         alone = [f"the episode of {others.agent} may end before those of others"]
         return batch_obstacles(of_all, others.scripts) + (alone if of_all.members[others.agent].alone else [])
-    agent, scripts = scenario.agent, scripts or scenario.scripted_rivals
+    agent = scenario.agent
+    scripts = scripts or scenario.scripted_rivals
     reasons = [
         (
             bool(agent.images) or any(sensor.optics for robot in scenario.robots for sensor in robot.sensors),

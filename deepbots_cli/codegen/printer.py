@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
 from deepbots_cli.expressions.code import Code, number_code
-from deepbots_cli.expressions.functions import FUNCTIONS, Family, rotation
+from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import SCALAR, operation_code
 from deepbots_cli.expressions.scalar import (
     Const,
@@ -28,6 +28,7 @@ from deepbots_cli.expressions.scalar import (
     State,
     is_drawn,
 )
+from deepbots_cli.expressions.world_trees import rotation
 
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys
@@ -102,7 +103,8 @@ class Printer:
 
     def method_lines(self, docstring: Sequence[str] = ()) -> list[str]:
         """Return all lines, with the calls of readers."""
-        at, reads = self.reads_at, self.context.readers.call_lines(self.needs)
+        at = self.reads_at
+        reads = self.context.readers.call_lines(self.needs)
         return [*docstring, *self.lines[:at], *reads, *self.lines[at:]] or ["pass"]
 
     def value(self, tree: Scalar) -> str:
@@ -215,7 +217,7 @@ class Printer:
     def _pose_function_code(self, tree: Op) -> Code | None:
         """Return the code of a function of the poses of bodies, or of a component of a vector as a body sees
         it."""
-        call = _of_poses(tree)
+        call = _pose_function(tree)
         if call is not None:
             poses = [self.context.readers.pose(body, self.needs) for body in call[1]]
             return Code(f"{call[0]}({', '.join(poses)})")
@@ -413,7 +415,7 @@ class _Loop:
         if (column := self._printer._column(trees)) is not None:
             return Code(self.variable(column))
         if all(
-            isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _of_poses(tree))
+            isinstance(tree, Name | EngineRead) or (isinstance(tree, Op) and _pose_function(tree))
             for tree in trees
         ):
             values = [self._printer.value(tree) for tree in trees]
@@ -491,6 +493,8 @@ def outer_states(tree: Scalar, without: Container[tuple[str, str]] = ()) -> list
 
 # Functions of poses, which a program contains as the operations that they are made of
 
+_ONE, _OTHER = "one", "other"
+
 
 class _BodyFrameComponent(NamedTuple):
     """A component of a vector of the world, as a body sees it."""
@@ -498,9 +502,6 @@ class _BodyFrameComponent(NamedTuple):
     body: str
     axis: int
     vector: tuple[Scalar, ...]
-
-
-_ONE, _OTHER = "one", "other"
 
 
 def _patterns() -> dict[str, list[tuple[str, Scalar]]]:
@@ -522,7 +523,7 @@ _BODY_FRAME_PATTERNS = [
 ]
 
 
-def _of_poses(tree: Op) -> tuple[str, list[str]] | None:
+def _pose_function(tree: Op) -> tuple[str, list[str]] | None:
     """Return the function of poses that a tree computes, and the bodies."""
     for name, pattern in _PATTERNS.get(tree.op, ()):
         bodies: dict[str, str] = {}

@@ -35,7 +35,8 @@ from deepbots_cli.program.values import Expression, Noise
 def begin_method(supervisor: SupervisorPrinter) -> list[str]:
     """Return the method that draws in order of dependency, then sets variations, places, joints; the
     actuators hold until their first commands."""
-    scenario, reset = supervisor.scenario, supervisor.scenario.reset
+    scenario = supervisor.scenario
+    reset = supervisor.scenario.reset
     printer = supervisor.printer()
     _print_first_draws(supervisor, printer)
     _print_stds(supervisor, printer)
@@ -154,7 +155,8 @@ def _placing(place: Placement, printer: Printer) -> str:
 
 
 def _print_joints(start: JointStart, printer: Printer) -> None:
-    robot, (joints, positions, velocities) = quoted(start.robot), zip(*start.states, strict=True)
+    robot = quoted(start.robot)
+    joints, positions, velocities = zip(*start.states, strict=True)
     if len(joints) > 2:
         moving = "" if _all_zero(velocities) else f", {printer.vector(velocities)}"
         printer.line(
@@ -242,6 +244,8 @@ def _options(place: Placement, printer: Printer) -> str:
 
 # What varies
 
+_OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
+
 
 def _is_vector(variation: RandomizedParameter) -> bool:
     """Return whether its values are set together, one for each part of an actuator or each component of a
@@ -249,9 +253,6 @@ def _is_vector(variation: RandomizedParameter) -> bool:
     return isinstance(variation.of, OfSensor) or (
         isinstance(variation.of, OfActuator) and variation.what not in _OF_RESPONSE
     )
-
-
-_OF_RESPONSE = ("actuator_delay", "actuator_time_constant")
 
 
 def _setting(variation: RandomizedParameter, vector: str, values: Sequence[str]) -> str:
@@ -294,7 +295,7 @@ def _print_first_draws(supervisor: SupervisorPrinter, printer: Printer) -> None:
             entry.text,
         )
     for name, value in _settings(supervisor):
-        if not isinstance(value.scalar, Const) and not _of_message(value):
+        if not isinstance(value.scalar, Const) and not _is_drawn_per_message(value):
             _print_first_period(supervisor, printer, value, name)
             printer.assign(f"self.{name}", printer.value(value.scalar))
 
@@ -337,7 +338,7 @@ def print_redraws(supervisor: SupervisorPrinter, printer: Printer) -> list[tuple
 def print_draws_of_message(printer: Printer, channel: str, route: Route) -> None:
     """Print the values of a route that are drawn for each message, before one is sent."""
     for name, value in route.settings:
-        if _of_message(value):
+        if _is_drawn_per_message(value):
             printer.assign(f"{channel}.{name}", printer.value(value.scalar))
 
 
@@ -353,7 +354,7 @@ def _settings(supervisor: SupervisorPrinter) -> Iterator[tuple[str, Expression]]
         yield from ((f"{path}.{name}", value) for name, value in link.route.settings)
 
 
-def _of_message(value: Expression) -> bool:
+def _is_drawn_per_message(value: Expression) -> bool:
     return value.redraw is not None and value.period is None
 
 

@@ -142,7 +142,8 @@ class ControllerPrinter(ClassPrinter):
     def _create_message(self) -> list[str]:
         entries = self._robot.emitted
         if self._keeps_state:
-            values, printer = [self._stored(entry.name) for entry in entries], None
+            values = [self._stored(entry.name) for entry in entries]
+            printer = None
         else:
             printer = self._printer()
             values = [

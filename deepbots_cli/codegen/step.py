@@ -19,7 +19,7 @@ from deepbots_cli.codegen.workspace import SupervisorPrinter, zeros
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.scalar import Const, Name, names_in
 from deepbots_cli.program import generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, joint_name
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINATED, qualified_name
 from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
@@ -227,7 +227,8 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         printer.line(f"{names[name]} = self.ranges({ranges})")
         variables[name] = f"*{names[name]}"
     elif vectors:
-        values, index = supervisor.names("values of ranges"), 0
+        values = supervisor.names("values of ranges")
+        index = 0
         printer.line(f"{values} = self.ranges({ranges})")
         for interval in supervisor.ranges:
             end = index + max(1, len(interval.components))
@@ -272,9 +273,10 @@ def _print_rest(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> 
             resting[interval.name] = repr(min(max(0.0, interval.low), interval.high))
     components = dict(supervisor.variables)
     ended = supervisor.ended_of(agent)
-    for name, value in resting.items() if printer.on_floats else ():
-        many = len(components[name])
-        resting[name] = f"({value},) * {many}" if many else value
+    if printer.on_floats:
+        for name, value in resting.items():
+            many = len(components[name])
+            resting[name] = f"({value},) * {many}" if many else value
     if printer.on_floats:
         settings = [f"    {supervisor.local(name)} = {value}" for name, value in resting.items()]
         printer.lines += [f"if {ended}:", *settings]
@@ -510,7 +512,8 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
     limit = _tick_limit(supervisor)
     if limit is None:
         return
-    reached, name = f"{supervisor.tick} >= {limit[0]}", quoted(limit[1])
+    reached = f"{supervisor.tick} >= {limit[0]}"
+    name = quoted(limit[1])
     goal = supervisor.local("goal_reached") if supervisor.agent.goal is not None and not successes else ""
     goal = "True" if limit[1] in supervisor.agent.success else goal
     if printer.on_floats:
@@ -523,7 +526,8 @@ def _print_endings(supervisor: SupervisorPrinter, printer: Printer) -> None:
 def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: str) -> None:
     """Print the end of the episode of one of several agents, while the others go on."""
     member = supervisor.scenario.members[agent]
-    ended, acts = supervisor.ended_of(agent), supervisor.acts(agent)
+    ended = supervisor.ended_of(agent)
+    acts = supervisor.acts(agent)
     printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
     holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
     failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
@@ -680,7 +684,7 @@ def _print_ends_of_agents(supervisor: SupervisorPrinter, printer: Printer) -> No
     flags = {TERMINATED: ["self.terminated"], ENDED: ["self.terminated", "self.truncated"]}
     for agent in supervisor.agents_alone:
         for word, of_all in flags.items():
-            name = joint_name(agent, word)
+            name = qualified_name(agent, word)
             if supervisor.uses(name):
                 ends = [Code(flag) for flag in (*of_all, supervisor.ended_of(agent))]
                 printer.line(f"{supervisor.local(name)} = {printer.operation('or', ends).text}")

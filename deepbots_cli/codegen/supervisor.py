@@ -83,7 +83,8 @@ def print_batch_supervisor(
     """Return the lines of the class for a batch: only the steps and these scripts are printed; episodes begin
     in the single worlds."""
     supervisor = SupervisorPrinter(scenario, constants, BATCH, scripts)
-    observing, acting = observe_method(supervisor), advance_methods(supervisor)
+    observing = observe_method(supervisor)
+    acting = advance_methods(supervisor)
     methods = [*acting, *observing, *(line for script in scripts for line in _script(supervisor, script))]
     for name, lines in supervisor.per_world.items():
         methods += ["@staticmethod", *block(f"def {name}(self: Any) -> None:", lines)]
@@ -157,7 +158,8 @@ def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
 
 
 def _bind(supervisor: SupervisorPrinter) -> list[str]:
-    scenario, lines = supervisor.scenario, _bind_robots(supervisor)
+    scenario = supervisor.scenario
+    lines = _bind_robots(supervisor)
     arranged = needs_arrangement(scenario)
     lines += ["self.bodies = Arrangement(self.scenario, engine)"] if arranged else []
     if supervisor.readers.needs_paths:
@@ -280,7 +282,8 @@ def _script(supervisor: SupervisorPrinter, script: Script) -> list[str]:
 
 def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, pick: ScriptedChoice) -> str:
     """Print the choice of an option, and return the local with its number."""
-    target, names = supervisor.names(f"{part.name} pick"), [option.name for option in part.options]
+    target = supervisor.names(f"{part.name} pick")
+    names = [option.name for option in part.options]
     if supervisor.target is BATCH:
         numbers = [Const(names.index(option)) for option in pick.options]
         tree: Scalar = numbers[-1]

@@ -85,6 +85,10 @@ _RESERVED_NAMES = frozenset(
     | {"bodies", "body", "layout", "spot", "spots"}
 )
 
+WIDTH = 120
+_DEPTH = 8
+"""The indent of a statement in a method."""
+
 
 class Names:
     """Hands out one identifier per key, the same for the same key."""
@@ -107,9 +111,11 @@ class Names:
 
 
 def _unused(base: str, used: set[str]) -> str:
-    name, number = base, 1
+    name = base
+    number = 1
     while name in used:
-        name, number = f"{base}_{number}", number + 1
+        name = f"{base}_{number}"
+        number = number + 1
     return name
 
 
@@ -164,11 +170,6 @@ def class_name(text: str) -> str:
     words = re.findall(r"[A-Za-z0-9]+", text)
     name = "".join(word[:1].upper() + word[1:] for word in words) or "Scenario"
     return f"S{name}" if name[0].isdigit() else name
-
-
-WIDTH = 120
-_DEPTH = 8
-"""The indent of a statement in a method."""
 
 
 def indent(lines: Iterable[str], depth: int = 1) -> list[str]:
@@ -298,19 +299,19 @@ def wrap_line(line: str) -> list[str]:
         start = 0
     statement = _STATEMENT.fullmatch(code[start:])
     if statement is None or code.startswith("def "):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     head = f"{pad}{code[:start]}{statement['head']}("
     body = statement["body"]
     tail = f"{pad}){statement['tail']}"
     if code.startswith("for ") and " = " not in code and list(_places(code, " in ")):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     if list(_places(body, ", ")):
         return [head, *_one_each(pad, _split(body, ", ")), tail]
     operators = _loosest_operators(body)
     fits = len(pad) + 4 + len(body) <= WIDTH
     room = 0 if fits else WIDTH - len(pad) - start
     if operators is None or _ends_in_long_brackets(body, operators, room):
-        return _at_brackets(pad, code)
+        return _broken_at_brackets(pad, code)
     if fits:
         return [head, f"{pad}    {body}", tail]
     return [head, *_one_operand_each(pad, body, operators), tail]
@@ -332,14 +333,16 @@ def _ends_in_long_brackets(body: str, operators: tuple[str, ...], width: int) ->
     return offsets[0] < start < width and end == len(body) - 1
 
 
-def _at_brackets(pad: str, code: str) -> list[str]:
+def _broken_at_brackets(pad: str, code: str) -> list[str]:
     """Return the line broken inside the last outermost brackets; for a definition, inside those around its
     arguments."""
     groups = list(_groups(code))
     if not groups:
         return [pad + code]
     start, end = groups[0] if code.startswith("def ") else groups[-1]
-    head, inner, tail = pad + code[: start + 1], code[start + 1 : end], pad + code[end:]
+    head = pad + code[: start + 1]
+    inner = code[start + 1 : end]
+    tail = pad + code[end:]
     is_call = code[start] == "(" and re.search(r"[\w\])]$", code[:start]) is not None
     fits = len(pad) + 4 + len(inner) <= WIDTH and not inner.endswith(",")
     if fits and (is_call or not list(_places(inner, ", "))):
@@ -390,11 +393,14 @@ def _places(code: str, sign: str) -> Iterator[int]:
 def _outside(code: str) -> str:
     """Return the code with a zero for each character in brackets or quotes: a line is searched for about ten
     signs."""
-    pieces, depth, end = [], 0, 0
+    pieces = []
+    depth = 0
+    end = 0
     for match in _BRACKET_OR_QUOTED.finditer(code):
         between = code[end : match.start()]
         pieces += [between if depth == 0 else "\0" * len(between), "\0" * len(match[0])]
-        depth, end = depth + _DEEPER.get(match[0], 0), match.end()
+        depth = depth + _DEEPER.get(match[0], 0)
+        end = match.end()
     return "".join([*pieces, "" if depth else code[end:]])
 
 

@@ -17,21 +17,10 @@ from deepbots_cli.codegen.text import LOOP_VARIABLES, Constants, Names, quoted
 from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, is_drawn, names_in, walk
 from deepbots_cli.program import Program, generated
-from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, joint_name
+from deepbots_cli.program.members import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, qualified_name
 from deepbots_cli.program.task import Script, action_names
 
 # Readers of the engine
-
-
-class ReaderKey(NamedTuple):
-    """The kind of a reader, and the parts of the world that it is about."""
-
-    kind: str
-    parts: tuple[str, ...]
-
-
-ReaderKeys = dict[ReaderKey, None]
-"""The readers that a method calls, in order of first use."""
 
 _KINDS = ("joints", "torques", "pose", "velocity")
 _OF_COLUMNS = (
@@ -74,6 +63,17 @@ _VECTOR_READERS = {
 _READER_ORDER = (*_KINDS, *_SCALAR_READERS, *_VECTOR_READERS, "line")
 
 
+class ReaderKey(NamedTuple):
+    """The kind of a reader, and the parts of the world that it is about."""
+
+    kind: str
+    parts: tuple[str, ...]
+
+
+ReaderKeys = dict[ReaderKey, None]
+"""The readers that a method calls, in order of first use."""
+
+
 class Readers:
     """The readers of one class; one reader covers all joints of a robot."""
 
@@ -97,7 +97,8 @@ class Readers:
 
     def code(self, leaf: EngineRead, needs: ReaderKeys) -> str:
         """Return the code of one number."""
-        kind, item = leaf.function, _RESULT_INDEX.get(leaf.function)
+        kind = leaf.function
+        item = _RESULT_INDEX.get(leaf.function)
         if kind in _POSES:
             return f"{self._need(_POSES[kind], leaf.subjects[:1], needs)}[{item}][{_XYZ.index(leaf.component or 'x')}]"
         if kind in _SCALAR_READERS:
@@ -117,7 +118,8 @@ class Readers:
     def vector(self, leaves: Sequence[EngineRead], needs: ReaderKeys) -> tuple[str, str] | None:
         """Return the code of a sequence and of the part that is taken from each item; None if the facts are
         read separately."""
-        kind, subjects = leaves[0].function, [leaf.subjects for leaf in leaves]
+        kind = leaves[0].function
+        subjects = [leaf.subjects for leaf in leaves]
         if any(leaf.function != kind for leaf in leaves):
             return None
         if kind in _POSES or kind in _VECTOR_READERS:
@@ -127,10 +129,11 @@ class Readers:
             code = self._need(_POSES.get(kind, kind), leaves[0].subjects[:1], needs)
             return f"{code}[{_RESULT_INDEX[kind]}]" if kind in _POSES else code, ""
         if kind in ("joint_position", "joint_velocity", "joint_torque"):
-            robot, names = subjects[0][0].partition(".")[0], [name.partition(".")[2] for (name,) in subjects]
+            robot = subjects[0][0].partition(".")[0]
+            names = [name.partition(".")[2] for (name,) in subjects]
             if any(name.partition(".")[0] != robot for (name,) in subjects) or len(names) < 2:
                 return None
-            key = _of_joints(leaves[0], names)
+            key = _joint_reader(leaves[0], names)
             self._joints[key] = names
             return self._need(*key, needs), "" if kind == "joint_torque" else f"[{_RESULT_INDEX[kind]}]"
         if kind == "contact" and len(leaves) > 2 and len({subject[1:] for subject in subjects}) == 1:
@@ -141,7 +144,8 @@ class Readers:
         return None
 
     def _joint(self, leaf: EngineRead, needs: ReaderKeys) -> tuple[str, int]:
-        single, (robot, _, name) = _of_joints(leaf, ()), leaf.subjects[0].partition(".")
+        single = _joint_reader(leaf, ())
+        robot, _, name = leaf.subjects[0].partition(".")
         vectors = (
             key
             for key, names in self._joints.items()
@@ -235,7 +239,7 @@ class Readers:
                 )
 
 
-def _of_joints(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
+def _joint_reader(leaf: EngineRead, names: Sequence[str]) -> ReaderKey:
     """Return the reader of certain joints that are read as a vector, or of all that are read one by one."""
     kind = "torques" if leaf.function == "joint_torque" else "joints"
     return ReaderKey(kind, (leaf.subjects[0].partition(".")[0], *names))
@@ -249,6 +253,8 @@ def _part(name: str) -> str:
 
 # Names shared by the methods of a class
 
+_GOAL = ("achieved", "desired", "goal_reached")
+
 
 class ClassPrinter(ABC):
     """A printed class: the meanings of its names, and the parts that its methods share."""
@@ -257,7 +263,9 @@ class ClassPrinter(ABC):
     """The calls of stateful functions whose memories begin with the first message, and not at the reset."""
 
     def __init__(self, scenario: Program, constants: Constants, target: Target) -> None:
-        self.scenario, self.constants, self.target = scenario, constants, target
+        self.scenario = scenario
+        self.constants = constants
+        self.target = target
         self.names = Names()
         self.memories: dict[str, str] = {}
         """The code that makes each memory, by its attribute."""
@@ -281,9 +289,6 @@ class ClassPrinter(ABC):
             *statements,
             *(f"self.{name} = {code}" for name, code in self.memories.items()),
         ]
-
-
-_GOAL = ("achieved", "desired", "goal_reached")
 
 
 class SupervisorPrinter(ClassPrinter):
@@ -354,14 +359,15 @@ class SupervisorPrinter(ClassPrinter):
         self._parameters = {entry.name: entry.components for entry in scenario.parameters}
         self._components = self._named_components()
         self._results_of_agents = {
-            joint_name(agent, word): (agent, word)
+            qualified_name(agent, word): (agent, word)
             for agent in scenario.members
             for word in (PREVIOUS_REWARD, EPISODE_RETURN)
         }
 
     def _values_of_timesteps(self) -> Iterator[Scalar]:
         """Yield the expressions of every timestep, without conditions that forbid options."""
-        agent, goal = self.agent, self.agent.goal
+        agent = self.agent
+        goal = self.agent.goal
         for entry in self.scenario.signals:
             yield from entry.scalars
         yield from (ending.scalar for ending in self.scenario.endings)
@@ -426,7 +432,7 @@ class SupervisorPrinter(ClassPrinter):
         return [
             agent
             for agent in self.scenario.members
-            if any(self.uses(joint_name(agent, word)) for word in words)
+            if any(self.uses(qualified_name(agent, word)) for word in words)
         ]
 
     def reward_of(self, agent: str) -> str:
@@ -441,7 +447,7 @@ class SupervisorPrinter(ClassPrinter):
         """Return the code of the reward of the last timestep, by the name that means it after the
         timestep."""
         of_agents = {
-            joint_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
+            qualified_name(agent, PREVIOUS_REWARD): self.reward_of(agent)
             for agent in self.agents_that_use(PREVIOUS_REWARD)
         }
         return {PREVIOUS_REWARD: "self.reward", **of_agents}
@@ -524,7 +530,8 @@ class SupervisorPrinter(ClassPrinter):
     def of_one_world(self) -> SupervisorPrinter:
         """Return the printer of code that runs in one world."""
         printer = copy(self)
-        printer.target, printer.state = SCALAR, {}
+        printer.target = SCALAR
+        printer.state = {}
         return printer
 
     def printer(self) -> Printer:

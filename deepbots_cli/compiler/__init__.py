@@ -7,10 +7,13 @@ namespace.py    one flat namespace, each name typed on first use; the names that
 fields.py       fields of the scenario, read by their annotations; values that every episode draws anew
 world.py        timestep, ground, arena, terrain, painted lines, walls and objects, with their files
 robots.py       robot files and their changes, patterns and groups, quantities of joints, limits of the file
-controllers.py  actuators and their limits, poses, commands and messages of a robot
+actuators.py    actuators of a robot: kinds, limits, responses
+controllers.py  poses, commands and messages of a robot
 sensing.py      its sensors: kinds, frames on links, rays, cameras, errors
 policy.py       action, observation, goal, scripts, copies of a robot
-agents.py       several agents: a scenario for each; joint.py their programs as one, joint_tests.py their tests
+agents.py       several agents: a scenario for each of them
+combined_program.py   the programs of several agents as one
+multi_agent_tests.py  the tests of several agents
 places.py       placements, layouts, maps, and whether there is room
 episodes.py     draws (parameters, channels, disturbances), start, signals, reward, endings, limits
 learner.py      the learner that deepbots chooses for a scenario that names no algorithm
@@ -31,14 +34,14 @@ from functools import partial
 
 from deepbots_cli.compiler.agents import (
     ROLE,
-    among_others,
     divide,
+    findings_of_other_agents,
     has_several_agents,
     joined_findings,
     joined_program,
     models_of_others,
-    of_other_agents,
     played_agent,
+    program_among_others,
     report_foreign_values,
     report_own_names,
     report_role_alone,
@@ -199,7 +202,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     joined_findings(
         document.findings,
         (
-            of_other_agents(checked_agent.findings, name, divided.drivers)
+            findings_of_other_agents(checked_agent.findings, name, divided.drivers)
             for name, checked_agent in agents.items()
         ),
     )
@@ -214,9 +217,9 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
         of_agents = {
             name: {test.name: test for test in checked_agent.tests} for name, checked_agent in agents.items()
         }
-        tests = tuple(divided.tests.joined(program, of_agents))
+        tests = tuple(divided.tests.combined(program, of_agents))
     agents = {
-        name: replace(checked_agent, tests=divided.tests.about(name, checked_agent.tests))
+        name: replace(checked_agent, tests=divided.tests.tests_of(name, checked_agent.tests))
         for name, checked_agent in agents.items()
     }
     played = played_agent(document)
@@ -224,7 +227,7 @@ def _check_agents(document: Document, *, to_train: bool) -> CheckedScenario:
     if program is not None and played is not None and main_agent.namespace is not None:
         models = models_of_others(document)
         main_agent.namespace.files.update({(ROLE, "others", name): file for name, file in models.items()})
-        program = among_others(document, program, played, models)
+        program = program_among_others(document, program, played, models)
     return CheckedScenario(
         with_sections(document, {name: checked.document for name, checked in agents.items()}),
         document.findings,
@@ -285,7 +288,8 @@ def _program(namespace: Namespace) -> Program:
     painted = lines(namespace)
     for name, robot in spec.robots.items():
         namespace.robots[name] = load_robot(name, robot, namespace)
-    actions, goals = Actions(namespace), Goals(namespace)
+    actions = Actions(namespace)
+    goals = Goals(namespace)
     builders = [RobotBuilder(robot, namespace) for robot in namespace.resolved_robots]
     for builder in builders:
         builder.define_heard()
@@ -296,7 +300,9 @@ def _program(namespace: Namespace) -> Program:
     bare = world(namespace, namespace.resolved_robots, painted)
     timestep = bare.timestep
     reset, walls = compile_reset(namespace, bare)
-    limits, action, rewards = truncation(namespace), actions.parts(), reward_terms(namespace)
+    limits = truncation(namespace)
+    action = actions.parts()
+    rewards = reward_terms(namespace)
     robot_copies = copies(namespace)
     routes = route("to_robot", namespace), route("from_robot", namespace)
     links = _links(namespace, builders, has_copies=robot_copies is not None)

@@ -3,7 +3,7 @@
 The scenario of an agent is the file with the keys of the agent at the top level, `endings` as successes and
 failures of the agent, and the robots of other agents without controllers. It is checked like any scenario
 with one agent, so every rule about action, observation and reward applies to each agent; nodes keep their
-places in the file. `joint.py` joins the programs.
+places in the file. `combined_program.py` combines the programs.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from deepbots_cli.compiler.joint import joint_program
-from deepbots_cli.compiler.joint_tests import DividedTests
+from deepbots_cli.compiler.combined_program import combined_program
+from deepbots_cli.compiler.multi_agent_tests import DividedTests
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
@@ -27,10 +27,16 @@ from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
 
-AGENTS, ENDINGS, ROLE, TRAIN, TRUNCATION = "agents", "endings", "role", "train", "truncation"
+AGENTS = "agents"
+ENDINGS = "endings"
+ROLE = "role"
+TRAIN = "train"
+TRUNCATION = "truncation"
 _OF_ALL = frozenset({AGENTS, ENDINGS, ROLE})
 _CONTROLLER_KEYS = frozenset({"sensors", "actuators", "receive", "emit", "apply"})
-_SIGNALS, _LIKE, _POLICY = "signals", "like", "policy"
+_SIGNALS = "signals"
+_LIKE = "like"
+_POLICY = "policy"
 _OWN_OF_MIRROR = frozenset({_LIKE, _POLICY, "robots", "scripts", "solved", TRAIN})
 """The keys that an agent which mirrors another one exactly may have."""
 _KEYS_OF_AGENT = frozenset(AgentOfSeveral.model_fields) - {
@@ -246,7 +252,8 @@ class _Mirrors:
     """Resolves `like`."""
 
     def __init__(self, document: Document, entries: Mapping[str, Entry]) -> None:
-        self._document, self._written = document, entries
+        self._document = document
+        self._written = entries
         self._resolved: dict[str, MappingNode] = {}
         self._reported: set[str] = set()
 
@@ -358,7 +365,8 @@ def _drivers(
     """Return the agent that drives each robot."""
     root = document.root
     assert root is not None
-    robots, drivers = list(entries_at(root, "robots")), dict[str, str]()
+    robots = list(entries_at(root, "robots"))
+    drivers: dict[str, str] = {}
     spans: dict[str, Span] = {}
     for agent, section in sections.items():
         node = agents[agent].get("robots")
@@ -493,7 +501,7 @@ def _root_of(
     if (limits := entries.get(TRUNCATION)) is not None and isinstance(limits.value, MappingNode):
         entries[TRUNCATION] = Entry(limits.key, _limits_of(limits.value, agent))
     if (section_of_tests := entries.get(TESTS)) is not None:
-        entries[TESTS] = tests.of_agent(agent, section_of_tests)
+        entries[TESTS] = tests.section_of(agent, section_of_tests)
     robots = entries.get("robots")
     if robots is not None and isinstance(robots.value, MappingNode):
         heard = set(_heard_robots(robots.value))
@@ -609,7 +617,9 @@ def _foreign_words(robot: str, value: str, owner: str, agent: str) -> tuple[str,
     )
 
 
-def of_other_agents(findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]) -> Iterator[Finding]:
+def findings_of_other_agents(
+    findings: Iterable[Finding], agent: str, drivers: Mapping[str, str]
+) -> Iterator[Finding]:
     """Yield the findings of an agent. The help of an unknown name that is a value of a robot of another agent
     says who sends it."""
     for finding in findings:
@@ -637,7 +647,7 @@ def joined_findings(findings: Findings, of_agents: Iterable[Iterable[Finding]]) 
 
 def joined_program(divided: AgentDocuments, programs: Mapping[str, Program]) -> Program:
     """Return the program of all agents."""
-    return joint_program(programs, divided.sections, divided.drivers, divided.mirrors)
+    return combined_program(programs, divided.sections, divided.drivers, divided.mirrors)
 
 
 def with_sections(document: Document, documents: Mapping[str, Document]) -> Document:
@@ -648,7 +658,8 @@ def with_sections(document: Document, documents: Mapping[str, Document]) -> Docu
         return document
     entries = dict(section.entries)
     for name, part in documents.items():
-        train, entry = part.root.entries.get(TRAIN) if part.root is not None else None, entries[name]
+        train = part.root.entries.get(TRAIN) if part.root is not None else None
+        entry = entries[name]
         if train is not None and isinstance(entry.value, MappingNode):
             keys = {**entry.value.entries, TRAIN: train}
             entries[name] = Entry(entry.key, replace(entry.value, entries=keys))
@@ -696,7 +707,7 @@ def models_of_others(document: Document) -> dict[str, Path]:
     return models
 
 
-def among_others(
+def program_among_others(
     document: Document, world: Program, agent: str, models: Mapping[str, Path]
 ) -> Program | None:
     """Return the program of one agent, beside which the others act by themselves; None after a finding.
@@ -707,7 +718,8 @@ def among_others(
         agent: The agent.
         models: The files of models that act for other agents.
     """
-    findings, names = document.findings, list(world.members)
+    findings = document.findings
+    names = list(world.members)
     agent_node = node_at(document.root, ROLE, "agent")
     if agent not in world.members:
         assert isinstance(agent_node, ScalarNode)

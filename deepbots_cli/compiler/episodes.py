@@ -54,6 +54,8 @@ from deepbots_cli.scenario.scenario import JointState
 from deepbots_cli.scenario.scenario import Route as RouteSpec
 from deepbots_cli.scenario.scenario import Truncation as TruncationSpec
 
+_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
+
 
 class Parameters(NamespaceReader):
     """The parameters: fixed ones are folded into expressions, the others are drawn."""
@@ -69,7 +71,8 @@ class Parameters(NamespaceReader):
         return tuple(self._drawn[name] for name in self._namespace.order if name in self._drawn)
 
     def _parameter(self, name: str) -> Symbol:
-        values, text = self._values, self._values.field(self._spec, "parameters", name)
+        values = self._values
+        text = self._values.field(self._spec, "parameters", name)
         checked = values.drawn(text, self._namespace.scope(Context.PARAMETER))
         if checked is None or not is_repeated_as_a_whole(checked.value, checked.redraw, text, values):
             return Symbol(name, None)
@@ -115,12 +118,15 @@ def _setting(spec: RouteSpec, name: str, namespace: Namespace) -> Expression | N
     step may contain how often its draws are repeated."""
     if name not in spec.model_fields_set or getattr(spec, name) is None:
         return None
-    values, text, label = namespace.values, namespace.values.field(spec, name), f"`{name}`"
+    values = namespace.values
+    text = namespace.values.field(spec, name)
+    label = f"`{name}`"
     assert isinstance(text.kind, Quantity)  # the fields of the model
     if text.kind.known == "step" and text.kind.si is not None:
         typed, redraw = values.redrawn(text, label, namespace.scope(Context.FIELD), text.kind.si)
     else:
-        typed, redraw = namespace.fields.typed(text), None
+        typed = namespace.fields.typed(text)
+        redraw = None
     if typed is None or not is_repeated_as_a_whole(typed, redraw, text, values):
         return None
     if typed.type.known is Known.FIXED and values.fixed(typed, text, label) is None:
@@ -157,9 +163,6 @@ def _is_positive(period: Typed, text: SourceText, values: ValueReader) -> bool:
     return False
 
 
-_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
-
-
 def disturbances(namespace: Namespace) -> tuple[Disturbance, ...]:
     """Return the entries of `disturbances`, in the order of the file."""
     compiled = [_disturbance(name, spec, namespace) for name, spec in namespace.scenario.disturbances.items()]
@@ -189,7 +192,8 @@ def _disturbance(name: str, spec: DisturbanceSpec, namespace: Namespace) -> Dist
 
 def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | None] | None:
     """Return body and link that are pushed; None after a finding."""
-    called, values = spec.body, namespace.values
+    called = spec.body
+    values = namespace.values
     span = values.field(spec, "body").span
     subject = namespace.subject(called, frozenset({Kind.LINK}))
     if subject is None:
@@ -227,6 +231,17 @@ def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
 # How an episode begins
 
 _JOINTS = frozenset({Kind.JOINT, Kind.JOINTS})
+
+# Before the first step nothing has touched or acted, and no picture was taken.
+_HELP_BEFORE_FIRST_STEP = {
+    **dict.fromkeys(
+        ("contact", "collided", "contact_force", "contact_force_vector"),
+        "contacts are not known before the first step; use `clearance(...) > 1 cm`",
+    ),
+    "joint_torque": "remove it: no motor has exerted a torque before the first step",
+    "visible": "no picture exists when the start is drawn; use the position of the body, as in"
+    " `abs(bearing(...)) < 30 deg`",
+}
 
 
 def joint_starts(namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> tuple[JointStart, ...]:
@@ -288,7 +303,8 @@ def _report_whole_robot(
 def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, Symbol]]) -> JointStart | None:
     spec = namespace.scenario.reset
     robot_name, dot, part = key.partition(".")
-    robot, text = namespace.robots.get(robot_name), namespace.values.key_text((*spec.path, "joints", key))
+    robot = namespace.robots.get(robot_name)
+    text = namespace.values.key_text((*spec.path, "joints", key))
     if robot is None:
         _report_missing_robot(key, text, namespace)
         return None
@@ -316,8 +332,10 @@ def _joint_start(key: str, namespace: Namespace, poses: Mapping[str, dict[str, S
         members, intervals = zip(*pairs, strict=True)
         subject = subject._replace(members=members, intervals=intervals, interval=hull(intervals))
     joints = tuple(member.partition(".")[2] for member in subject.members) or (part,)
-    scope, start = namespace.scope(Context.RESET, poses.get(robot_name)), spec.joints[key]
-    angle, field = joint_dimension(robot.model.joint(joints[0])), namespace.values.field
+    scope = namespace.scope(Context.RESET, poses.get(robot_name))
+    start = spec.joints[key]
+    angle = joint_dimension(robot.model.joint(joints[0]))
+    field = namespace.values.field
     if not isinstance(start, JointState):
         position = _start_value(field(spec, "joints", key), key, angle, subject, scope, joints)
         return JointStart(robot_name, joints, position, None) if position else None
@@ -335,7 +353,8 @@ def _start_value(
     joints: Components,
 ) -> Expression | None:
     """Return the start of joints. A draw that is written once is drawn anew for each joint of a group."""
-    namespace, values = scope.namespace, scope.namespace.values
+    namespace = scope.namespace
+    values = scope.namespace.values
     typed = namespace.fields.typed(
         text, "the start of a joint", dimension=dimension, components=subject.components, scope=scope
     )
@@ -351,18 +370,6 @@ def _start_value(
             warn_beyond_limits(values, text, dimension, limits, "an initial position of", reach, help)
             break
     return text.expression(typed, key, per_component=joints if len(joints) > 1 else None)
-
-
-# Before the first step nothing has touched or acted, and no picture was taken.
-_HELP_BEFORE_FIRST_STEP = {
-    **dict.fromkeys(
-        ("contact", "collided", "contact_force", "contact_force_vector"),
-        "contacts are not known before the first step; use `clearance(...) > 1 cm`",
-    ),
-    "joint_torque": "remove it: no motor has exerted a torque before the first step",
-    "visible": "no picture exists when the start is drawn; use the position of the body, as in"
-    " `abs(bearing(...)) < 30 deg`",
-}
 
 
 def compile_reset(namespace: Namespace, world: WorldModel) -> tuple[Reset, tuple[ObjectBody, ...]]:
@@ -464,7 +471,8 @@ def _requirement(namespace: Namespace) -> Expression | None:
 
 def settling_time(namespace: Namespace, timestep: float) -> float:
     """Return the time in s, in whole timesteps of `timestep` s."""
-    values, settle = namespace.values, namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
+    values = namespace.values
+    settle = namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
     if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
         "world.timestep"
@@ -482,10 +490,16 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
 
 # Signals, reward and endings
 
+_MAX_SHOWN_CHARACTERS = 60
+MAX_ENDINGS = 200
+"""The maximum number of endings: every reward term is compared with each of them."""
+NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
+
 
 def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """Return a term of which nothing is known but whether it is a truth value."""
-    values, text = namespace.values, namespace.values.field(given, "python")
+    values = namespace.values
+    text = namespace.values.field(given, "python")
     if namespace.document.permissions.code:
         headline = f"`{name}` runs Python code: {given.python}"
         values.add(
@@ -504,12 +518,6 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     return Expression(
         name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function)
     )
-
-
-_MAX_SHOWN_CHARACTERS = 60
-MAX_ENDINGS = 200
-"""The maximum number of endings: every reward term is compared with each of them."""
-NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
 
 
 class Signals(NamespaceReader):
@@ -637,7 +645,8 @@ def _reward_value(text: SourceText, namespace: Namespace) -> Typed | None:
 
 def truncation(namespace: Namespace) -> Truncation:
     """Return the limits; without any, nothing is sure to end an episode."""
-    values, limits = namespace.values, namespace.scenario.truncation
+    values = namespace.values
+    limits = namespace.scenario.truncation
     if limits is None:
         if not values.is_invalid("truncation"):
             key = "termination" if "termination" in namespace.scenario.model_fields_set else "reward"
@@ -662,7 +671,8 @@ def _limit(limits: TruncationSpec, name: str) -> tuple[Section, str]:
 
 def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -> None:
     """Report agents that do not exist: the only agent of a scenario is named by `all`."""
-    path, agents = ("truncation", name, "success"), getattr(limits, name).success
+    path = ("truncation", name, "success")
+    agents = getattr(limits, name).success
     agents_by_path = (
         {path: agents} if isinstance(agents, str) else {(*path, i): agent for i, agent in enumerate(agents)}
     )

@@ -77,6 +77,34 @@ each update."""
 
 Action = tuple[Choices | ActionRange, ...]
 
+_SNAPSHOTS = 20
+"""The number of past policies that a training with self-play keeps in all by default."""
+
+MAX_VARIANTS = 64
+"""The maximum number of cases and stages of one scenario; each is compiled."""
+MAX_VALUES = 40_000
+"""The maximum number of values of all of them together. The largest scenario that comes with deepbots has
+500, of which all 64 would take 32 000."""
+
+_FIXED_SECTIONS = frozenset(
+    (
+        "deepbots",
+        "name",
+        "summary",
+        "agent",
+        "action",
+        "observation",
+        "critic",
+        "goal",
+        "curriculum",
+        "evaluation",
+        "solved",
+        "train",
+        "tune",
+    )
+)
+_VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
+
 
 def training(
     namespace: Namespace, action: Action, copies: RobotCopies | None, longest_episode: int | None
@@ -129,10 +157,6 @@ def training(
     )
 
 
-_SNAPSHOTS = 20
-"""The number of past policies that a training with self-play keeps in all by default."""
-
-
 def _self_play(train: TrainingSpec) -> SelfPlay | None:
     spec = train.self_play
     if spec is None:
@@ -175,7 +199,8 @@ def _check_shards(train: TrainingSpec, values: ValueReader) -> None:
 
 def _teacher(namespace: Namespace, copies: RobotCopies | None) -> Teacher | None:
     assert namespace.scenario.train is not None
-    teacher, values = namespace.scenario.train.teacher, namespace.values
+    teacher = namespace.scenario.train.teacher
+    values = namespace.values
     if teacher is None:
         return None
     spec = teacher if isinstance(teacher, TeacherSpec) else TeacherSpec(script=str(teacher))
@@ -229,9 +254,11 @@ def _check_algorithm(train: TrainingSpec, action: Action, namespace: Namespace) 
     elif not train.uses_masks and any(
         isinstance(part, DiscreteAction) and part.forbid for part in namespace.scenario.action.values()
     ):
-        headline, help = f"{algorithm} ignores `forbid`", "use MaskablePPO, or remove `forbid`"
+        headline = f"{algorithm} ignores `forbid`"
+        help = "use MaskablePPO, or remove `forbid`"
     elif train.symmetry is not None and (reason := _reason_against_symmetry(train)):
-        headline, help = reason, "use PPO, or remove `symmetry`"
+        headline = reason
+        help = "use PPO, or remove `symmetry`"
     elif namespace.scenario.critic and not train.has_critic:
         headline = f"{algorithm} has no critic beside its policy, so it cannot use `critic`"
         help = "use PPO, or remove `critic`"
@@ -250,7 +277,8 @@ def _reason_against_symmetry(train: TrainingSpec) -> str:
 def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> str:
     """Return the help for an algorithm of ranges where an action has choices: another algorithm, or
     ranges."""
-    entries, also = entries_at(namespace.values.root, "train"), ""
+    entries = entries_at(namespace.values.root, "train")
+    also = ""
     foreign = [
         key
         for key in entries
@@ -265,31 +293,6 @@ def _for_choices(train: TrainingSpec, action: Action, namespace: Namespace) -> s
     )
 
 
-MAX_VARIANTS = 64
-"""The maximum number of cases and stages of one scenario; each is compiled."""
-MAX_VALUES = 40_000
-"""The maximum number of values of all of them together. The largest scenario that comes with deepbots has
-500, of which all 64 would take 32 000."""
-
-_FIXED_SECTIONS = frozenset(
-    (
-        "deepbots",
-        "name",
-        "summary",
-        "agent",
-        "action",
-        "observation",
-        "critic",
-        "goal",
-        "curriculum",
-        "evaluation",
-        "solved",
-        "train",
-        "tune",
-    )
-)
-_VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
-
 Check = Callable[[Document], "CheckedScenario"]
 VariantKind = Literal["case", "stage"]
 
@@ -303,7 +306,8 @@ def compile_variants(
         return (), program
     values = ValueReader(document.root, findings, {})
     compiler = _VariantCompiler(document, values, program, check)
-    count, size = len(spec.evaluation.cases) + len(spec.stages), count_and_depth(document.root)[0]
+    count = len(spec.evaluation.cases) + len(spec.stages)
+    size = count_and_depth(document.root)[0]
     if count > MAX_VARIANTS or count * size > MAX_VALUES:
         many = f"more than {MAX_VARIANTS}" if count > MAX_VARIANTS else str(count)
         scenario = "" if count > MAX_VARIANTS else f" of a scenario with {size:,} values"
@@ -360,7 +364,8 @@ class _VariantCompiler:
 
     def check_order(self, spec: Scenario) -> None:
         """Check that every stage but the last has an end, and that no two have the same name."""
-        values, first = self._values, dict[str, NodePath]()
+        values = self._values
+        first: dict[str, NodePath] = {}
         for index, stage in enumerate(spec.stages):
             path: NodePath = ("curriculum", index)
             name_path: NodePath = (*path, "name")
@@ -433,13 +438,14 @@ class _VariantCompiler:
         """Yield the paths that a variant leaves out of `tests`: all other tests, and the keys that name the
         variant."""
         tests = self._values.root.get("tests")
-        for test, entry in tests.entries.items() if isinstance(tests, MappingNode) else ():
-            node = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
-            yield (
-                ("tests", test, word)
-                if isinstance(node, ScalarNode) and node.text == name
-                else ("tests", test)
-            )
+        if isinstance(tests, MappingNode):
+            for test, entry in tests.entries.items():
+                node = entry.value.get(word) if isinstance(entry.value, MappingNode) else None
+                yield (
+                    ("tests", test, word)
+                    if isinstance(node, ScalarNode) and node.text == name
+                    else ("tests", test)
+                )
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Return whether a setting changes a property that a policy is made for, after a finding about it."""
@@ -508,7 +514,8 @@ _MAX_SHOWN_VALUES = 4
 
 def scenario_tests(namespace: Namespace, program: Program) -> tuple[ScenarioTest, ...]:
     """Return the tests without findings, compiled in the namespace of `program`."""
-    specs, values = namespace.scenario.tests, namespace.values
+    specs = namespace.scenario.tests
+    values = namespace.values
     if len(specs) > MAX_TESTS:
         values.add_at_key(
             "DB005", ("tests",), f"more than {MAX_TESTS} tests", "join tests, or write another file"
@@ -533,7 +540,8 @@ class _Reader(NamespaceReader):
         if spec.agent is not None:
             headline = "`agent` of a test belongs to a scenario with several `agents`"
             self._values.add_at_key("DB101", (*spec.path, "agent"), headline, "remove it")
-        cases, stages = self._spec.evaluation.cases, [stage.name for stage in self._spec.stages]
+        cases = self._spec.evaluation.cases
+        stages = [stage.name for stage in self._spec.stages]
         for word, section, variant, names in (
             ("case", "cases", spec.case, list(cases)),
             ("stage", "curriculum", spec.stage, stages),
@@ -556,7 +564,8 @@ class _Reader(NamespaceReader):
             headline = "a driver of each agent belongs to a scenario with several `agents`"
             self._values.add("DB103", (*spec.path, "driver"), headline, "write one driver")
             return None
-        name, drivers = spec.driver or "", [*self._spec.scripts, *PLAIN_DRIVERS]
+        name = spec.driver or ""
+        drivers = [*self._spec.scripts, *PLAIN_DRIVERS]
         if name not in drivers and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
             self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, drivers)
         return name
@@ -662,8 +671,10 @@ class _Reader(NamespaceReader):
 
     def _bounds(self, spec: Expectation, key: str) -> tuple[float, float] | None:
         """Return the smallest and the largest expected value; None after a finding."""
-        text, scope = self._values.field(spec, key), self._namespace.scope(Context.FIXED)
-        report, called = self._values.report(text), f"`{key}`"
+        text = self._values.field(spec, key)
+        scope = self._namespace.scope(Context.FIXED)
+        report = self._values.report(text)
+        called = f"`{key}`"
         if ".." in text.text:
             interval = self._values.range(text, scope)
             ends = interval and expect_range(interval, report, called, dimension=NUMBER)
@@ -728,15 +739,14 @@ def _compared(tree: Typed) -> Iterator[Typed]:
     """Yield the single values that comparisons of a condition compare, except constants."""
     spans: set[tuple[int, int]] = set()
     for node in walk(tree):
-        for part in (
-            node.args if isinstance(node, Operation) and node.operator in COMPARISONS.values() else ()
-        ):
-            single = part.type.components is None and not part.type.boolean
-            if (
-                single
-                and constant_values(part) is None
-                and not isinstance(part, Constant)
-                and (part.start, part.end) not in spans
-            ):
-                spans.add((part.start, part.end))
-                yield part
+        if isinstance(node, Operation) and node.operator in COMPARISONS.values():
+            for part in node.args:
+                single = part.type.components is None and not part.type.boolean
+                if (
+                    single
+                    and constant_values(part) is None
+                    and not isinstance(part, Constant)
+                    and (part.start, part.end) not in spans
+                ):
+                    spans.add((part.start, part.end))
+                    yield part

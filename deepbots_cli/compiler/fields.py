@@ -70,7 +70,8 @@ class FieldReader:
     def __init__(self, values: ValueReader, scope: Callable[[Context], Scope]) -> None:
         """Create a reader. `scope` is the default for the names that a field may use; a caller can pass
         another one."""
-        self._values, self._scope = values, scope
+        self._values = values
+        self._scope = scope
         self.variations: list[RandomizedParameter] = []
         self.colors: list[RandomizedParameter] = []
 
@@ -163,7 +164,8 @@ class FieldReader:
         text = self._text_of(section, (key,))
         if text is None:
             return None
-        called, per_component = f"`{key}`", context.get("per_component")
+        called = f"`{key}`"
+        per_component = context.get("per_component")
         scope, dimension, components, _ = self._expected_type(text, {"known": Known.EPISODE, **context})
         components = components or per_component
         typed = self._values.quantity(text, called, scope, dimension, components, Known.EPISODE)
@@ -183,7 +185,8 @@ class FieldReader:
 
     def _is_bounded(self, typed: Typed, text: SourceText) -> bool:
         """Return whether a drawn value keeps the bounds of its field: a normal distribution has none."""
-        reach, kind = typed.type.interval, text.kind
+        reach = typed.type.interval
+        kind = text.kind
         if not isinstance(kind, Quantity) or typed.type.known is Known.FIXED:
             return True
         end = "minimum" if kind.minimum is not None and reach.low == -math.inf else "maximum"
@@ -207,7 +210,8 @@ class FieldReader:
         dimension = context.get("dimension") or (
             measure_dimension(text.kind.dimension) if isinstance(text.kind, Range) else None
         )
-        scope, components = context.get("scope") or self._scope(Context.FIXED), context.get("components")
+        scope = context.get("scope") or self._scope(Context.FIXED)
+        components = context.get("components")
         return self._values.ends(
             text,
             description or f"`{text.path[-1]}`",
@@ -301,7 +305,8 @@ class FieldReader:
         color = getattr(section, "color", None)
         if color is None:
             return None
-        text, options = self._values.field(section, "color"), [_rgba(word) for word in color_options(color)]
+        text = self._values.field(section, "color")
+        options = [_rgba(word) for word in color_options(color)]
         if of is not None:
             # A link that two patterns match has the color of the later one.
             self.colors[:] = [parameter for parameter in self.colors if parameter.of != of]

@@ -184,25 +184,32 @@ def _keyed(namespace: Namespace, path: NodePath, noun: str, name: str | None = N
 def _parts(namespace: Namespace, robot: str, sections: tuple[str, ...]) -> Iterator[NameEntry]:
     """Yield the parts of robots, by short names of one `robot`, or by full names of all."""
     for resolved in [namespace.robots.get(robot)] if robot else namespace.robots.values():
-        for part in _parts_of(namespace, resolved, sections) if resolved is not None else ():
-            yield part if robot or resolved is None else part._replace(name=f"{resolved.name}.{part.name}")
+        if resolved is not None:
+            for part in _parts_of(namespace, resolved, sections):
+                yield (
+                    part if robot or resolved is None else part._replace(name=f"{resolved.name}.{part.name}")
+                )
 
 
 def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, ...]) -> Iterator[NameEntry]:
     home: NodePath = ("robots", robot.name)
-    for name, sensor in robot.spec.sensors.items() if "sensors" in sections else ():
-        yield _keyed(namespace, (*home, "sensors", name), f"a sensor ({sensor.type})")
-    for name, actuator in robot.spec.actuators.items() if "actuators" in sections else ():
-        yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
+    if "sensors" in sections:
+        for name, sensor in robot.spec.sensors.items():
+            yield _keyed(namespace, (*home, "sensors", name), f"a sensor ({sensor.type})")
+    if "actuators" in sections:
+        for name, actuator in robot.spec.actuators.items():
+            yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
     for name, (kind, members) in robot.groups.items():
         if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
             yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
-    for joint in robot.model.moving_joints if "joints" in sections else ():
-        yield NameEntry(
-            joint.name, f"{with_article(joint.type)} joint", robot.file.joint_spans.get(joint.name)
-        )
-    for link in robot.link_names if "links" in sections else ():
-        yield NameEntry(link, "a link", robot.file.link_spans.get(link))
+    if "joints" in sections:
+        for joint in robot.model.moving_joints:
+            yield NameEntry(
+                joint.name, f"{with_article(joint.type)} joint", robot.file.joint_spans.get(joint.name)
+            )
+    if "links" in sections:
+        for link in robot.link_names:
+            yield NameEntry(link, "a link", robot.file.link_spans.get(link))
 
 
 # The schema has a list once for each key that takes it, and for each robot.

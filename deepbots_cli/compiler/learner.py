@@ -40,7 +40,8 @@ _PPO: dict[str, Any] = {
     "gae_lambda": 0.95,
     "normalize": "reward",
 }
-_TRAIN, _ALGORITHM = "train", "algorithm"
+_TRAIN = "train"
+_ALGORITHM = "algorithm"
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
     the least CPU time."""
     row = _first_row(program, has_teacher=has_teacher)
     settings, reasons = dict(row.settings), dict(row.reasons)
-    agent, steps = program.agent, program.truncation.max_episode_steps(program.period)
+    agent = program.agent
+    steps = program.truncation.max_episode_steps(program.period)
     if settings["algorithm"] == "PPO":
         is_masked = any(option.forbidden is not None for part in agent.choices for option in part.options)
         algorithm = "MaskablePPO" if is_masked else "PPO"
@@ -90,7 +92,8 @@ def _observed_numbers(program: Program) -> int:
 def _first_row(program: Program, *, has_teacher: bool) -> Choice:
     """Return the first row of the table that fits."""
     agent = program.agent
-    steps, numbers = program.truncation.max_episode_steps(program.period), _observed_numbers(program)
+    steps = program.truncation.max_episode_steps(program.period)
+    numbers = _observed_numbers(program)
     may_be_off_policy = not agent.choices and not has_teacher
     if may_be_off_policy and agent.goal is not None:
         why = "SAC with hindsight replay: the scenario has a goal"
@@ -122,7 +125,8 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     """Return the document with these settings under `train`, as far as it does not give them itself, and the
     reasons for these."""
     text = "".join(f"{key}: {json.dumps(value)}\n" for key, value in choice.settings.items())
-    section, root = parse(Source(CHOSEN, text), document.findings), document.root
+    section = parse(Source(CHOSEN, text), document.findings)
+    root = document.root
     assert isinstance(section, MappingNode)
     assert root is not None
     train_entry = root.entries.get(

@@ -34,7 +34,8 @@ class _LevelsReader(NamespaceReader):
         self._levels = spec
 
     def levels(self) -> Levels | None:
-        spec, errors_before = self._levels, len(self._values.findings.errors)
+        spec = self._levels
+        errors_before = len(self._values.findings.errors)
         values = {name: self._values_of(name) for name in spec.set}
         start = self._start()
         up, down = self._outcomes("up"), self._outcomes("down")
@@ -75,7 +76,9 @@ class _LevelsReader(NamespaceReader):
         )
         if ends is None:
             return None
-        (low,), (high,), last = ends.low, ends.high, self._levels.levels - 1
+        (low,) = ends.low
+        (high,) = ends.high
+        last = self._levels.levels - 1
         numbers = (*(low + (high - low) * level / last for level in range(last)), high)
         return numbers if self._is_drawable(entry, parameter, numbers, path) else None
 
@@ -155,7 +158,8 @@ class _LevelsReader(NamespaceReader):
 
     def _start(self) -> tuple[int, int] | None:
         """Return the lowest and the highest first level; None after a finding."""
-        text, scope = self._values.field(self._levels, "start"), self._namespace.scope(Context.FIXED)
+        text = self._values.field(self._levels, "start")
+        scope = self._namespace.scope(Context.FIXED)
         if ".." in text.text:
             ends = self._values.ends(text, "`start`", scope, dimension=NUMBER, falling=True)
             bounds = None if ends is None else (ends.low[0], ends.high[0])

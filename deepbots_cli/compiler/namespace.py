@@ -118,8 +118,11 @@ class Namespace:
             return
         self.values.report_duplicate(path, name, first.origin.value, first.path)
 
-    def symbol(self, name: str) -> Symbol | None:
-        """Return the symbol of a name that an expression uses; None where there is no such value."""
+    def use(self, name: str) -> Symbol | None:
+        """Count a use of a name by an expression, and return its symbol; None if there is no such value.
+
+        A robot sends the message fields that are used.
+        """
         self.mark_used(name)
         return self.resolve(name) or (Symbol(name, None) if self.is_invalid(name) else None)
 
@@ -204,7 +207,8 @@ class Namespace:
         if self.is_invalid(name):
             return Subject(name, Kind.BROKEN)
         head, _, part = name.partition(".")
-        definition, robot = self.definitions.get(head), self.robots.get(head)
+        definition = self.definitions.get(head)
+        robot = self.robots.get(head)
         if robot is not None:
             return (
                 robot.subject(part, kinds)
@@ -307,7 +311,7 @@ class ParameterScope(_Scope):
             return self.own[name]
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
-            return self.namespace.symbol(name)
+            return self.namespace.use(name)
         if self.context is Context.REQUIRE and origin in (Origin.AUGMENT, Origin.SIGNAL):
             return Symbol(
                 name,
@@ -373,7 +377,7 @@ class SupervisorScope(_Scope):
                     refusal=f"only this test uses it, so `{robot}` does not send it; write `emit:"
                     f" [{listed}]`",
                 )
-        return self.namespace.symbol(name)
+        return self.namespace.use(name)
 
     def _instead(self, text: str) -> str:
         """Return where to write the text of a definition that has no value here."""
@@ -442,7 +446,7 @@ class RobotScope(_Scope):
         resolved = self.namespace.robots.get(self.robot)
         arrives = origin is Origin.ACTION or (resolved is not None and name in (resolved.spec.receive or {}))
         if origin is Origin.PARAMETER:
-            symbol = self.namespace.symbol(name)
+            symbol = self.namespace.use(name)
             if symbol is None or symbol.type is None or symbol.type.known is Known.FIXED:
                 return symbol
             if not arrives:
@@ -465,7 +469,7 @@ class RobotScope(_Scope):
             return Symbol(
                 name, None, refusal=f"robot `{self.robot}` knows only {readable}; {self._instead(name)}"
             )
-        return self.namespace.symbol(name)
+        return self.namespace.use(name)
 
     def _instead(self, name: str) -> str:
         """Return where to define a value that only the supervisor has; a robot cannot send back the values

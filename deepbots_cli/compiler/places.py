@@ -39,6 +39,12 @@ from deepbots_cli.scenario.world import Pose
 _MAX_AREA_RATIO = 16.0
 """The multiple of the area of a top from which on the unit of a body on it is probably wrong."""
 
+_ROTATION_KEYS = ("roll", "pitch", "yaw")
+
+_EMPTY_CELL = "."
+_WALL_CELL = "wall"
+_MAX_CELLS = 250_000
+
 
 def has_top(body: ObjectBody) -> bool:
     """Return whether other bodies can stand on an object: a single one with a level top that is solid."""
@@ -164,7 +170,8 @@ class PlacementChecker(NamespaceReader):
 
     def _check_room(self, place: Placement, support: Placement, top: Footprint, span: Span) -> bool:
         """Return whether a body, or all its copies, are too large for the top of another one: DB105."""
-        kinds, copies = self._footprints(place), self.copies(place)
+        kinds = self._footprints(place)
+        copies = self.copies(place)
         if not kinds or _is_tilted(place):
             return False
         margin = 0.0 if self._is_fixed(place) else place.clearance
@@ -264,7 +271,8 @@ def _standing_patch(body: ObjectBody, place: Placement | None) -> Patch | None:
     not fixed."""
     low, high = footprint.bounds_of_shape(body.shape)
     if place is None:  # a piece of a wall
-        (x, y, z), rpy = body.pose.xyz, body.pose.rpy
+        x, y, z = body.pose.xyz
+        rpy = body.pose.rpy
         return footprint.shape_footprint(body.shape).at(x, y, rpy[2]) if z + high[2] > 1e-6 else None
     height = -low[2] if place.rests else _coordinate(place, "z")
     if _is_tilted(place) or height is None or height + high[2] < 1e-6:
@@ -324,9 +332,6 @@ def _size(covered: Footprint) -> str:
         if covered.half
         else f"{2 * covered.radius:.3g} m across"
     )
-
-
-_ROTATION_KEYS = ("roll", "pitch", "yaw")
 
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
@@ -483,7 +488,8 @@ class Places(NamespaceReader):
         if isinstance(pose.region, RegionSpec):
             x, y = self._fields.ends(pose.region, "x"), self._fields.ends(pose.region, "y")
             return Region((x.low[0], y.low[0]), (x.high[0], y.high[0]), mesh) if x and y else None
-        arena, span = self._world.arena, self._values.span((*pose.path, "region"))
+        arena = self._world.arena
+        span = self._values.span((*pose.path, "region"))
         if pose.region != "arena":
             self._values.report_unknown(span, "region", str(pose.region), ["arena"])
         elif self._spec.world.arena is None:
@@ -546,11 +552,6 @@ def draws_owner(path: NodePath) -> str:
     return ".".join(map(str, path))
 
 
-_EMPTY_CELL = "."
-_WALL_CELL = "wall"
-_MAX_CELLS = 250_000
-
-
 class Layouts(NamespaceReader):
     """The layouts that episodes use. `walls` are the bodies in cells of walls, absent in other layouts."""
 
@@ -606,7 +607,8 @@ class Layouts(NamespaceReader):
     def _map(self, name: str, layout: MapLayout, *, used: bool) -> list[Placement]:
         """Return each letter's body on the cells with this letter; the first row is the farthest along y, the
         middle is the origin."""
-        cell, text = self._fields.fixed(layout, "cell"), self._values.field(layout, "map")
+        cell = self._fields.fixed(layout, "cell")
+        text = self._values.field(layout, "map")
         rows = _rows(text) if self._is_small(text) else []
         if cell is None or not rows or not self._is_even(rows):
             return []

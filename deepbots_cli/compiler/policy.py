@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from deepbots_cli.compiler.controllers import driven_parts
+from deepbots_cli.compiler.actuators import driven_parts
 from deepbots_cli.compiler.namespace import (
     AFTER_SIGNALS,
     GOAL_REACHED_MESSAGE,
@@ -70,12 +70,22 @@ _UNSUPPORTED_WITH_COPIES: tuple[tuple[NodePath, str], ...] = (
     (("reset", "layout"), "layouts"),
 )
 
+MIN_IMAGE_SIDE = 36
+"""The smallest side of a picture in pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one
+pixel."""
+
+_PARTS = ("achieved", "desired")
+_RECOMPUTED = (*_PARTS, "goal_reached")
+
+_WORD = re.compile(r"\w+", re.ASCII)
+
 
 def copies(namespace: Namespace) -> RobotCopies | None:
     """Return the copies requested by `agent.each` and the `count` of its robot; None for a single robot, and
     after a finding."""
     spec = namespace.scenario
-    name, values = spec.agent.each, namespace.values
+    name = spec.agent.each
+    values = namespace.values
     for robot, robot_spec in spec.robots.items():
         if "count" in robot_spec.model_fields_set and robot != name and not values.is_invalid("each"):
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
@@ -109,7 +119,8 @@ def copies(namespace: Namespace) -> RobotCopies | None:
 
 def _refuse_others(name: str, namespace: Namespace) -> None:
     """Report DB108 for settings that the copies would have to agree on."""
-    values, paths = namespace.values, list(_UNSUPPORTED_WITH_COPIES)
+    values = namespace.values
+    paths = list(_UNSUPPORTED_WITH_COPIES)
     paths += [
         (("robots", robot), f"the robot `{robot}`") for robot in namespace.scenario.robots if robot != name
     ]
@@ -244,7 +255,8 @@ class Actions(NamespaceReader):
         self, part: DiscreteAction, option: str, variables: tuple[str, ...], *, named: bool
     ) -> tuple[float, ...]:
         """Return the value of each variable under one option; 0 after a finding."""
-        value, path = part.choices[option], (*part.path, "choices", option)
+        value = part.choices[option]
+        path = (*part.path, "choices", option)
         number = partial(self._fields.fixed, part, "choices", option, dimension=NUMBER)
         if not isinstance(value, dict):
             if named:
@@ -298,10 +310,6 @@ class Actions(NamespaceReader):
 
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
-
-MIN_IMAGE_SIDE = 36
-"""The smallest side of a picture in pixels: filters of 8, 4 and 3 with strides of 4, 2 and 1 leave one
-pixel."""
 
 
 class Observations(NamespaceReader):
@@ -395,17 +403,20 @@ class Observations(NamespaceReader):
 
     def _report_hidden(self, name: str, text: SourceText) -> None:
         """Report DB609: the policy sees signals and parameters only under `augment`."""
-        root, augment = self._values.root, self._spec.augment
+        root = self._values.root
+        augment = self._spec.augment
         if self._namespace.origin(name) is Origin.SIGNAL:
             fix = move_to_augment_fix(root, name)
             definition = " ".join(self._values.text(("signals", name)).text.split())
-            noun, help = "a signal", f"move it from `signals` to `augment`: `{name}: {definition}`"
+            noun = "a signal"
+            help = f"move it from `signals` to `augment`: `{name}: {definition}`"
         elif isinstance(augment, dict) and augment:
             fix = None
             noun = "a parameter"
             help = f"write `seen_{name}: {name}` under `augment`, and observe `seen_{name}`"
         else:
-            fix, noun = None, "a parameter"
+            fix = None
+            noun = "a parameter"
             help = (
                 "list it under `augment`, if the policy may know it: `augment:"
                 f" [{', '.join([*augment, name])}]`"
@@ -415,7 +426,8 @@ class Observations(NamespaceReader):
         )
 
     def _bounds(self, typed: Typed, text: SourceText) -> Bounds | None:
-        count, picture = len(typed.type.components or ("",)), typed.type.picture
+        count = len(typed.type.components or ("",))
+        picture = typed.type.picture
         if text.text != "auto" and (picture or typed.type.boolean):
             noun, hint = (
                 ("picture", "a pixel is a number from 0 to 255")
@@ -440,7 +452,8 @@ class Observations(NamespaceReader):
                 )
                 return None
             return (low,) * count, (high,) * count
-        scope, components = self._namespace.scope(Context.FIXED), typed.type.components or None
+        scope = self._namespace.scope(Context.FIXED)
+        components = typed.type.components or None
         ends = self._values.ends(
             text, "the range of an observation", scope, dimension=typed.type.dimension, components=components
         )
@@ -510,10 +523,6 @@ class Observations(NamespaceReader):
                 )
                 self._values.add("DB202", entry.value.span, headline, "rename the picture")
             keys |= {key} if entry.value.typed.type.picture else set()
-
-
-_PARTS = ("achieved", "desired")
-_RECOMPUTED = (*_PARTS, "goal_reached")
 
 
 class Goals(NamespaceReader):
@@ -635,9 +644,6 @@ def _parts_besides_goal(value: Typed) -> Iterator[Typed]:
                 yield from _parts_besides_goal(part)
 
 
-_WORD = re.compile(r"\w+", re.ASCII)
-
-
 def scripts(namespace: Namespace, action: tuple[Choices | ActionRange, ...]) -> tuple[Script, ...]:
     """Return the scripts without findings, which choose every part of the `action`."""
     reader = Decisions(namespace, action, SupervisorScope(namespace, Context.SCRIPT))
@@ -751,12 +757,14 @@ class Decisions(NamespaceReader):
         typed = self._values.expression(text, self._scope, boolean=False)
         if typed is None or symbol is None or symbol.type is None:
             return None
-        report, dimension = self._values.report(text), symbol.type.dimension
+        report = self._values.report(text)
+        dimension = symbol.type.dimension
         fitted = expect_value(typed, report, f"`{path[-1]}`", dimension=dimension, components=components)
         return fitted and text.expression(fitted, part.name)
 
     def _option(self, path: NodePath, part: Choices, word: str) -> ScriptedChoice | None:
-        span, options = self._values.span(path), [option.name for option in part.options]
+        span = self._values.span(path)
+        options = [option.name for option in part.options]
         if not _WORD.fullmatch(word):
             help = (
                 f"write the name of one option, or a condition for each: `{{{options[0]}: x > 0 m,"
@@ -782,7 +790,9 @@ class Decisions(NamespaceReader):
                 "combine conditions with `or`, or split the script",
             )
             return None
-        options, branches, broken = [option.name for option in part.options], [], False
+        options = [option.name for option in part.options]
+        branches = []
+        broken = False
         for option, condition in conditions.items():
             if option not in options:
                 self._values.report_unknown(self._values.key_span((*path, option)), "choice", option, options)

@@ -107,7 +107,8 @@ def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:
         joint = above.get(link)
         if joint is None:
             break
-        link, frame = joint.parent, compose(pose_frame(joint.origin), frame)
+        link = joint.parent
+        frame = compose(pose_frame(joint.origin), frame)
     return link, frame
 
 
@@ -252,10 +253,10 @@ def warn_beyond_limits(
         f"{description} {in_unit(actual)} {unit.text},"
         f" but the robot file allows {in_unit(limits)} {unit.text}"
     )
-    values.add("DB304", text.span, headline, help, fix=_within(text, numbers, allowed))
+    values.add("DB304", text.span, headline, help, fix=_clamping_fix(text, numbers, allowed))
 
 
-def _within(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
+def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
     """Return the fix that puts each number at the limit that it exceeds; None if the numbers have another
     meaning, or none would be left to draw from."""
     values = [_clamped(number, allowed) for number in numbers]
@@ -387,10 +388,8 @@ class Overrides:
             )
             for key, (field, parameter) in _CONTACT.items()
         }
-        model, paint = (
-            with_friction(model, link.name, **contact),
-            self.namespace.fields.color(change, subject),
-        )
+        model = with_friction(model, link.name, **contact)
+        paint = self.namespace.fields.color(change, subject)
         return with_color(model, link.name, paint) if paint else model
 
     def _change_density(self, model: RobotModel, link: str, change: LinkOverride) -> RobotModel:
@@ -422,7 +421,8 @@ class Overrides:
     def _move_center(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        subject = OfLink(self.robot, link.name)
+        fields = self.namespace.fields
         offset = fields.vector_or_randomized(change, "com", "center_of_mass", subject, per_component=SPACE)
         if offset is None:
             return model
@@ -434,7 +434,8 @@ class Overrides:
     def _scale_inertia(self, model: RobotModel, link: Link, change: LinkOverride) -> RobotModel:
         if _lacks_mass(link, change):
             return model
-        subject, fields = OfLink(self.robot, link.name), self.namespace.fields
+        subject = OfLink(self.robot, link.name)
+        fields = self.namespace.fields
         factor = fields.scalar_or_randomized(change, "inertia", "inertia", subject, None)
         if factor is None:
             return model
@@ -449,12 +450,15 @@ class Overrides:
         return new
 
     def _change_joint(self, model: RobotModel, joint: Joint, change: JointOverride) -> RobotModel:
-        position, effort, limit = joint_dimension(joint), effort_dimension(joint), joint.limit
+        position = joint_dimension(joint)
+        effort = effort_dimension(joint)
+        limit = joint.limit
 
         def drawn(
             key: str, parameter: JointParameter, urdf: float | None, dimension: Dimension
         ) -> float | None:
-            subject, scope = OfJoint(self.robot, joint.name), self._scope(dimension, urdf)
+            subject = OfJoint(self.robot, joint.name)
+            scope = self._scope(dimension, urdf)
             return self.namespace.fields.scalar_or_randomized(
                 change, key, parameter, subject, None, dimension=dimension, scope=scope
             )
@@ -481,7 +485,8 @@ class Overrides:
     def _range(self, joint: Joint, limit: Limit, change: JointOverride) -> Limit:
         """Return `limit` with both ends as the scenario gives them."""
         if joint.type == "continuous":
-            span, headline = self.values.field(change, "range").span, "a continuous joint cannot have a range"
+            span = self.values.field(change, "range").span
+            headline = "a continuous joint cannot have a range"
             self.values.add(
                 "DB203",
                 span,
@@ -489,7 +494,8 @@ class Overrides:
                 "remove `range`, or change the type of the joint to revolute in the robot file",
             )
             return limit
-        scope, dimension = self.namespace.scope(Context.FIELD), joint_dimension(joint)
+        scope = self.namespace.scope(Context.FIELD)
+        dimension = joint_dimension(joint)
         ends = self.namespace.fields.ends(
             change, "range", description="the range of a joint", dimension=dimension, scope=scope
         )

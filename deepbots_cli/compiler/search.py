@@ -113,7 +113,8 @@ class _Prober:
         if is_whole and not list(self._errors(name, space.text(int(middle) + 0.5))):
             return space
         if is_whole:
-            space, middle = space.model_copy(update={"whole": True}), int(middle)
+            space = space.model_copy(update={"whole": True})
+            middle = int(middle)
         return space if self._is_sound(name, space.text(middle), entry) else None
 
     def _is_sound(self, name: str, text: str, entry: Entry) -> bool:

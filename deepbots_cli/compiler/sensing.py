@@ -186,7 +186,8 @@ class SensorsCompiler(NamespaceReader):
                 optics = _intrinsics(namespace, spec)
                 if optics is None:
                     return None
-                more["optics"], typed = optics, Type(picture=optics.shape)
+                more["optics"] = optics
+                typed = Type(picture=optics.shape)
         return more, typed
 
     def _carrier_of(self, spec: LinkSensor) -> tuple[str, ...]:
@@ -208,7 +209,8 @@ class SensorsCompiler(NamespaceReader):
             )
         reach = max(faults.high) if faults and faults.high else 0.0
         if faults and faults.high and reach <= 0.0:
-            span, headline = self._values.span((*spec.path, "range")), f"a range that ends at {reach:g} m"
+            span = self._values.span((*spec.path, "range"))
+            headline = f"a range that ends at {reach:g} m"
             self._values.add("DB105", span, headline, "end the range above 0 m: distances are positive")
         behind = 0.0
         if isinstance(spec, HeightScan) and faults and faults.low:
@@ -233,7 +235,8 @@ class SensorsCompiler(NamespaceReader):
 
     def _radar(self, spec: Radar) -> RadarConfig | None:
         """Return what a radar measures and where it sees; None after a finding."""
-        targets, ends = self._targets(spec), self._fields.ends(spec, "range")
+        targets = self._targets(spec)
+        ends = self._fields.ends(spec, "range")
         angles = [
             _angle_of_view(self._namespace, spec, key, limit)
             for key, limit in (("horizontal_fov", 360.0), ("vertical_fov", 180.0))
@@ -253,7 +256,8 @@ class SensorsCompiler(NamespaceReader):
 
     def _targets(self, spec: Radar) -> tuple[str, ...]:
         """Return the bodies that a radar measures; none after a finding."""
-        namespace, robot = self._namespace, self._robot.name
+        namespace = self._namespace
+        robot = self._robot.name
         groups = {name: (Kind.OBJECTS, group.copies) for name, group in namespace.groups.items()}
         bodies = [name for name in namespace.names_of(Origin.ROBOT, Origin.OBJECT) if name != robot]
         single = [name for name in bodies if name not in groups]
@@ -313,7 +317,8 @@ def _frame(namespace: Namespace, spec: SensorFrame) -> Pose:
 def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
     """Return the intrinsics of a camera; None after a finding."""
     values = namespace.values
-    size, fov = namespace.fields.pair(spec, "resolution"), namespace.fields.fixed(spec, "fov")
+    size = namespace.fields.pair(spec, "resolution")
+    fov = namespace.fields.fixed(spec, "fov")
     near, far = 0.0, 10.0
     if spec.range is not None:
         if spec.channels != "depth":
@@ -389,8 +394,8 @@ def _rays(namespace: Namespace, spec: RayScan) -> dict[str, Pose] | None:
     if spec.angle_range is None:
         if count > 1 and not values.is_invalid("angle_range"):
             help = (
-                "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays: {left: {yaw: 30"
-                " deg}}`"
+                "add `angle_range: 90 .. -90 deg`, or give each ray by name, as in `rays:"
+                " {left: {yaw: 30 deg}}`"
             )
             values.add("DB102", (*spec.path, "rays"), f"the directions of the {count} rays are missing", help)
         if count > 1:
@@ -412,7 +417,8 @@ def _grid(namespace: Namespace, spec: GridScan) -> dict[str, Pose] | None:
             help = "remove it, or the `grid`: a sensor has rays by name, a fan of rays, or a grid"
             values.add_at_key("DB101", (*spec.path, key), f"`{key}` does not apply to a grid of rays", help)
             return None
-    size, spacing = namespace.fields.pair(spec, "grid"), namespace.fields.fixed(spec, "spacing")
+    size = namespace.fields.pair(spec, "grid")
+    spacing = namespace.fields.fixed(spec, "spacing")
     if size is None or spacing is None:
         return None
     columns, rows = (int(number) for number in size)
@@ -452,7 +458,8 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
             headline = f"`{key}` has {len(column)} numbers, but `distance` has {len(distance)}"
             values.add("DB106", (*spec.path, key), headline, "write one number for each distance")
     falling = [(a, b) for a, b in pairwise(distance) if b <= a]
-    distances, noises = values.span((*spec.path, "distance")), columns.get("noise", ())
+    distances = values.span((*spec.path, "distance"))
+    noises = columns.get("noise", ())
     if falling:
         before, after = falling[0]
         headline = f"the distances must increase: {after:g} m follows {before:g} m"
@@ -502,7 +509,8 @@ def _noise_model(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[N
         noise, relative_noise = _error(namespace, spec, "noise", typed)
         bias, relative_bias = _error(namespace, spec, "bias", typed)
         drift, _ = _error(namespace, spec, "drift", typed)
-        resolution, (low, high) = _resolution(namespace, spec, typed), _range(namespace, spec, typed)
+        resolution = _resolution(namespace, spec, typed)
+        low, high = _range(namespace, spec, typed)
         model = NoiseModel(
             1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution
         )
@@ -541,10 +549,8 @@ def _error(
         dimension = typed.dimension / TIME
     else:
         dimension = typed.dimension
-    owner, variations_before = (
-        _owner(spec.path, f"relative_{key}" if relative else key),
-        len(namespace.fields.variations),
-    )
+    owner = _owner(spec.path, f"relative_{key}" if relative else key)
+    variations_before = len(namespace.fields.variations)
     error = (
         namespace.fields.vector_or_randomized(
             spec, key, "sensor", owner, dimension=dimension, per_component=typed.components or ("",)
@@ -563,7 +569,8 @@ def _resolution(namespace: Namespace, spec: SensorSpec, typed: Type) -> tuple[fl
         spec, "resolution", dimension=typed.dimension, components=typed.components
     )
     if steps and any(0.0 < step < MIN_RESOLUTION for step in steps):
-        values, unit = namespace.values, "" if typed.dimension == NUMBER else f" {typed.dimension}"
+        values = namespace.values
+        unit = "" if typed.dimension == NUMBER else f" {typed.dimension}"
         headline = f"`resolution` is {min(step for step in steps if step > 0.0):g}{unit}"
         values.add(
             "DB105",
@@ -602,10 +609,12 @@ def _with_period(
 ) -> NoiseModel | None:
     """Return the errors with the period of the sensor, in timesteps; DB308 for a period that is no whole
     number of them."""
-    seconds, values = namespace.fields.fixed(spec, "period"), namespace.values
+    seconds = namespace.fields.fixed(spec, "period")
+    values = namespace.values
     if seconds is None or values.is_invalid("world.timestep"):
         return faults
-    ticks, span = round(seconds / timestep), values.span((*spec.path, "period"))
+    ticks = round(seconds / timestep)
+    span = values.span((*spec.path, "period"))
     if ticks < 1 or abs(seconds - ticks * timestep) > 1e-9 * seconds:
         headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
         values.add("DB308", span, headline, "write a multiple of the timestep")

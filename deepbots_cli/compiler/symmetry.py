@@ -82,7 +82,8 @@ class _SymmetryReader:
     """Finds mirror images of names. `is_inverse` is false after a finding about the pairs of words."""
 
     def __init__(self, spec: SymmetrySpec, values: ValueReader, acted_before: Mapping[str, str]) -> None:
-        self._values, self._flips = values, spec.flip
+        self._values = values
+        self._flips = spec.flip
         self._acted_before = acted_before
         self._words: dict[str, str] = {}
         self.is_inverse = True

@@ -225,7 +225,8 @@ class ValueReader:
         value: Any = getattr(section, str(steps[0]))
         for step in steps[1:]:
             value = value[step]
-        text, kind = self.text((*section.path, *steps), value), section_fields(type(section))[str(steps[0])]
+        text = self.text((*section.path, *steps), value)
+        kind = section_fields(type(section))[str(steps[0])]
         return text if text.kind or not isinstance(kind, FieldType) else text._replace(kind=kind)
 
     def key_text(self, path: NodePath) -> SourceText:
@@ -314,7 +315,8 @@ class ValueReader:
             names: Table[str, str | None] = NO_NAMES,
             corrected: Callable[[str], str] | None = None,
         ) -> None:
-            span, piece = text.part(start, end), text.text[start:end]
+            span = text.part(start, end)
+            piece = text.text[start:end]
             if code == "DB502" and any(
                 finding.code == "DB106" and finding.span == span for finding in self.findings
             ):
@@ -329,7 +331,8 @@ class ValueReader:
                 and (help is None or is_insertion)
                 and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
             ):
-                help, replacement = f"a `#` after a space begins a comment, which hides `{hidden[1]}`", None
+                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
+                replacement = None
                 help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             if code == "DB402" and "_" in piece:
                 help = term_help(piece) or help
@@ -486,7 +489,9 @@ class ValueReader:
             if constants
             else (value.type.interval.low, value.type.interval.high)
         )
-        minimum, maximum, unit = kind.minimum, kind.maximum, str(value.type.dimension)
+        minimum = kind.minimum
+        maximum = kind.maximum
+        unit = str(value.type.dimension)
         if (
             minimum is not None
             and math.isfinite(low)
@@ -501,13 +506,15 @@ class ValueReader:
                     f" much as this uniform noise; `bias: {text.text}` is drawn once per episode"
                 )
         elif maximum is not None and math.isfinite(high) and high > maximum:
-            odd, help = high, f"write at most {_with_unit(maximum, unit)}"
+            odd = high
+            help = f"write at most {_with_unit(maximum, unit)}"
         elif (
             kind.whole
             and constants
             and (broken := [number for number in constants if not float(number).is_integer()])
         ):
-            odd, help = broken[0], "write a whole number"
+            odd = broken[0]
+            help = "write a whole number"
         else:
             return True
         if constants is None:

@@ -56,6 +56,32 @@ from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLORS
 
+MAX_TRIANGLES = 200_000
+# Sizes in m; beyond the inner two a mesh is probably in another unit.
+_MIN_MESH_M = 1e-5
+_SMALL_MESH_M = 1e-4
+_LARGE_MESH_M = 1e3
+_MAX_MESH_M = 1e6
+
+_PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
+_MAX_HEIGHT_M = 1e4
+_FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
+
+_TILE_LENGTHS = ("side", "platform", "border", "cell")
+_MAX_HEIGHTS = 2_000_000
+_MAX_SLOPE = math.radians(80.0)  # rad; its tangent is 5.7, that of a right angle has no end
+_TOLERANCE = 1e-6  # of a multiple, as a share of a cell
+
+_WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
+_DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
+_OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
+
+# Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
+_MIN_TIMESTEP_S = 1e-6
+_SHORT_TIMESTEP_S = 1e-4
+_LONG_TIMESTEP_S = 1.0
+_MAX_TIMESTEP_S = 10.0
+
 
 def define_bodies(namespace: Namespace) -> None:
     """Give robots, objects, walls and lines their names, and groups their size."""
@@ -85,7 +111,8 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
     There are as many bodies as the greatest count, and one at least; an episode without copies leaves them
     absent.
     """
-    values, count = namespace.values, namespace.fields.expression(body, "count")
+    values = namespace.values
+    count = namespace.fields.expression(body, "count")
     if count is None:
         return None
     highest = count.typed.type.interval.high
@@ -101,14 +128,11 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
     return ObjectGroup(name, max(1, int(highest)), count)
 
 
-MAX_TRIANGLES = 200_000
-# Sizes in m; beyond the inner two a mesh is probably in another unit.
-_MIN_MESH_M, _SMALL_MESH_M, _LARGE_MESH_M, _MAX_MESH_M = (1e-5, 1e-4, 1e3, 1e6)
-
-
 def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
     """Return the mesh file of an object or a terrain; None after a finding."""
-    values, reference, key_path = namespace.values, spec.file, (*spec.path, "file")
+    values = namespace.values
+    reference = spec.file
+    key_path = (*spec.path, "file")
     factors = (1.0, 1.0, 1.0) if spec.scale is None else namespace.fields.triple(spec, "scale")
     path = locate_file(reference, values.span(key_path), namespace.document, values)
     if path is None or factors is None:
@@ -258,11 +282,6 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     return boxes
 
 
-_PIT_RIM_M = 2.7 * math.sqrt(2.0 * math.log(2.0))  # m; where that of a pit of 20 m is
-_MAX_HEIGHT_M = 1e4
-_FORMULA_SAMPLES = 8  # places along either side at which a formula is tried
-
-
 def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """Return the terrain; None after a finding."""
     friction = namespace.fields.scalar_or_randomized(
@@ -274,7 +293,8 @@ def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
 
 
 def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
-    values, fixed = namespace.values, namespace.fields.fixed
+    values = namespace.values
+    fixed = namespace.fields.fixed
     match spec:
         case world_spec.Pit():
             height = fixed(spec, "height")
@@ -291,7 +311,8 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
             return mesh(namespace, spec)
         case world_spec.Heightfield():
             file = picture(namespace, (*spec.path, "file"), spec.file)
-            size, height = namespace.fields.pair(spec, "size"), fixed(spec, "height")
+            size = namespace.fields.pair(spec, "size")
+            height = fixed(spec, "height")
             _check_height(spec, "height", height, namespace)
             return None if file is None or size is None or height is None else Picture(*file, size, height)
         case world_spec.Formula():
@@ -302,14 +323,9 @@ def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | No
     return None
 
 
-_TILE_LENGTHS = ("side", "platform", "border", "cell")
-_MAX_HEIGHTS = 2_000_000
-_MAX_SLOPE = math.radians(80.0)  # rad; its tangent is 5.7, that of a right angle has no end
-_TOLERANCE = 1e-6  # of a multiple, as a share of a cell
-
-
 def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
-    values, findings_before = namespace.values, len(namespace.values.findings)
+    values = namespace.values
+    findings_before = len(namespace.values.findings)
     lengths = {key: namespace.fields.fixed(spec, key) for key in _TILE_LENGTHS}
     tiles = {name: _tile(tile, namespace) for name, tile in spec.tiles.items()}
     side, platform, border, cell = (lengths[key] for key in _TILE_LENGTHS)
@@ -324,10 +340,11 @@ def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
     largest = side - 2 * TILE_MARGIN_M
     _check_width(spec, spec, "platform", platform, 0.0, largest, namespace)
     for tile_spec, tile in zip(spec.tiles.values(), tiles.values(), strict=True):
-        for key, width in _widths(tile) if tile is not None else ():
-            # Without gaps and trenches, a level is flat.
-            smallest = 0.0 if key in ("gap", "width") and width == 0.0 else cell
-            _check_width(spec, tile_spec, key, width, smallest, largest, namespace)
+        if tile is not None:
+            for key, width in _widths(tile):
+                # Without gaps and trenches, a level is flat.
+                smallest = 0.0 if key in ("gap", "width") and width == 0.0 else cell
+                _check_width(spec, tile_spec, key, width, smallest, largest, namespace)
     terrain = Tiles(
         tuple(tile for tile in tiles.values() if tile is not None),
         spec.levels,
@@ -445,7 +462,7 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
         return None
     steps = [step / _FORMULA_SAMPLES - 0.5 for step in range(_FORMULA_SAMPLES + 1)]
     for x, y in ((along_x * size[0], along_y * size[1]) for along_y in steps for along_x in steps):
-        grid = _at(heights, {"x": x, "y": y})
+        grid = _formula_at(heights, {"x": x, "y": y})
         if not (isinstance(grid, Const) and abs(grid.value) < _MAX_HEIGHT_M):
             position_text = f"at x = {x:g} m, y = {y:g} m"
             if isinstance(grid, Const) and math.isfinite(grid.value):
@@ -462,20 +479,15 @@ def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Nam
     return Formula(heights, size)
 
 
-def _at(heights: Scalar, position: dict[str, float]) -> Scalar:
+def _formula_at(heights: Scalar, position: dict[str, float]) -> Scalar:
     """Return the formula at one place: a number, where it has one."""
     match heights:
         case Name(name=name) if name in position:
             return Const(position[name])
         case Op(op=operation, args=args):
-            return fold_operation(operation, *(_at(arg, position) for arg in args))
+            return fold_operation(operation, *(_formula_at(arg, position) for arg in args))
         case _:
             return heights
-
-
-_WATER_DENSITY = 1000.0  # kg/m^3, the default density of objects
-_DEFAULT_COLOR: Color = (*COLORS["gray"], 1.0)
-_OF_ALL = ("solid", "spinning_friction", "rolling_friction", "restitution")
 
 
 def bodies(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
@@ -505,7 +517,8 @@ def _body(
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
 ) -> ObjectBody:
-    value, subject = namespace.fields.scalar_or_randomized, OfLink(name)
+    value = namespace.fields.scalar_or_randomized
+    subject = OfLink(name)
     return ObjectBody(
         name,
         body_shape,
@@ -593,13 +606,10 @@ def _usual_mass(
     return _WATER_DENSITY * (volume(body_shape) or 0.0)
 
 
-# Seconds: a timestep beyond the outer two cannot be run, one beyond the inner two is hardly meant.
-_MIN_TIMESTEP_S, _SHORT_TIMESTEP_S, _LONG_TIMESTEP_S, _MAX_TIMESTEP_S = 1e-6, 1e-4, 1.0, 10.0
-
-
 def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line, ...]) -> WorldModel:
     """Return the world with `robots` and `painted` lines in it."""
-    values, spec = namespace.values, namespace.scenario.world
+    values = namespace.values
+    spec = namespace.scenario.world
     timestep = namespace.fields.fixed(spec, "timestep")
     if timestep is None:
         values.mark_invalid("timestep")  # the stand-in below is nothing to measure periods by
@@ -690,7 +700,8 @@ def _check_bodies(robots: int, objects: int, pieces: int, namespace: Namespace) 
 
 
 def _ground(spec: world_spec.Ground, namespace: Namespace) -> Ground:
-    subject, contact = OfLink(GROUND), [field for field in fields(Ground) if field.name != "color"]
+    subject = OfLink(GROUND)
+    contact = [field for field in fields(Ground) if field.name != "color"]
     parameters = {
         field.name: "lateral_friction" if field.name == "friction" else field.name for field in contact
     }

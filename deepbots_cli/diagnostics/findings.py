@@ -200,7 +200,8 @@ def internal_error_finding(what: str, source: Source, description: str) -> Findi
 def describe_exception(error: BaseException) -> str:
     """Return type and message of an exception on one line, and the innermost place in deepbots of its
     traceback: `module:line`."""
-    place, trace = "", error.__traceback__
+    place = ""
+    trace = error.__traceback__
     while trace is not None:
         module = str(trace.tb_frame.f_globals.get("__name__"))
         if not place or module.startswith("deepbots"):
@@ -350,7 +351,8 @@ class Selection:
             entries = matching_rules(word)
             if len(entries) != 1 or not self._has(entries[0].code):
                 continue
-            rule, span = entries[0], self._words.span(word)
+            rule = entries[0]
+            span = self._words.span(word)
             if rule.preview and not self._preview:
                 help = "add --preview (`preview = true`), or remove the code"
                 inactive.append(
@@ -469,9 +471,11 @@ def _unused(entry: _Suppression) -> Finding:
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
-    headline, help = f"this comment suppresses nothing: there is no {entry.code} here", "remove the comment"
+    headline = f"this comment suppresses nothing: there is no {entry.code} here"
+    help = "remove the comment"
     if rule.severity == "error":
-        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
+        headline = f"{entry.code} is an error, which cannot be suppressed"
+        help = "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 

@@ -15,6 +15,19 @@ from deepbots_cli.plugins import PluginTable
 
 Severity = Literal["error", "warning"]
 
+FAMILIES = {
+    "DB0": "text",
+    "DB1": "shape",
+    "DB2": "references",
+    "DB3": "robot",
+    "DB4": "expressions",
+    "DB5": "units",
+    "DB6": "observation",
+    "DB7": "reward",
+    "DB8": "endings",
+    "DB9": "linting",
+}
+
 
 @dataclass(frozen=True)
 class Rule:
@@ -46,19 +59,6 @@ class Rule:
         """The topic of the rules with the same first digit."""
         return FAMILIES.get(self.code[:3], "plug-ins")
 
-
-FAMILIES = {
-    "DB0": "text",
-    "DB1": "shape",
-    "DB2": "references",
-    "DB3": "robot",
-    "DB4": "expressions",
-    "DB5": "units",
-    "DB6": "observation",
-    "DB7": "reward",
-    "DB8": "endings",
-    "DB9": "linting",
-}
 
 _CATALOG = (
     Rule("DB001", "yaml-syntax", "error", "the text is not YAML 1.2"),

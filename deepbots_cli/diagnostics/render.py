@@ -252,7 +252,8 @@ ExplainRule = Callable[[str], tuple[str, str]]
 
 def relative_name(name: str) -> str:
     """Return the file `name`, relative to the working directory if it lies below it, with slashes."""
-    path, here = Path(name), Path.cwd()
+    path = Path(name)
+    here = Path.cwd()
     return (path.relative_to(here) if path.is_relative_to(here) else path).as_posix()
 
 

@@ -4,8 +4,9 @@ pybullet/      the only package that imports PyBullet: contacts, sight, any tree
 mujoco/        the only package that imports MuJoCo: the same, and exact snapshots
 kinematics.py  inverse kinematics of chains of joints
 curves.py      the torque of a DC motor at a speed
-objects.py     objects and walls as robots of one link; bodies by name, and pooled ones in one of several
-               forms
+objects.py     objects and walls as robots of one link
+masses.py      masses of a robot, and its groups of links that are rigid
+bodies.py      bodies by name, and pooled ones in one of several forms
 
 An engine is imported when it is first used. `deepbots_cli.engine_kinds` has the table of engines. Other
 packages add theirs as an entry point of the group `deepbots.engines`: a name, and the `module:attribute` of
@@ -126,13 +127,13 @@ def _factory(name: str) -> EngineFactory:
         return cast("EngineFactory", plugins.import_attribute(ENGINES[name].factory))
     for entry in plugins.entry_points_of(ENTRY_POINT_GROUP):
         if entry.name == name:
-            return _of_plugin(entry)
+            return _plugin_engine(entry)
     suggestion = nearest_word(name, names())
     hint = f"; did you mean '{suggestion}'?" if suggestion else ""
     raise UsageError(f"there is no engine '{name}'; there are {', '.join(names())}{hint}")
 
 
-def _of_plugin(entry: EntryPoint) -> EngineFactory:
+def _plugin_engine(entry: EntryPoint) -> EngineFactory:
     try:
         factory = entry.load()
         if not callable(factory):

@@ -124,7 +124,9 @@ class Chain:
     ) -> tuple[list[float], float]:
         """Return the end of the search from these positions, and the square of the error that is left."""
         error, jacobian = self._linearized(joints, goal, local_attitude)
-        damping, missing, idle = 1e-4, float(error @ error), 0
+        damping = 1e-4
+        missing = float(error @ error)
+        idle = 0
         for _ in range(MAX_ITERATIONS):
             if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
                 break
@@ -140,7 +142,10 @@ class Chain:
             left = float(new_error @ new_error)
             idle = idle + 1 if left > STALL_RATIO * missing else 0
             if left < missing:
-                joints, error, jacobian, missing = tried, new_error, new_jacobian, left
+                joints = tried
+                error = new_error
+                jacobian = new_jacobian
+                missing = left
                 damping = max(damping * 0.2, 1e-9)
             else:
                 damping *= 10.0
@@ -197,7 +202,8 @@ class Chain:
 def inverse_kinematics(engine: Engine, model: RobotModel, part: Part, joints: Sequence[str]) -> Kinematics:
     """Return `Engine.inverse_kinematics` for a robot of this model."""
     chain = Chain(model, part[1] or model.root, joints)
-    root, read = engine.pose(part[0]), engine.joint_states(part[0], chain.moving_joints)
+    root = engine.pose(part[0])
+    read = engine.joint_states(part[0], chain.moving_joints)
     return lambda position, attitude: chain.solve(root(), [state[0] for state in read()], position, attitude)
 
 

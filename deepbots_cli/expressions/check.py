@@ -337,9 +337,11 @@ class _Checker:
         rows, columns = components.rows, components.columns
         selection: Components
         if member in rows:
-            selection, indices = columns, components.row(member)
+            selection = columns
+            indices = components.row(member)
         elif member in columns:
-            selection, indices = rows, components.column(member)
+            selection = rows
+            indices = components.column(member)
         else:
             if not set(member) <= set(columns) or len(set(member)) < len(member):
                 raise self._unknown("component", member, (*rows, *columns), node, before)
@@ -356,7 +358,8 @@ class _Checker:
         if not isinstance(node, syntax.Name):
             help = "write the name of one, as in `position(cart.tip)`"
             raise self._fault("DB203", node, f"`{function}` needs {expected}, not a value", help)
-        scope, name = self._scope, node.dotted
+        scope = self._scope
+        name = node.dotted
         subject = scope.subject(name, kinds)
         if subject is not None and subject.kind in kinds:
             return subject
@@ -390,7 +393,8 @@ class _Checker:
 
     def _no_value(self, node: syntax.Name) -> StopChecking:
         """Return the error for a name that is no value: a part of the world, a function, or unknown."""
-        scope, name = self._scope, node.dotted
+        scope = self._scope
+        name = node.dotted
         subject = scope.subject(name)
         if subject is not None:
             help = f"use one of its values, as in `{_FUNCTION_OF_KIND.get(subject.kind, 'position')}({name})`"
@@ -418,7 +422,8 @@ class _Checker:
     def _asked_of_a_body(self, node: syntax.Name) -> str | None:
         """Return `position(cart).x` for `cart.position.x` and for `cart.x`."""
         for length in range(len(node.parts) - 1, 0, -1):
-            body, (member, *components) = ".".join(node.parts[:length]), node.parts[length:]
+            body = ".".join(node.parts[:length])
+            member, *components = node.parts[length:]
             subject = (
                 self._scope.subject(body) if Family.WORLD in ALLOWED_FAMILIES[self._scope.context] else None
             )
@@ -522,9 +527,11 @@ class _Checker:
         if symbol is None:
             raise self._unknown_unit(name)
         if len(node.items) == 2:
-            missing, help = "an operator", f"to multiply, write `*` before `{name_text}`"
+            missing = "an operator"
+            help = f"to multiply, write `*` before `{name_text}`"
             if symbol.type is not None and symbol.type.boolean:
-                missing, help = "`when`", f"write `when {name_text}` if it is the condition of a reward"
+                missing = "`when`"
+                help = f"write `when {name_text}` if it is the condition of a reward"
             raise self._fault("DB401", node, f"{missing} is missing before `{name_text}`", help)
 
     def _require_unit(self, node: syntax.Binary) -> None:
@@ -544,7 +551,8 @@ class _Checker:
 
     def _unknown_unit(self, name: syntax.Name) -> StopChecking:
         name_text = name.dotted
-        unit, scaled = suggest_unit(name_text), prefixed_unit(name_text)
+        unit = suggest_unit(name_text)
+        scaled = prefixed_unit(name_text)
         help = "units are m, mm, cm, s, ms, kg, g, N, rad, deg, Hz, % and their products, as in `N*m/rad`"
         if unit is not None:
             help = f"did you mean `{unit.text}`?"
@@ -713,7 +721,8 @@ class _Checker:
         self, node: syntax.Call, function: Function
     ) -> tuple[tuple[Subject, ...], list[tuple[Param, Typed]]]:
         """Return the subjects, and each value with its parameter: both ends of a range have the same."""
-        params, count = function.params, len(node.args)
+        params = function.params
+        count = len(node.args)
         fewest = sum(not param.optional for param in params)
         if count < fewest or (count > len(params) and not params[-1].variadic):
             expected = (
@@ -727,7 +736,8 @@ class _Checker:
             )
 
         def argument(index: int) -> tuple[list[Subject], list[tuple[Param, Typed]]]:
-            param, arg = params[min(index, len(params) - 1)], node.args[index]
+            param = params[min(index, len(params) - 1)]
+            arg = node.args[index]
             if param.form is Form.SUBJECT:
                 return [self._subject(arg, param.kinds, function.name)], []
             return [], [(param, value) for value in self.each(self.visit, self._parts(param, arg, function))]

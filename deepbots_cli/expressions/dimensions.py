@@ -15,6 +15,34 @@ from deepbots_cli.diagnostics.nearest import Replacement
 
 Exponent = int | Fraction
 
+_WRITTEN_OUT = {
+    word: unit
+    for unit, words in {
+        "m": "meter meters metre metres",
+        "mm": "millimeter millimeters millimetre millimetres",
+        "cm": "centimeter centimeters centimetre centimetres",
+        "s": "sec secs second seconds",
+        "ms": "msec millisecond milliseconds",
+        "min": "minute minutes",
+        "h": "hour hours",
+        "g": "gram grams",
+        "kg": "kilogram kilograms",
+        "deg": "degree degrees",
+        "rad": "radian radians rads",
+        "m/s": "mps",
+        "N*m": "Nm nm",
+        "N": "newton newtons",
+        "Hz": "hz hertz",
+        "J": "joule",
+        "W": "watt",
+        "%": "percent",
+    }.items()
+    for word in words.split()
+}
+_AMBIGUOUS = frozenset({"rads", "nm"})
+"""The names of units that may also mean radians per second, and nanometres."""
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+
 
 class Dimension(NamedTuple):
     """Exponents of metre, kilogram, second and radian: whole numbers, or fractions after a root.
@@ -214,34 +242,6 @@ UNITS = {
         Unit("%", NUMBER, divisor=100.0),
     )
 }
-
-_WRITTEN_OUT = {
-    word: unit
-    for unit, words in {
-        "m": "meter meters metre metres",
-        "mm": "millimeter millimeters millimetre millimetres",
-        "cm": "centimeter centimeters centimetre centimetres",
-        "s": "sec secs second seconds",
-        "ms": "msec millisecond milliseconds",
-        "min": "minute minutes",
-        "h": "hour hours",
-        "g": "gram grams",
-        "kg": "kilogram kilograms",
-        "deg": "degree degrees",
-        "rad": "radian radians rads",
-        "m/s": "mps",
-        "N*m": "Nm nm",
-        "N": "newton newtons",
-        "Hz": "hz hertz",
-        "J": "joule",
-        "W": "watt",
-        "%": "percent",
-    }.items()
-    for word in words.split()
-}
-_AMBIGUOUS = frozenset({"rads", "nm"})
-"""The names of units that may also mean radians per second, and nanometres."""
-_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 
 
 def suggest_unit(name: str) -> Replacement | None:

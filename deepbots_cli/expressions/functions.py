@@ -25,10 +25,11 @@ from functools import cache, reduce
 from typing import Any, NamedTuple
 
 from deepbots_cli.expressions import intervals as iv
+from deepbots_cli.expressions import world_trees
 from deepbots_cli.expressions.code import Code, printed, template
 from deepbots_cli.expressions.dimensions import ANGLE, FORCE, LENGTH, NUMBER, TIME, TORQUE, UNITS, Dimension
 from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval
-from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Op, Scalar, State
+from deepbots_cli.expressions.scalar import Const, Draw, Op, Scalar, State
 from deepbots_cli.expressions.syntax import KEYWORDS
 from deepbots_cli.expressions.types import (
     QUATERNION,
@@ -43,6 +44,11 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.plugins import PluginTable
 
 ENTRY_POINT_GROUP = "deepbots.functions"
+
+_MAX_WHOLE_EXPONENT = 1000
+"""Of a power that is printed with `**`. `math.pow` computes those beyond it, which overflow for most bases."""
+_MAX_COUNTED = 1000
+"""Components of a vector that the interval of its norm counts."""
 
 
 class Family(Enum):
@@ -156,7 +162,7 @@ class Function(NamedTuple):
         boolean: The value is a truth value.
         accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
             one, too.
-        domain: The first argument must stay within; otherwise DB406.
+        domain: The interval that must contain the first argument; a wider one is DB406.
 
     The meaning of a pure function is one of these, or both:
         python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
@@ -176,9 +182,9 @@ class Function(NamedTuple):
         method: The method of the supervisor, and of that of a batch, that computes it from values.
         pieces_operator: The operation that joins the values for a wall with several segments.
 
-    memory: The class of `runtime.formulas` that is the meaning of a stateful function: called with the
-    arguments in every
-        timestep, whether or not the value is used. An absent `start` is the first argument.
+    The meaning of a stateful function is an object:
+        memory: Its class in `runtime.formulas`. It is called with the arguments in every timestep, whether or
+            not the value is used. An absent `start` is the first argument.
     """
 
     name: str
@@ -220,6 +226,7 @@ class Function(NamedTuple):
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:
         """Return the callable of `python` or `array`."""
+        # The text is ours or that of an installed package, never that of a scenario.
         compute: Callable[..., Any] = eval(f"lambda {', '.join(self.arguments)}: {text}", namespace)
         if self.params[-1].variadic and not self.arguments[-1].startswith("*"):
             return lambda *terms: reduce(compute, terms)
@@ -240,7 +247,7 @@ def scalar_function(name: str) -> Callable[..., float | bool]:
 
 def whole_exponent(exponent: float) -> int | None:
     """Return the exponent as Python's `**` takes it; others go to `math.pow`, which never turns complex."""
-    return int(exponent) if float(exponent).is_integer() and abs(exponent) <= 1000 else None
+    return int(exponent) if float(exponent).is_integer() and abs(exponent) <= _MAX_WHOLE_EXPONENT else None
 
 
 def _power(base: float, exponent: float) -> float:
@@ -249,76 +256,6 @@ def _power(base: float, exponent: float) -> float:
     if integer == 2:
         return base * base
     return math.pow(base, exponent) if integer is None else float(base) ** integer
-
-
-# Scalar trees of functions of the world, over readings of the engine: the same on every engine. World frame,
-# z up.
-
-
-def _op(name: str, *args: Scalar) -> Op:
-    return Op(name, args)
-
-
-def _position(body: str, axis: str) -> EngineRead:
-    return EngineRead("position", (body,), axis)
-
-
-def _quaternion(body: str) -> tuple[EngineRead, ...]:
-    return tuple(EngineRead("orientation", (body,), axis) for axis in QUATERNION)
-
-
-def rotation(body: str, row: int, column: int) -> Scalar:
-    """Return one entry of the matrix that turns vectors of the body into vectors of the world."""
-    q, two = _quaternion(body), Const(2.0)
-    if row == column:
-        a, b = (q[axis] for axis in range(3) if axis != row)
-        return _op("sub", Const(1.0), _op("mul", two, _op("add", _op("mul", a, a), _op("mul", b, b))))
-    third = q[3 - row - column]
-    sign = "add" if (row - column) % 3 == 1 else "sub"
-    return _op("mul", two, _op(sign, _op("mul", q[row], q[column]), _op("mul", third, q[3])))
-
-
-def _roll(body: str) -> Scalar:
-    return _op("atan2", rotation(body, 2, 1), rotation(body, 2, 2))
-
-
-def _pitch(body: str) -> Scalar:
-    """Return the pitch as an atan2, which is exact at the poles, where rounding takes an arcsine out of its
-    domain."""
-    level = _op("hypot", rotation(body, 0, 0), rotation(body, 1, 0))
-    return _op("atan2", _op("neg", rotation(body, 2, 0)), level)
-
-
-def _yaw(body: str) -> Scalar:
-    return _op("atan2", rotation(body, 1, 0), rotation(body, 0, 0))
-
-
-def _tilt(body: str) -> Scalar:
-    """Return twice the half angle, which is exact near 0, where the arccosine of the matrix entry loses half
-    its digits."""
-    x, y, z, w = _quaternion(body)
-    return _op("mul", Const(2.0), _op("atan2", _op("hypot", x, y), _op("hypot", z, w)))
-
-
-def _apart(body: str, target: str, axis: str) -> Scalar:
-    return _op("sub", _position(target, axis), _position(body, axis))
-
-
-def _distance(body: str, target: str) -> Scalar:
-    return _op("hypot", *(_apart(body, target, axis) for axis in "xyz"))
-
-
-def _ground_distance(body: str, target: str) -> Scalar:
-    return _op("hypot", *(_apart(body, target, axis) for axis in "xy"))
-
-
-def _bearing(body: str, target: str) -> Scalar:
-    """Return the angle between the body's forward axis and the line to the other, both seen from above."""
-    ahead_x, ahead_y = rotation(body, 0, 0), rotation(body, 1, 0)
-    dx, dy = _apart(body, target, "x"), _apart(body, target, "y")
-    across = _op("sub", _op("mul", ahead_x, dy), _op("mul", ahead_y, dx))
-    along = _op("add", _op("mul", ahead_x, dx), _op("mul", ahead_y, dy))
-    return _op("atan2", across, along)
 
 
 def _always(dimension: Dimension) -> Callable[[Dimension], Dimension]:
@@ -338,11 +275,17 @@ def _hull(*arguments: Interval) -> Interval:
 
 
 def _norm(components: Interval, count: int) -> Interval:
-    return iv.hypot(*[components] * min(count, 1000))
+    return iv.hypot(*[components] * min(count, _MAX_COUNTED))
 
 
-_NUMBER, _ANGLE, _LENGTH, _TIME = _always(NUMBER), _always(ANGLE), _always(LENGTH), _always(TIME)
-_PURE, _OF_WORLD, _STATEFUL, _DRAW = Family.PURE, Family.WORLD, Family.STATEFUL, Family.DRAW
+_NUMBER = _always(NUMBER)
+_ANGLE = _always(ANGLE)
+_LENGTH = _always(LENGTH)
+_TIME = _always(TIME)
+_PURE = Family.PURE
+_OF_WORLD = Family.WORLD
+_STATEFUL = Family.STATEFUL
+_DRAW = Family.DRAW
 
 _X, _Y, _V = Param("x"), Param("y"), Param("v")
 _CONDITION = Param("condition", boolean=True)
@@ -374,227 +317,662 @@ _ROBOT = _subject("robot", Kind.ROBOT)
 _SENDER = _subject("sender", Kind.ROBOT, Kind.SENSOR, Kind.CAMERA)
 
 _ENTRIES = (
-    Function("abs", _PURE, (_X,), "The absolute value of x.", "abs(joint_velocity(rover.left_wheel))",
-             interval=iv.absolute, python="abs(x)"),
-    Function("sqrt", _PURE, (_X,), "The square root of x. Its unit is the square root of the unit of"
-                                   " x.", "sqrt(distance(rover, ball) / m)",
-             lambda d: d ** Fraction(1, 2), iv.square_root, domain=iv.POSITIVE, python="sqrt(x)",
-             array="np.sqrt(x)"),
-    Function("exp", _PURE, (_PLAIN,), "The exponential function of a plain number.", "exp(-distance(rover,"
-                                                                                     " ball) / m)",
-             _NUMBER, lambda x: iv.apply_monotone(math.exp, x), python="exp(x)", array="np.exp(x)"),
-    Function("log", _PURE, (_PLAIN,), "The natural logarithm of a plain number.", "log(1 + distance(rover,"
-                                                                                  " ball) / m)",
-             _NUMBER, iv.logarithm, domain=Interval(math.ulp(0.0), INF), python="log(x)", array="np.log(x)"),
-    Function("sin", _PURE, (_TURN,), "The sine of an angle.", "sin(yaw(rover))",
-             _NUMBER, iv.sine, python="sin(angle)", array="np.sin(angle)"),
-    Function("cos", _PURE, (_TURN,), "The cosine of an angle.", "cos(2 * bearing(rover, ball))",
-             _NUMBER, iv.cosine, python="cos(angle)", array="np.cos(angle)"),
-    Function("tan", _PURE, (_TURN,), "The tangent of an angle.", "tan(tilt(rover) / 2)",
-             _NUMBER, iv.tangent, python="tan(angle)", array="np.tan(angle)"),
-    Function("atan2", _PURE, (_Y, _X), "The angle of the point (x, y), between -180 and 180 deg.",
-             "atan2(velocity(rover).y, velocity(rover).x)", _ANGLE, iv.atan2, python="atan2(y, x)",
-             array="np.arctan2(y, x)"),
+    Function(
+        "abs",
+        _PURE,
+        (_X,),
+        doc="The absolute value of x.",
+        example="abs(joint_velocity(rover.left_wheel))",
+        interval=iv.absolute,
+        python="abs(x)",
+    ),
+    Function(
+        "sqrt",
+        _PURE,
+        (_X,),
+        doc="The square root of x. Its unit is the square root of the unit of x.",
+        example="sqrt(distance(rover, ball) / m)",
+        result=lambda d: d ** Fraction(1, 2),
+        interval=iv.square_root,
+        domain=iv.POSITIVE,
+        python="sqrt(x)",
+        array="np.sqrt(x)",
+    ),
+    Function(
+        "exp",
+        _PURE,
+        (_PLAIN,),
+        doc="The exponential function of a plain number.",
+        example="exp(-distance(rover, ball) / m)",
+        result=_NUMBER,
+        interval=lambda x: iv.apply_monotone(math.exp, x),
+        python="exp(x)",
+        array="np.exp(x)",
+    ),
+    Function(
+        "log",
+        _PURE,
+        (_PLAIN,),
+        doc="The natural logarithm of a plain number.",
+        example="log(1 + distance(rover, ball) / m)",
+        result=_NUMBER,
+        interval=iv.logarithm,
+        domain=Interval(math.ulp(0.0), INF),
+        python="log(x)",
+        array="np.log(x)",
+    ),
+    Function(
+        "sin",
+        _PURE,
+        (_TURN,),
+        doc="The sine of an angle.",
+        example="sin(yaw(rover))",
+        result=_NUMBER,
+        interval=iv.sine,
+        python="sin(angle)",
+        array="np.sin(angle)",
+    ),
+    Function(
+        "cos",
+        _PURE,
+        (_TURN,),
+        doc="The cosine of an angle.",
+        example="cos(2 * bearing(rover, ball))",
+        result=_NUMBER,
+        interval=iv.cosine,
+        python="cos(angle)",
+        array="np.cos(angle)",
+    ),
+    Function(
+        "tan",
+        _PURE,
+        (_TURN,),
+        doc="The tangent of an angle.",
+        example="tan(tilt(rover) / 2)",
+        result=_NUMBER,
+        interval=iv.tangent,
+        python="tan(angle)",
+        array="np.tan(angle)",
+    ),
+    Function(
+        "atan2",
+        _PURE,
+        (_Y, _X),
+        doc="The angle of the point (x, y), between -180 and 180 deg.",
+        example="atan2(velocity(rover).y, velocity(rover).x)",
+        result=_ANGLE,
+        interval=iv.atan2,
+        python="atan2(y, x)",
+        array="np.arctan2(y, x)",
+    ),
     # numpy's own hypot rounds differently and takes two arguments; this one costs 0.1 us per value.
-    Function("hypot", _PURE, (_X, Param("y", variadic=True)), "The root of the sum of squares.",
-             "hypot(position(rover).x, position(rover).y)",
-             interval=iv.hypot, python="hypot(x, *y)", array="np.asarray(np.frompyfunc(hypot, 1 + len(y),"
-                                                             " 1)(x, *y), float)"),
-    Function("clamp", _PURE, (_X, _RANGE), "x, limited to the range.", "clamp(distance(rover, ball), 0 .."
-                                                                       " 0.5 m)",
-             interval=iv.clamp, python="min(max(x, low), high)", helper="clamp",
-             array="smaller(larger(x, low), high)"),
-    Function("wrap", _PURE, (_TURN,), "The same angle, wrapped to more than -180 and up to 180"
-                                      " deg.", "wrap(yaw(rover) - 90 deg)",
-             _ANGLE, iv.wrap_angle, python="pi - (pi - angle) % tau", helper="wrap_angle"),
-    Function("min", _PURE, (Param("x", variadic=True),), "The smallest component of one vector, or of"
-                                                         " several values.", "min(rover.near)",
-             interval=iv.minimum, python="min(*x)", array="reduce(smaller, x)",
-             reduction=Reduction("min", INF)),
-    Function("max", _PURE, (Param("x", variadic=True),), "The largest component of one vector, or of several"
-                                                         " values.",
-             "max(abs(gas), abs(turn))",
-             interval=iv.maximum, python="max(*x)", array="reduce(larger, x)",
-             reduction=Reduction("max", -INF)),
-    Function("sum", _PURE, (_V,), "The sum of the components.", "sum(joint_velocity(rover.wheels)^2)",
-             reduction=Reduction("add", 0.0, iv.multiply_by_count)),
-    Function("mean", _PURE, (_V,), "The mean of the components.", "mean(joint_velocity(rover.wheels))",
-             reduction=Reduction("add", None, mean=True)),
-    Function("norm", _PURE, (_V,), "The length of a vector: the root of the sum of squares.",
-             "norm(velocity(rover).xy)",
-             reduction=Reduction("hypot", 0.0, _norm, of_rows=True)),
-    Function("count", _PURE, (Param("v", boolean=True),), "The number of components that are true.",
-             "count(rover.near < 0.1 m)",
-             _NUMBER, reduction=Reduction("add", 0.0, lambda _truth, count: Interval(0.0, count), counts=True)),
-    Function("any", _PURE, (Param("v", boolean=True),), "Whether at least one component is true.",
-             "any(rover.near < 0.1 m)",
-             _NUMBER, boolean=True, reduction=Reduction("or", False)),
-    Function("all", _PURE, (Param("v", boolean=True),), "Whether every component is true.",
-             "all(abs(joint_velocity(rover.wheels)) < 1 rad/s)", _NUMBER, boolean=True,
-             reduction=Reduction("and", True)),
-    Function("vector", _PURE, (_X, Param("y", variadic=True)), "A vector of single values: two (x, y), three"
-                                                               " (x, y, z) or more; or the rows of a table,"
-                                                               " each a vector.",
-             "vector(gas * 10 cm, turn * 10 cm, 0 m)", interval=_hull),
-    Function("length", _PURE, (_LINE,), "The length of a line.", "length(track)", _LENGTH, _first),
-    Function("position", _OF_WORLD, (_LINKS,), "The position of the origin of a body or link, in the world"
-                                              " frame.",
-             "position(rover.left_wheel)",
-             _LENGTH, components=SPACE, reads_link_pose=True),
-    Function("velocity", _OF_WORLD, (_LINKS,), "The velocity of the origin of a body or link, in the world"
-                                              " frame.", "velocity(ball)",
-             _always(LENGTH / TIME), components=SPACE, reads_link_pose=True),
-    Function("angular_velocity", _OF_WORLD, (_LINKS,), "The angular velocity of a body or link, in the world"
-                                                      " frame.",
-             "angular_velocity(rover).z", _always(ANGLE / TIME), components=SPACE, reads_link_pose=True),
-    Function("angular_momentum", _OF_WORLD, (_ROBOT,), "The angular momentum of a robot about its center of mass,"
-                                                       " in the world frame.",
-             "norm(angular_momentum(rover))", _always(TORQUE * TIME), components=SPACE),
-    Function("orientation", _OF_WORLD, (_LINKS,), "The orientation of a body or link in the world as a"
-                                                 " quaternion (x, y, z, w).",
-             "orientation(rover)",
-             _NUMBER, _known(iv.SIGNED_UNIT), components=QUATERNION, reads_link_pose=True),
-    Function("roll", _OF_WORLD, (_LINKS,), "The roll angle of a body or link: its rotation about the forward"
-                                          " axis.", "roll(rover)",
-             _ANGLE, _known(iv.TURN), tree=_roll, reads_link_pose=True),
-    Function("pitch", _OF_WORLD, (_LINKS,),
-             "The pitch angle of a body or link: its rotation about the sideways axis; nose down is"
-             " positive.", "pitch(rover)",
-             _ANGLE, _known(iv.QUARTER_TURNS), tree=_pitch, reads_link_pose=True),
-    Function("yaw", _OF_WORLD, (_LINKS,), "The yaw angle of a body or link: its rotation about the vertical"
-                                         " axis; left is positive.",
-             "yaw(rover)",
-             _ANGLE, _known(iv.TURN), tree=_yaw, reads_link_pose=True),
-    Function("tilt", _OF_WORLD, (_LINKS,), "The angle between the z axis of a body or link and the vertical:"
-                                          " 0 if it is upright.",
-             "tilt(rover)",
-             _ANGLE, _known(iv.HALF_TURN), tree=_tilt, reads_link_pose=True),
-    Function("to_body_frame", _OF_WORLD, (_BODY, Param("v", components=SPACE)),
-             "A vector of the world frame, rotated into the frame of a body.",
-             "to_body_frame(rover, velocity(rover))", components=SPACE, reads_link_pose=True),
-    Function("distance", _OF_WORLD, (_LINKS, _OTHER), "The distance between the origins of two bodies or"
-                                                     " links.", "distance(rover, ball)",
-             _LENGTH, _known(iv.POSITIVE), tree=_distance, reads_link_pose=True),
-    Function("ground_distance", _OF_WORLD, (_LINKS, _OTHER), "The horizontal distance between the origins of"
-                                                            " two bodies or links.",
-             "ground_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE), tree=_ground_distance,
-             reads_link_pose=True),
-    Function("bearing", _OF_WORLD, (_BODY, _OTHER),
-             "The horizontal angle from the forward axis of a body to another body; left is positive.",
-             "bearing(rover, ball)", _ANGLE, _known(iv.TURN), tree=_bearing, reads_link_pose=True),
-    Function("clearance", _OF_WORLD, (_SURFACE, _OTHER_SURFACE), "The smallest distance between the surfaces"
-                                                                 " of two bodies.",
-             "clearance(rover, ball)",
-             _LENGTH, _known(iv.POSITIVE), pieces_operator="min"),
-    Function("height", _OF_WORLD, (Param("x", dimension=LENGTH), Param("y", dimension=LENGTH)),
-             "The height of the ground at a point of the world frame, without objects. Beyond a terrain, it is"
-             " the height of its nearest edge; on a plane, it is 0.",
-             "position(rover).z - height(position(rover).x, position(rover).y)",
-             _LENGTH, method="ground_height"),
-    Function("path_distance", _OF_WORLD, (_BODY, _OTHER), "The length of the shortest path around solid"
-                                                          " objects.",
-             "path_distance(rover, ball)", _LENGTH, _known(iv.POSITIVE)),
-    Function("path_bearing", _OF_WORLD, (_BODY, _OTHER),
-             "The horizontal angle from the forward axis of a body to where the shortest path leads; left is"
-             " positive.",
-             "path_bearing(rover, ball)", _ANGLE, _known(iv.TURN)),
-    Function("reachable", _OF_WORLD, (_BODY, _OTHER), "Whether there is a path around solid"
-                                                      " objects.", "reachable(rover, ball)",
-             _NUMBER, boolean=True),
-    Function("visible", _OF_WORLD, (_CAMERA, _SEEN), "Whether the newest image of a camera shows a"
-                                                     " body.", "visible(rover.eye, ball)",
-             _NUMBER, boolean=True),
-    Function("contact", _OF_WORLD, (_BODIES, _TOUCHED),
-             "Whether two bodies touched in this timestep. A robot counts with all of its links. Two links of"
-             " one robot touch only with `self_collision: true`.",
-             "contact(ball, ground)", _NUMBER, boolean=True),
-    Function("collided", _OF_WORLD, (_BODIES,), "Whether a body touched anything other than the ground in"
-                                                " this timestep.",
-             "collided(rover)",
-             _NUMBER, boolean=True),
-    Function("contact_force", _OF_WORLD, (_PUSHED,),
-             "The sum of the normal forces on a body, from all that it touches.", "contact_force(ball)",
-             _always(FORCE), _known(iv.POSITIVE)),
-    Function("contact_force_vector", _OF_WORLD, (_PUSHED,),
-             "The sum of the contact forces on a body, in the world frame: normal forces and friction, from"
-             " all else that it touches.", "contact_force_vector(ball).xy", _always(FORCE), components=SPACE),
-    Function("joint_position", _OF_WORLD, (_JOINT,), "The position of a joint: an angle or a"
-                                                     " length.", "joint_position(rover.left_wheel)",
-             interval=_first),
-    Function("joint_velocity", _OF_WORLD, (_JOINT,), "The velocity of a joint.",
-             "joint_velocity(rover.wheels)", lambda d: d / TIME),
-    Function("joint_torque", _OF_WORLD, (_JOINT,), "The torque or force of a joint's actuator.",
-             "joint_torque(rover.wheels)",
-             lambda d: FORCE if d == LENGTH else TORQUE),
-    Function("cross_track_error", _OF_WORLD, (_BODY, _LINE), "The signed distance of a body from a line;"
-                                                             " left of the line is positive.",
-             "cross_track_error(rover, track)", _LENGTH, reads_link_pose=True),
-    Function("arc_length", _OF_WORLD, (_BODY, _LINE),
-             "The distance that a body has traveled along a line since the reset; backward travel is"
-             " subtracted.",
-             "arc_length(rover, track)", _LENGTH, reads_link_pose=True),
-    Function("age", Family.MESSAGE, (_SENDER,),
-             "The age of the newest values that arrived from a robot or a sensor: the time since they were"
-             " measured.", "age(rover)",
-             _TIME, _known(iv.POSITIVE)),
-    Function("message_received", Family.MESSAGE, (_ROBOT,), "Whether a message from the robot arrived in"
-                                                              " this timestep.",
-             "message_received(rover)", _NUMBER, boolean=True),
-    Function("delta", _STATEFUL, (_X, _START),
-             "The change of x since the previous timestep; 0 at a reset. With start, the first change is"
-             " measured from start.",
-             "delta(arc_length(rover, track))",
-             interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
-             memory="Delta"),
-    Function("previous", _STATEFUL, (_X, _START), "The value of x in the previous timestep.", "previous(gas,"
-                                                                                              " 0)",
-             interval=_hull, accepts_truths=True, memory="Previous"),
-    Function("running_max", _STATEFUL, (_X,), "The largest value of x since the reset.",
-             "running_max(arc_length(rover, track))",
-             interval=_first, memory="RunningMax"),
-    Function("running_min", _STATEFUL, (_X,), "The smallest value of x since the reset.",
-             "running_min(distance(rover, ball))",
-             interval=_first, memory="RunningMin"),
-    Function("hold", _STATEFUL, (_X, _CONDITION),
-             "The value of x at the last timestep in which the condition was true; until it is true for the"
-             " first time, the value of x at"
-             " the reset.",
-             "hold(position(rover), contact(rover, ball))",
-             interval=_first, accepts_truths=True, memory="Hold"),
+    Function(
+        "hypot",
+        _PURE,
+        (_X, Param("y", variadic=True)),
+        doc="The root of the sum of squares.",
+        example="hypot(position(rover).x, position(rover).y)",
+        interval=iv.hypot,
+        python="hypot(x, *y)",
+        array="np.asarray(np.frompyfunc(hypot, 1 + len(y), 1)(x, *y), float)",
+    ),
+    Function(
+        "clamp",
+        _PURE,
+        (_X, _RANGE),
+        doc="x, limited to the range.",
+        example="clamp(distance(rover, ball), 0 .. 0.5 m)",
+        interval=iv.clamp,
+        python="min(max(x, low), high)",
+        helper="clamp",
+        array="smaller(larger(x, low), high)",
+    ),
+    Function(
+        "wrap",
+        _PURE,
+        (_TURN,),
+        doc="The same angle, wrapped to more than -180 and up to 180 deg.",
+        example="wrap(yaw(rover) - 90 deg)",
+        result=_ANGLE,
+        interval=iv.wrap_angle,
+        python="pi - (pi - angle) % tau",
+        helper="wrap_angle",
+    ),
+    Function(
+        "min",
+        _PURE,
+        (Param("x", variadic=True),),
+        doc="The smallest component of one vector, or of several values.",
+        example="min(rover.near)",
+        interval=iv.minimum,
+        python="min(*x)",
+        array="reduce(smaller, x)",
+        reduction=Reduction("min", INF),
+    ),
+    Function(
+        "max",
+        _PURE,
+        (Param("x", variadic=True),),
+        doc="The largest component of one vector, or of several values.",
+        example="max(abs(gas), abs(turn))",
+        interval=iv.maximum,
+        python="max(*x)",
+        array="reduce(larger, x)",
+        reduction=Reduction("max", -INF),
+    ),
+    Function(
+        "sum",
+        _PURE,
+        (_V,),
+        doc="The sum of the components.",
+        example="sum(joint_velocity(rover.wheels)^2)",
+        reduction=Reduction("add", 0.0, iv.multiply_by_count),
+    ),
+    Function(
+        "mean",
+        _PURE,
+        (_V,),
+        doc="The mean of the components.",
+        example="mean(joint_velocity(rover.wheels))",
+        reduction=Reduction("add", None, mean=True),
+    ),
+    Function(
+        "norm",
+        _PURE,
+        (_V,),
+        doc="The length of a vector: the root of the sum of squares.",
+        example="norm(velocity(rover).xy)",
+        reduction=Reduction("hypot", 0.0, _norm, of_rows=True),
+    ),
+    Function(
+        "count",
+        _PURE,
+        (Param("v", boolean=True),),
+        doc="The number of components that are true.",
+        example="count(rover.near < 0.1 m)",
+        result=_NUMBER,
+        reduction=Reduction("add", 0.0, lambda _truth, count: Interval(0.0, count), counts=True),
+    ),
+    Function(
+        "any",
+        _PURE,
+        (Param("v", boolean=True),),
+        doc="Whether at least one component is true.",
+        example="any(rover.near < 0.1 m)",
+        result=_NUMBER,
+        boolean=True,
+        reduction=Reduction("or", False),
+    ),
+    Function(
+        "all",
+        _PURE,
+        (Param("v", boolean=True),),
+        doc="Whether every component is true.",
+        example="all(abs(joint_velocity(rover.wheels)) < 1 rad/s)",
+        result=_NUMBER,
+        boolean=True,
+        reduction=Reduction("and", True),
+    ),
+    Function(
+        "vector",
+        _PURE,
+        (_X, Param("y", variadic=True)),
+        doc=(
+            "A vector of single values: two (x, y), three (x, y, z) or more; or the rows of a table, each a"
+            " vector."
+        ),
+        example="vector(gas * 10 cm, turn * 10 cm, 0 m)",
+        interval=_hull,
+    ),
+    Function(
+        "length",
+        _PURE,
+        (_LINE,),
+        doc="The length of a line.",
+        example="length(track)",
+        result=_LENGTH,
+        interval=_first,
+    ),
+    Function(
+        "position",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The position of the origin of a body or link, in the world frame.",
+        example="position(rover.left_wheel)",
+        result=_LENGTH,
+        components=SPACE,
+        reads_link_pose=True,
+    ),
+    Function(
+        "velocity",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The velocity of the origin of a body or link, in the world frame.",
+        example="velocity(ball)",
+        result=_always(LENGTH / TIME),
+        components=SPACE,
+        reads_link_pose=True,
+    ),
+    Function(
+        "angular_velocity",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The angular velocity of a body or link, in the world frame.",
+        example="angular_velocity(rover).z",
+        result=_always(ANGLE / TIME),
+        components=SPACE,
+        reads_link_pose=True,
+    ),
+    Function(
+        "angular_momentum",
+        _OF_WORLD,
+        (_ROBOT,),
+        doc="The angular momentum of a robot about its center of mass, in the world frame.",
+        example="norm(angular_momentum(rover))",
+        result=_always(TORQUE * TIME),
+        components=SPACE,
+    ),
+    Function(
+        "orientation",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The orientation of a body or link in the world as a quaternion (x, y, z, w).",
+        example="orientation(rover)",
+        result=_NUMBER,
+        interval=_known(iv.SIGNED_UNIT),
+        components=QUATERNION,
+        reads_link_pose=True,
+    ),
+    Function(
+        "roll",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The roll angle of a body or link: its rotation about the forward axis.",
+        example="roll(rover)",
+        result=_ANGLE,
+        interval=_known(iv.TURN),
+        tree=world_trees.roll,
+        reads_link_pose=True,
+    ),
+    Function(
+        "pitch",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The pitch angle of a body or link: its rotation about the sideways axis; nose down is positive.",
+        example="pitch(rover)",
+        result=_ANGLE,
+        interval=_known(iv.QUARTER_TURNS),
+        tree=world_trees.pitch,
+        reads_link_pose=True,
+    ),
+    Function(
+        "yaw",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The yaw angle of a body or link: its rotation about the vertical axis; left is positive.",
+        example="yaw(rover)",
+        result=_ANGLE,
+        interval=_known(iv.TURN),
+        tree=world_trees.yaw,
+        reads_link_pose=True,
+    ),
+    Function(
+        "tilt",
+        _OF_WORLD,
+        (_LINKS,),
+        doc="The angle between the z axis of a body or link and the vertical: 0 if it is upright.",
+        example="tilt(rover)",
+        result=_ANGLE,
+        interval=_known(iv.HALF_TURN),
+        tree=world_trees.tilt,
+        reads_link_pose=True,
+    ),
+    Function(
+        "to_body_frame",
+        _OF_WORLD,
+        (_BODY, Param("v", components=SPACE)),
+        doc="A vector of the world frame, rotated into the frame of a body.",
+        example="to_body_frame(rover, velocity(rover))",
+        components=SPACE,
+        reads_link_pose=True,
+    ),
+    Function(
+        "distance",
+        _OF_WORLD,
+        (_LINKS, _OTHER),
+        doc="The distance between the origins of two bodies or links.",
+        example="distance(rover, ball)",
+        result=_LENGTH,
+        interval=_known(iv.POSITIVE),
+        tree=world_trees.distance,
+        reads_link_pose=True,
+    ),
+    Function(
+        "ground_distance",
+        _OF_WORLD,
+        (_LINKS, _OTHER),
+        doc="The horizontal distance between the origins of two bodies or links.",
+        example="ground_distance(rover, ball)",
+        result=_LENGTH,
+        interval=_known(iv.POSITIVE),
+        tree=world_trees.ground_distance,
+        reads_link_pose=True,
+    ),
+    Function(
+        "bearing",
+        _OF_WORLD,
+        (_BODY, _OTHER),
+        doc="The horizontal angle from the forward axis of a body to another body; left is positive.",
+        example="bearing(rover, ball)",
+        result=_ANGLE,
+        interval=_known(iv.TURN),
+        tree=world_trees.bearing,
+        reads_link_pose=True,
+    ),
+    Function(
+        "clearance",
+        _OF_WORLD,
+        (_SURFACE, _OTHER_SURFACE),
+        doc="The smallest distance between the surfaces of two bodies.",
+        example="clearance(rover, ball)",
+        result=_LENGTH,
+        interval=_known(iv.POSITIVE),
+        pieces_operator="min",
+    ),
+    Function(
+        "height",
+        _OF_WORLD,
+        (Param("x", dimension=LENGTH), Param("y", dimension=LENGTH)),
+        doc=(
+            "The height of the ground at a point of the world frame, without objects. Beyond a terrain, it"
+            " is the height of its nearest edge; on a plane, it is 0."
+        ),
+        example="position(rover).z - height(position(rover).x, position(rover).y)",
+        result=_LENGTH,
+        method="ground_height",
+    ),
+    Function(
+        "path_distance",
+        _OF_WORLD,
+        (_BODY, _OTHER),
+        doc="The length of the shortest path around solid objects.",
+        example="path_distance(rover, ball)",
+        result=_LENGTH,
+        interval=_known(iv.POSITIVE),
+    ),
+    Function(
+        "path_bearing",
+        _OF_WORLD,
+        (_BODY, _OTHER),
+        doc=(
+            "The horizontal angle from the forward axis of a body to where the shortest path leads; left is"
+            " positive."
+        ),
+        example="path_bearing(rover, ball)",
+        result=_ANGLE,
+        interval=_known(iv.TURN),
+    ),
+    Function(
+        "reachable",
+        _OF_WORLD,
+        (_BODY, _OTHER),
+        doc="Whether there is a path around solid objects.",
+        example="reachable(rover, ball)",
+        result=_NUMBER,
+        boolean=True,
+    ),
+    Function(
+        "visible",
+        _OF_WORLD,
+        (_CAMERA, _SEEN),
+        doc="Whether the newest image of a camera shows a body.",
+        example="visible(rover.eye, ball)",
+        result=_NUMBER,
+        boolean=True,
+    ),
+    Function(
+        "contact",
+        _OF_WORLD,
+        (_BODIES, _TOUCHED),
+        doc=(
+            "Whether two bodies touched in this timestep. A robot counts with all of its links. Two links of"
+            " one robot touch only with `self_collision: true`."
+        ),
+        example="contact(ball, ground)",
+        result=_NUMBER,
+        boolean=True,
+    ),
+    Function(
+        "collided",
+        _OF_WORLD,
+        (_BODIES,),
+        doc="Whether a body touched anything other than the ground in this timestep.",
+        example="collided(rover)",
+        result=_NUMBER,
+        boolean=True,
+    ),
+    Function(
+        "contact_force",
+        _OF_WORLD,
+        (_PUSHED,),
+        doc="The sum of the normal forces on a body, from all that it touches.",
+        example="contact_force(ball)",
+        result=_always(FORCE),
+        interval=_known(iv.POSITIVE),
+    ),
+    Function(
+        "contact_force_vector",
+        _OF_WORLD,
+        (_PUSHED,),
+        doc=(
+            "The sum of the contact forces on a body, in the world frame: normal forces and friction, from"
+            " all else that it touches."
+        ),
+        example="contact_force_vector(ball).xy",
+        result=_always(FORCE),
+        components=SPACE,
+    ),
+    Function(
+        "joint_position",
+        _OF_WORLD,
+        (_JOINT,),
+        doc="The position of a joint: an angle or a length.",
+        example="joint_position(rover.left_wheel)",
+        interval=_first,
+    ),
+    Function(
+        "joint_velocity",
+        _OF_WORLD,
+        (_JOINT,),
+        doc="The velocity of a joint.",
+        example="joint_velocity(rover.wheels)",
+        result=lambda d: d / TIME,
+    ),
+    Function(
+        "joint_torque",
+        _OF_WORLD,
+        (_JOINT,),
+        doc="The torque or force of a joint's actuator.",
+        example="joint_torque(rover.wheels)",
+        result=lambda d: FORCE if d == LENGTH else TORQUE,
+    ),
+    Function(
+        "cross_track_error",
+        _OF_WORLD,
+        (_BODY, _LINE),
+        doc="The signed distance of a body from a line; left of the line is positive.",
+        example="cross_track_error(rover, track)",
+        result=_LENGTH,
+        reads_link_pose=True,
+    ),
+    Function(
+        "arc_length",
+        _OF_WORLD,
+        (_BODY, _LINE),
+        doc=(
+            "The distance that a body has traveled along a line since the reset; backward travel is"
+            " subtracted."
+        ),
+        example="arc_length(rover, track)",
+        result=_LENGTH,
+        reads_link_pose=True,
+    ),
+    Function(
+        "age",
+        Family.MESSAGE,
+        (_SENDER,),
+        doc=(
+            "The age of the newest values that arrived from a robot or a sensor: the time since they were"
+            " measured."
+        ),
+        example="age(rover)",
+        result=_TIME,
+        interval=_known(iv.POSITIVE),
+    ),
+    Function(
+        "message_received",
+        Family.MESSAGE,
+        (_ROBOT,),
+        doc="Whether a message from the robot arrived in this timestep.",
+        example="message_received(rover)",
+        result=_NUMBER,
+        boolean=True,
+    ),
+    Function(
+        "delta",
+        _STATEFUL,
+        (_X, _START),
+        doc=(
+            "The change of x since the previous timestep; 0 at a reset. With start, the first change is"
+            " measured from start."
+        ),
+        example="delta(arc_length(rover, track))",
+        interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
+        memory="Delta",
+    ),
+    Function(
+        "previous",
+        _STATEFUL,
+        (_X, _START),
+        doc="The value of x in the previous timestep.",
+        example="previous(gas, 0)",
+        interval=_hull,
+        accepts_truths=True,
+        memory="Previous",
+    ),
+    Function(
+        "running_max",
+        _STATEFUL,
+        (_X,),
+        doc="The largest value of x since the reset.",
+        example="running_max(arc_length(rover, track))",
+        interval=_first,
+        memory="RunningMax",
+    ),
+    Function(
+        "running_min",
+        _STATEFUL,
+        (_X,),
+        doc="The smallest value of x since the reset.",
+        example="running_min(distance(rover, ball))",
+        interval=_first,
+        memory="RunningMin",
+    ),
+    Function(
+        "hold",
+        _STATEFUL,
+        (_X, _CONDITION),
+        doc=(
+            "The value of x at the last timestep in which the condition was true; until it is true for the"
+            " first time, the value of x at the reset."
+        ),
+        example="hold(position(rover), contact(rover, ball))",
+        interval=_first,
+        accepts_truths=True,
+        memory="Hold",
+    ),
     # Backward Euler: stable for every time constant, and the complementary filter's own formula.
-    Function("low_pass", _STATEFUL, (_X, Param("tau", dimension=TIME)), "A first-order low-pass filter with"
-                                                                        " the time constant tau.",
-             "low_pass(velocity(rover).x, 0.2 s)",
-             interval=_first,
-             memory="LowPass"),
-    Function("integral", _STATEFUL, (_X,), "The integral of x over time since the reset.",
-             "integral(abs(cross_track_error(rover, track)))",
-             lambda d: d * TIME, memory="Integral"),
-    Function("accumulate", _STATEFUL, (Param("increment"), _RANGE, Param("start")),
-             "The running sum of increments, limited to the range.", "accumulate(0.1 * gas, 0 .. 1, 0.5)",
-             interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
-             memory="Accumulate"),
-    Function("duration", _STATEFUL, (_CONDITION,), "The time for which the condition has been true without"
-                                                   " interruption.",
-             "duration(abs(cross_track_error(rover, track)) < 2 cm)",
-             _TIME, _known(iv.POSITIVE),
-             memory="Duration"),
-    Function("rising_edge", _STATEFUL, (_CONDITION,), "Whether the condition has just become"
-                                                      " true.", "rising_edge(contact(rover, ball))",
-             _NUMBER, boolean=True,
-             memory="RisingEdge"),
-    Function("uniform", _DRAW, (_RANGE,), "A number drawn uniformly from a range.", "uniform(-10 .. 10"
-                                                                                    " cm)", interval=_hull),
-    Function("integer", _DRAW, (_RANGE._replace(dimension=NUMBER),), "A whole number drawn uniformly from a"
-                                                                     " range, both ends included.",
-             "integer(1 .. 6)", _NUMBER, _hull),
-    Function("normal", _DRAW, (Param("spread", Form.SPREAD),), "A number drawn from a normal"
-                                                               " distribution.", "normal(0 +- 2 deg)"),
-    Function("choice", _DRAW, (Param("options", Form.OPTIONS),), "One of the options, drawn"
-                                                                 " uniformly.", "choice(-30 deg | 0 deg | 30"
-                                                                                " deg)",
-             interval=_hull, accepts_truths=True),
-)  # fmt: skip
+    Function(
+        "low_pass",
+        _STATEFUL,
+        (_X, Param("tau", dimension=TIME)),
+        doc="A first-order low-pass filter with the time constant tau.",
+        example="low_pass(velocity(rover).x, 0.2 s)",
+        interval=_first,
+        memory="LowPass",
+    ),
+    Function(
+        "integral",
+        _STATEFUL,
+        (_X,),
+        doc="The integral of x over time since the reset.",
+        example="integral(abs(cross_track_error(rover, track)))",
+        result=lambda d: d * TIME,
+        memory="Integral",
+    ),
+    Function(
+        "accumulate",
+        _STATEFUL,
+        (Param("increment"), _RANGE, Param("start")),
+        doc="The running sum of increments, limited to the range.",
+        example="accumulate(0.1 * gas, 0 .. 1, 0.5)",
+        interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
+        memory="Accumulate",
+    ),
+    Function(
+        "duration",
+        _STATEFUL,
+        (_CONDITION,),
+        doc="The time for which the condition has been true without interruption.",
+        example="duration(abs(cross_track_error(rover, track)) < 2 cm)",
+        result=_TIME,
+        interval=_known(iv.POSITIVE),
+        memory="Duration",
+    ),
+    Function(
+        "rising_edge",
+        _STATEFUL,
+        (_CONDITION,),
+        doc="Whether the condition has just become true.",
+        example="rising_edge(contact(rover, ball))",
+        result=_NUMBER,
+        boolean=True,
+        memory="RisingEdge",
+    ),
+    Function(
+        "uniform",
+        _DRAW,
+        (_RANGE,),
+        doc="A number drawn uniformly from a range.",
+        example="uniform(-10 .. 10 cm)",
+        interval=_hull,
+    ),
+    Function(
+        "integer",
+        _DRAW,
+        (_RANGE._replace(dimension=NUMBER),),
+        doc="A whole number drawn uniformly from a range, both ends included.",
+        example="integer(1 .. 6)",
+        result=_NUMBER,
+        interval=_hull,
+    ),
+    Function(
+        "normal",
+        _DRAW,
+        (Param("spread", Form.SPREAD),),
+        doc="A number drawn from a normal distribution.",
+        example="normal(0 +- 2 deg)",
+    ),
+    Function(
+        "choice",
+        _DRAW,
+        (Param("options", Form.OPTIONS),),
+        doc="One of the options, drawn uniformly.",
+        example="choice(-30 deg | 0 deg | 30 deg)",
+        interval=_hull,
+        accepts_truths=True,
+    ),
+)
 
 _A, _B = Param("a"), Param("b")
 _VARIADIC_PARAMS = (_A, Param("b", variadic=True))

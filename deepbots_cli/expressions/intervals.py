@@ -45,7 +45,7 @@ NEVER, ALWAYS = Interval(0.0, 0.0), Interval(1.0, 1.0)
 """Truth values as numbers: never true, and always."""
 
 
-def _of(low: float, high: float) -> Interval:
+def _interval(low: float, high: float) -> Interval:
     """Return the interval; a bound that is not a number (inf - inf) becomes infinite."""
     return Interval(low if low == low else -INF, high if high == high else INF)
 
@@ -76,12 +76,12 @@ def negate(a: Interval) -> Interval:
 
 
 def add(a: Interval, b: Interval, *more: Interval) -> Interval:
-    total = _of(a.low + b.low, a.high + b.high)
+    total = _interval(a.low + b.low, a.high + b.high)
     return add(total, *more) if more else total
 
 
 def subtract(a: Interval, b: Interval) -> Interval:
-    return _of(a.low - b.high, a.high - b.low)
+    return _interval(a.low - b.high, a.high - b.low)
 
 
 def multiply(a: Interval, b: Interval) -> Interval:

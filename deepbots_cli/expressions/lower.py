@@ -22,7 +22,6 @@ from deepbots_cli.expressions.functions import (
     Function,
     Reduction,
     function_named,
-    rotation,
     scalar_function,
     whole_exponent,
 )
@@ -39,6 +38,7 @@ from deepbots_cli.expressions.types import (
     Typed,
     Vector,
 )
+from deepbots_cli.expressions.world_trees import rotation
 
 Scalars = tuple[Scalar, ...]
 
@@ -161,7 +161,8 @@ class Lowering:
         return tuple(fold_operation(function.name, *column) for column in self._columns(value, value.args))
 
     def _reduced(self, vector: Typed, reduction: Reduction) -> Scalars:
-        parts, components = self.scalars(vector), vector.type.components
+        parts = self.scalars(vector)
+        components = vector.type.components
         if reduction.counts:
             parts = tuple(fold_operation("where", part, Const(1.0), Const(0.0)) for part in parts)
         if not isinstance(components, RowComponents):
@@ -185,7 +186,8 @@ class Lowering:
             return tuple(Op(function.name, column) for column in self._columns(value, value.args))
         names = [_named(subject, function) for subject in value.subjects]
         if value.args:  # `to_body_frame`
-            parts, body = self.scalars(value.args[0]), names[0][0]
+            parts = self.scalars(value.args[0])
+            body = names[0][0]
             return tuple(
                 chain.from_iterable(
                     _turned(parts[first : first + 3], body) for first in range(0, len(parts), 3)
@@ -200,7 +202,7 @@ class Lowering:
         count = len(components or ("",))
         pairs = [tuple(group[index if len(group) > 1 else 0] for group in names) for index in range(count)]
         pieces = {subject.name: subject.pieces for subject in value.subjects if subject.pieces}
-        return tuple(_of_pieces(function, pair, pieces) for pair in pairs)
+        return tuple(_joined_pieces(function, pair, pieces) for pair in pairs)
 
     def _slot_name(self, value: Invocation, index: int) -> str:
         components = value.type.components
@@ -249,7 +251,9 @@ def _named(subject: Subject, function: Function) -> tuple[str, ...]:
     return (subject.link if subject.link is not None and function.reads_link_pose else subject.name,)
 
 
-def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]) -> Scalar:
+def _joined_pieces(
+    function: Function, names: tuple[str, ...], pieces: Mapping[str, tuple[str, ...]]
+) -> Scalar:
     """Return the value for every piece of a wall, joined: the least clearance, whether any is touched or
     seen."""
     read = function.tree or (lambda *bodies: EngineRead(function.name, bodies))
@@ -261,24 +265,7 @@ def _of_pieces(function: Function, names: tuple[str, ...], pieces: Mapping[str, 
 
 Leaf = Callable[[Name | EngineRead | State | Draw], str]
 
-
-class Target(NamedTuple):
-    """The kind of values that generated code computes with: `function_code` gives the Python of an operation
-    over its arguments."""
-
-    name: str
-    function_code: Callable[[Function], str]
-
-
-def _on_floats(function: Function) -> str:
-    if function.method:
-        return f"self.{function.method}({', '.join(function.arguments)})"
-    return f"{function.helper}({', '.join(function.arguments)})" if function.helper else function.python
-
-
-SCALAR = Target("scalar", _on_floats)
-
-_ON_COLUMNS = {
+_COLUMN_FUNCTIONS = {
     **{name: f"{name}(x)" for name in ("exp", "log")},
     **{name: f"{name}(angle)" for name in ("sin", "cos", "tan")},
     "atan2": "atan2(y, x)",
@@ -291,10 +278,27 @@ _ON_COLUMNS = {
 `math` does."""
 
 
-def _on_columns(function: Function) -> str:
+class Target(NamedTuple):
+    """The kind of values that generated code computes with: `function_code` gives the Python of an operation
+    over its arguments."""
+
+    name: str
+    function_code: Callable[[Function], str]
+
+
+def _scalar_code(function: Function) -> str:
+    if function.method:
+        return f"self.{function.method}({', '.join(function.arguments)})"
+    return f"{function.helper}({', '.join(function.arguments)})" if function.helper else function.python
+
+
+SCALAR = Target("scalar", _scalar_code)
+
+
+def _column_code(function: Function) -> str:
     if function.helper or function.method:
-        return _on_floats(function)
-    text = _ON_COLUMNS.get(function.name) or function.array
+        return _scalar_code(function)
+    text = _COLUMN_FUNCTIONS.get(function.name) or function.array
     if not text and not all(_is_same_on_columns(node) for node in ast.walk(template(function.python))):
         raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
     return text or function.python
@@ -308,7 +312,7 @@ def _is_same_on_columns(node: ast.AST) -> bool:
     return not isinstance(node, (ast.IfExp, ast.BoolOp, ast.Not, ast.Starred))
 
 
-BATCH = Target("batch", _on_columns)
+BATCH = Target("batch", _column_code)
 """The target for many worlds at once: each value is a column with one number per world."""
 
 

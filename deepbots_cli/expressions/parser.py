@@ -67,7 +67,9 @@ _PRECEDENCE = {
     "*": 6,
     "/": 6,
 }
-_NOT, _COMPARISON, _MINUS = 3, 4, 7
+_NOT = 3
+_COMPARISON = 4
+_MINUS = 7
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _CONDITIONAL_WORDS = frozenset({"if", "else", "when"})
 _CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
@@ -222,10 +224,12 @@ class _Parser:
         return unit
 
     def _unit_power(self) -> Unit:
-        unit, power = UNITS[self._next().text], self._peek
+        unit = UNITS[self._next().text]
+        power = self._peek
         if not self._take("^"):
             return unit
-        is_negative, digits = self._take("-"), self._next()
+        is_negative = self._take("-")
+        digits = self._next()
         if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
             headline = "the exponent of a unit must be a small whole number"
             raise _SyntaxError(
@@ -570,7 +574,8 @@ def _rewritten(node: Node, text: str, *, in_operation: bool = False) -> str:
         parts = [_rewritten(part, text, in_operation=True) for part in (value, condition)]
         conditional = f"{parts[0]} if {parts[1]} else {_rewritten(otherwise, text)}"
         return f"({conditional})" if in_operation or text[node.start] == "(" else conditional
-    pieces, at = [], node.start
+    pieces = []
+    at = node.start
     for child in children(node):
         is_operand = isinstance(node, Unary | Binary | Member)
         pieces += [text[at : child.start], _rewritten(child, text, in_operation=is_operand)]
@@ -579,6 +584,12 @@ def _rewritten(node: Node, text: str, *, in_operation: bool = False) -> str:
 
 
 # Hints: signs and words of other languages, and the commonest slips.
+
+_OUT_OF_PLACE = {
+    ")": "a closing parenthesis without an opening one",
+    "else": "`else` without `if`",
+    "when": "`when` within an expression",
+}
 
 
 class _Hint(NamedTuple):
@@ -633,17 +644,11 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
 }
 
 
-_OUT_OF_PLACE = {
-    ")": "a closing parenthesis without an opening one",
-    "else": "`else` without `if`",
-    "when": "`when` within an expression",
-}
-
-
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
     """Return headline, help and correction for the token `at`, which cannot be here; `missing` if a value was
     due."""
-    token, before = tokens[at], tokens[at - 1] if at else tokens[at]
+    token = tokens[at]
+    before = tokens[at - 1] if at else tokens[at]
     token_text = token.text if token.text.isprintable() else f"U+{ord(token.text[0]):04X}"
     is_copy = token.text == "#" and tokens[at + 1].kind == "NUMBER"
     help, text = (COPIES_HELP, None) if is_copy else _HINTS.get(token.text, (None, None))

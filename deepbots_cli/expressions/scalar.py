@@ -28,7 +28,9 @@ class NamedFloat(float):
 
     def __new__(cls, value: float, name: str, component: str | None = None, text: str = "") -> NamedFloat:
         number = super().__new__(cls, value)
-        number.name, number.component, number.text = name, component, text
+        number.name = name
+        number.component = component
+        number.text = text
         return number
 
     def __reduce__(self) -> tuple[type[NamedFloat], tuple[float, str, str | None, str]]:

@@ -18,17 +18,6 @@ MAX_LENGTH = 10_000
 NUMBER = r"(?:\d+(?:_\d{3})*(?:\.\d+)?|\.\d+)(?:[eE][+-]?\d+)?"
 """A number without a sign, as a regular expression."""
 
-
-class Token(NamedTuple):
-    """A word of the text: a NUMBER, a NAME, a SIGN, something STRANGE such as a sign of another language, or
-    the END, which is empty."""
-
-    kind: str
-    text: str
-    start: int
-    end: int
-
-
 # YAML removes its comments; a text of several lines (`|`) still holds them. As in YAML, a blank precedes the
 # sign of a comment. What follows the blanks always matches, so they are never given back. A possessive group
 # would say so, but Python before 3.11.5 matches such a group of alternatives wrongly: it never ends here.
@@ -41,6 +30,16 @@ _TOKEN = re.compile(
     r"|$)",
     re.DOTALL | re.ASCII,
 )
+
+
+class Token(NamedTuple):
+    """A word of the text: a NUMBER, a NAME, a SIGN, something STRANGE such as a sign of another language, or
+    the END, which is empty."""
+
+    kind: str
+    text: str
+    start: int
+    end: int
 
 
 def tokens(text: str) -> list[Token]:

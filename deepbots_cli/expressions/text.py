@@ -8,6 +8,8 @@ from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, S
 _MAX_LISTED = 4
 """The number of items of a list that a text shows."""
 
+_DRAW_SIGNS = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
+
 
 def value_text(value: object) -> str:
     """Return a value as text on one line: numbers short, nothing as a dash, lists with commas."""
@@ -44,9 +46,6 @@ def _rounded(scalar: Scalar, digits: int) -> Scalar:
             return scalar._replace(args=tuple(_rounded(arg, digits) for arg in args))
         case _:
             return scalar
-
-
-_DRAW_SIGNS = {"uniform": " .. ", "integer": " .. ", "normal": " +- ", "choice": " | "}
 
 
 def _read(leaf: Name | EngineRead | State | Draw) -> str:

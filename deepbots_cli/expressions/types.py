@@ -18,6 +18,11 @@ QUATERNION: Components = ("x", "y", "z", "w")
 Shape = tuple[int, int, int]
 """Rows, columns and channels of a picture."""
 
+CORRECTED_LINE = "{corrected line}"
+"""The placeholder in a help for the line to write, which the reader of the text fills in."""
+
+NO_NAMES: Mapping[str, str | None] = MappingProxyType({})
+
 
 class GroupComponents(tuple[str, ...]):
     """The components of a value that has one per copy of a group. They cannot be recognized by their names: a
@@ -255,13 +260,6 @@ class Scope(Protocol):
         """Return every name that `subject` finds, for suggestions."""
 
 
-CORRECTED_LINE = "{corrected line}"
-"""The placeholder in a help for the line to write, which the reader of the text fills in."""
-
-
-NO_NAMES: Mapping[str, str | None] = MappingProxyType({})
-
-
 class FindingReporter(Protocol):
     """Takes a finding at the offsets `[start, end)` of the text.
 
@@ -284,6 +282,14 @@ class FindingReporter(Protocol):
 
 
 # The typed tree. Every node holds its type and its place in the text, [start, end).
+
+INEQUALITIES = frozenset({"less", "less_equal", "greater", "greater_equal"})
+
+MAX_SIZE = 10_000
+"""The maximum number of operations of a checked expression: nested vector functions repeat their arguments
+and could grow to millions."""
+_WORLD_SIZE = 40  # operations of the largest world function, per component of its result
+_READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all three of the argument
 
 
 class Constant(NamedTuple):
@@ -313,9 +319,6 @@ class ComponentSelection(NamedTuple):
     end: int
     value: Typed
     indices: tuple[int, ...]
-
-
-INEQUALITIES = frozenset({"less", "less_equal", "greater", "greater_equal"})
 
 
 class Operation(NamedTuple):
@@ -423,13 +426,6 @@ def is_bare_number(value: Typed) -> bool:
 def is_bare_zero(value: Typed) -> bool:
     """Return whether this is a bare zero, which fits every dimension."""
     return isinstance(value, Constant) and is_bare_number(value) and not any(value.values)
-
-
-MAX_SIZE = 10_000
-"""The maximum number of operations of a checked expression: nested vector functions repeat their arguments
-and could grow to millions."""
-_WORLD_SIZE = 40  # operations of the largest world function, per component of its result
-_READS_PER_ROTATED_COMPONENT = 3  # every component of a turned vector reads all three of the argument
 
 
 def size(node: Typed) -> int:

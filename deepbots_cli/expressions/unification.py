@@ -198,8 +198,11 @@ def missing_unit(
     ends: Sequence[Typed] = (value.low, value.high) if isinstance(value, TypedRange) else (value,)
     sign = ".."
     if isinstance(value, Invocation) and value.function in ("uniform", "normal"):
-        ends, sign = value.args, ".." if value.function == "uniform" else "+-"
-    help, replacement, corrected = f"write its unit, as in `{dimension.example}`", None, None
+        ends = value.args
+        sign = ".." if value.function == "uniform" else "+-"
+    help = f"write its unit, as in `{dimension.example}`"
+    replacement = None
+    corrected = None
     constants = [end for end in ends if isinstance(end, Constant)]
     if len(constants) == len(ends):
         numbers_text = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
@@ -334,7 +337,9 @@ def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
     in a unit of the dimension that is needed (None for several numbers)."""
     dimension = value.type.dimension
     if isinstance(value, Constant) and value.unit:
-        name, numbers, unit = "", tuple(map(value.unit.from_si, value.values)), value.unit.text
+        name = ""
+        numbers = tuple(map(value.unit.from_si, value.values))
+        unit = value.unit.text
     else:
         values_by_name = {
             part.symbol.name: part.symbol.value or ()
@@ -347,7 +352,8 @@ def _with_unit(value: Typed, needed: Dimension) -> tuple[str, str | None]:
         if len(_number_text(degrees)) < len(_number_text(numbers[0] if numbers else 0.0)) and not math.isnan(
             degrees
         ):
-            numbers, unit = (degrees,), "deg"
+            numbers = (degrees,)
+            unit = "deg"
     if len(numbers) != 1:
         return name, None
     is_rate = dimension / needed == TIME and "/" not in unit
@@ -563,7 +569,8 @@ def _require_size(value: Typed, known: Known, description: str, report: FindingR
     episode."""
     dimension, interval = value.type.dimension, value.type.interval
     farthest = max(interval, key=abs)
-    largest, is_or_reaches = abs(farthest), "is" if interval.is_single else "reaches"
+    largest = abs(farthest)
+    is_or_reaches = "is" if interval.is_single else "reaches"
     plausible = physical_quantity(dimension).plausible_limit
     limit = _MAX_VALUE if plausible == math.inf else _PLAUSIBLE_LIMIT_FACTOR * plausible
     if largest > limit and known is not Known.STEP:

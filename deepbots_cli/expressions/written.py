@@ -46,7 +46,8 @@ def units_in(text: str) -> Iterator[Unit]:
 
 def _unit(text: str) -> Unit | None:
     """Return `deg/s` as a unit; None if a word is no unit."""
-    unit, divides = ONE, False
+    unit = ONE
+    divides = False
     for word in re.split(r"([*/])", text):
         if word in ("*", "/"):
             divides = word == "/"

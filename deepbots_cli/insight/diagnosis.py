@@ -88,7 +88,7 @@ from deepbots_cli.insight.training import (
 )
 from deepbots_cli.learning.episodes import meets_solved
 from deepbots_cli.learning.failures import Failure
-from deepbots_cli.learning.joint import SHARED
+from deepbots_cli.learning.multi_agent import SHARED
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3.defaults import default_values, longest_episode
 from deepbots_cli.program.task import SAME_OBSERVATION

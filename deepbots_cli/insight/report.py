@@ -39,7 +39,7 @@ from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.templates import render_template
 from deepbots_cli.insight.training import read_trainings
 from deepbots_cli.learning.directories import is_training
-from deepbots_cli.learning.draws import by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import draw_labels, drawn_effects
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import EvaluationWithEpisodes, in_parentheses
 from deepbots_cli.learning.run import DEMONSTRATIONS_NAME, Run
@@ -475,7 +475,7 @@ class Report:
         yield "shares", shares, figures.shares(logs, theme)
         yield "endings", f"How episodes of the training end. {mean}", figures.endings(logs, theme)
         colors = "green: success, orange: no success; " if defined else ""
-        effects = by_drawn_value(outcomes, draw_labels(self.runs[0].run.program, self.units))
+        effects = drawn_effects(outcomes, draw_labels(self.runs[0].run.program, self.units))
         conclusion = f"{effects.conclusion[:1].upper()}{effects.conclusion[1:]}."
         caption = (
             f"{conclusion} Each point is an evaluation episode ({colors}{len(outcomes):,} in all). "

@@ -14,7 +14,7 @@ from deepbots_cli.document.nodes import entries_at, inline_text
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
-from deepbots_cli.learning.draws import DrawLabel, DrawnBin, by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import DrawLabel, DrawnBin, draw_labels, drawn_effects
 from deepbots_cli.program.levels import SUCCESS
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
@@ -426,7 +426,7 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         return None
     source, episodes = _episodes_with_draws(evidence)
     values = list(
-        by_drawn_value(episodes, draw_labels(evidence.program, evidence.facts.units)).values.values()
+        drawn_effects(episodes, draw_labels(evidence.program, evidence.facts.units)).values.values()
     )
     # A value whose middle fails has no trend, but its parts differ.
     differing = (

@@ -17,7 +17,7 @@ active.py                the parts of a training that runs in this process
 callbacks.py             the callback of a training, and when to stop
 training_evaluations.py  the evaluations of a training, and the choice of its best model
 confirmations.py         the confirmations of a training
-confirmation.py          how a confirmation is judged, which may end the training
+confirmation_rule.py     how a confirmation is judged, which may end the training
 scalars.py               the scalars that a training logs
 signals.py               Ctrl-C and SIGTERM
 order.py                 the order of policies, and the best models of a training
@@ -26,7 +26,7 @@ decline.py               whether the last evaluations of a training are worse th
 environments.py          the creation of worlds: one by one, or as a batch
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 teacher.py               a script or a recording as teacher: when the policy imitates it, and how much
-joint.py                 the learner of several agents: one for each of them
+multi_agent.py           the learner of several agents: one for each of them
 self_play.py             one policy for two equal agents, against itself and a pool of its past versions
 rivals.py                policies that act for other agents
 matches.py               policies and scripts of two agents against each other

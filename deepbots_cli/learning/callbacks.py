@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 
 from deepbots_cli.analysis import unobserved_reads
 from deepbots_cli.learning.active import OFF_POLICY_FACTOR, ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.confirmations import Confirmations
 from deepbots_cli.learning.episodes import Summary, agent_returns
 from deepbots_cli.learning.held_out import play_script
@@ -89,7 +89,8 @@ class TrainingCallback:
 
     def attach(self, learner: Learner, log: TrainingLog) -> None:
         """Set the learner and the log of the training, before it begins."""
-        self.active.learner, self.active.log = learner, log
+        self.active.learner = learner
+        self.active.log = log
 
     @property
     def defines_success(self) -> bool:
@@ -142,9 +143,11 @@ class TrainingCallback:
             # It was solved before, with --full. Without this, no confirmation would follow.
             self.active.statistics.solved_at = None
         self._next_check = state.next_beat
-        self.confirmations.count, self.confirmations.steps = state.confirmations, state.confirmation_steps
+        self.confirmations.count = state.confirmations
+        self.confirmations.steps = state.confirmation_steps
         self.confirmations.met_in_a_row = state.met_in_a_row
-        self.evaluations.returns, self.evaluations.evaluated_at = state.returns, state.evaluated_at
+        self.evaluations.returns = state.returns
+        self.evaluations.evaluated_at = state.evaluated_at
         self._kept_candidates = state.candidates
         # Older versions spent up to half of the steps on evaluations: without a limit, none would follow for
         # long.
@@ -172,15 +175,18 @@ class TrainingCallback:
             if teaching.demonstrations is not None:
                 played = list(teaching.demonstrations.episodes)
             elif teaching.policy is not None:
-                evaluator, engine = active.evaluator, active.run.record.engine
+                evaluator = active.evaluator
+                engine = active.run.record.engine
                 played = teaching.policy.play(scenario, evaluator.build, engine, evaluator.starts)
             else:
-                script, evaluator = teaching.teacher.script, active.evaluator
+                script = teaching.teacher.script
+                evaluator = active.evaluator
                 played = play_script(evaluator.build, scenario, script, evaluator.starts)
                 hidden = unobserved_reads(scenario, script)
             reads = f"; the policy does not observe what it reads: {', '.join(hidden)}" if hidden else ""
             active.reporter.note(teaching.begin(stage, played, scenario.defines_success) + reads)
-        drove, plan = teaching.drives, teaching.plan(active.statistics.steps)
+        drove = teaching.drives
+        plan = teaching.plan(active.statistics.steps)
         if drove and not teaching.drives:
             active.statistics.begin_anew()
         self._scalars.record_teacher(teaching, plan)
@@ -203,9 +209,12 @@ class TrainingCallback:
     # Progress
 
     def progress(self) -> TrainingProgress:
-        s, curriculum, evaluations = self.active.statistics, self.active.curriculum, self.evaluations
+        s = self.active.statistics
+        curriculum = self.active.curriculum
+        evaluations = self.evaluations
         stage = curriculum.describe(s.steps) if curriculum.stages else ""
-        success_rate, mean_return = s.success_rate if self.defines_success else None, s.mean_return
+        success_rate = s.success_rate if self.defines_success else None
+        mean_return = s.mean_return
         if self.is_taught:
             success_rate = None
             mean_return = None
@@ -234,7 +243,8 @@ class TrainingCallback:
     def _evaluation_seconds_left(self) -> float:
         """Return the longest time of further evaluations, confirmations and the choice of the best model, in
         s."""
-        steps, total = self.evaluation_steps - self._steps_before, self.active.total
+        steps = self.evaluation_steps - self._steps_before
+        total = self.active.total
         if steps <= 0:
             return 0.0
         evaluations = max(0.0, self._evaluation_share() * total - self.active.evaluator.steps)
@@ -320,7 +330,8 @@ class TrainingCallback:
 
     def _check_patience(self) -> None:
         """Stop a training that has had no better evaluation for `patience` steps."""
-        training, best = self.active.run.program.agent.training, self.best
+        training = self.active.run.program.agent.training
+        best = self.best
         if training is None or training.patience is None or best is None or self.stopped_by is not None:
             return
         if self.active.statistics.steps - best.steps >= training.patience:

@@ -49,7 +49,9 @@ class Counter(Watcher):
     """Calls a function with the number of completed items and the number of all items."""
 
     def __init__(self, show: Callable[[int, int], object] | None, total: int) -> None:
-        self._show, self._done, self.total = show, 0, total
+        self._show = show
+        self._done = 0
+        self.total = total
 
     def on_done(self, item: int, outcome: object) -> None:
         self._done += 1

@@ -111,7 +111,8 @@ def nearest_solved(run: Run) -> tuple[Run, list[ChangedValue]] | None:
 def solved_before(run: Run) -> Iterator[Run]:
     """Yield the runs that solved a scenario of the same name and began before a run, the newest first. They are
     in the same folder, in a group in it, or beside the group of the run."""
-    begun, itself = started(run.record), run.path.absolute()
+    begun = started(run.record)
+    itself = run.path.absolute()
     earlier = []
     for path in set(_runs_beside(itself)) - {itself}:
         with suppress(RunError):  # damaged, or of another version

@@ -84,7 +84,8 @@ class Checkpoints:
         with damage_explained(run, self._found):
             self.state = None if self._found is None else read_state(self._found, model)
         if self.state is not None:
-            self.stages, self.inexact = list(self.state.stages), list(self.state.inexact)
+            self.stages = list(self.state.stages)
+            self.inexact = list(self.state.inexact)
 
     def _cut_logs(self) -> None:
         """Cut off the entries that were logged after the checkpoint, before the logs are opened."""
@@ -142,7 +143,8 @@ class Checkpoints:
 
     def _save_numbered(self) -> None:
         """Keep the model at equal distances of steps, `--keep-checkpoints` models in all."""
-        steps, count = self._learner.steps, self.run.record.keep_checkpoints
+        steps = self._learner.steps
+        count = self.run.record.keep_checkpoints
         total = self.callback.active.total
         if count and steps * count // total > self._previous * count // total:
             self._learner.save(self.run.model(f"step-{steps:09d}"))
@@ -197,9 +199,10 @@ class Checkpoints:
         root = self.run.checkpoints
         above = {parent for path in remaining for parent in path.parents if parent.is_relative_to(root)}
         for folder in above:
-            for path in folder.iterdir() if folder.is_dir() else ():
-                if path not in remaining and path not in above:
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            if folder.is_dir():
+                for path in folder.iterdir():
+                    if path not in remaining and path not in above:
+                        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def _arrays(self) -> dict[str, Array]:
         arrays = self._learner.arrays()
@@ -276,7 +279,8 @@ class Checkpoints:
             for name, array in self._arrays().items()
             if not name.startswith("actions/")
         }
-        shape, rows = np.shape(self._collector.action_space.sample()), self._collector.rows // worlds
+        shape = np.shape(self._collector.action_space.sample())
+        rows = self._collector.rows // worlds
         team = (rows, *shape) if rows > 1 else shape
         specs |= {
             f"actions/{index}": ArraySpec(np.dtype(float), team, longest_episode(self.run.program))

@@ -44,6 +44,9 @@ MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
 0."""
 
+_MAX_LISTED = 5
+"""The number of differences of two scenarios that a note lists."""
+
 
 @dataclass(frozen=True)
 class GroupResult:
@@ -317,7 +320,8 @@ def compare(
         )
         for group in members
     ]
-    solved, defines_success = judged.program.agent.solved, judged.program.defines_success
+    solved = judged.program.agent.solved
+    defines_success = judged.program.defines_success
     measure = measure_of(solved, defines_success=defines_success)
     differences = tuple(
         _difference(groups[0], group, measure, world)
@@ -541,10 +545,6 @@ def _difference(first: GroupResult, group: GroupResult, measure: Measure, world:
     )
 
 
-_MAX_LISTED = 5
-"""The number of differences of two scenarios that a note lists."""
-
-
 def _notes(
     members: Sequence[_GroupMembers],
     groups: Sequence[GroupResult],
@@ -598,7 +598,8 @@ def _timing_notes(
 
 def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str]:
     """Return notes on where the two groups are evaluated, why, and what is therefore not compared."""
-    meanings, names = difference.meanings, f"{difference.first} and {difference.group}"
+    meanings = difference.meanings
+    names = f"{difference.first} and {difference.group}"
     notes = []
     if meanings.acting and named:
         notes.append(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE, Confirmation
+from deepbots_cli.learning.confirmation_rule import COST_SHARE, Confirmation
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.learning.held_out import confirmation_root
 from deepbots_cli.learning.report import Activity
@@ -47,7 +47,9 @@ class Confirmations:
 
     def __init__(self, active: ActiveTraining) -> None:
         self._active = active
-        self.count, self.steps, self.met_in_a_row = 0, 0, 0
+        self.count = 0
+        self.steps = 0
+        self.met_in_a_row = 0
         self.passed: Confirmed | None = None
         self.activity: Activity | None = None
         self._postponed = 0
@@ -88,7 +90,8 @@ class Confirmations:
         """
         if self._is_postponed():
             return None
-        solved, number = self._active.statistics.solved, self.count + 1
+        solved = self._active.statistics.solved
+        number = self.count + 1
         assert solved is not None
         plan = Confirmation.plan(solved, number, returns, evaluated)
         if plan is None:
@@ -102,7 +105,8 @@ class Confirmations:
             return None
         root = confirmation_root(self._active.run.record.seed, number)
         episodes = self._play(plan, root, report)
-        self.count, self.activity = number, None
+        self.count = number
+        self.activity = None
         self.steps += sum(episode.length for episode in episodes)
         summary = Summary.of_episodes(episodes)
         passes = plan.passes(episodes)
@@ -115,7 +119,8 @@ class Confirmations:
 
     def _is_postponed(self) -> bool:
         """Return whether failed confirmations took their share of the steps. If so, it is noted once."""
-        number, share = self.count + 1, self.cost_share
+        number = self.count + 1
+        share = self.cost_share
         if number == 1 or self.steps <= share * self._active.statistics.steps:
             return False
         if self._postponed != number:
@@ -128,7 +133,8 @@ class Confirmations:
         return True
 
     def _play(self, plan: Confirmation, root: int, report: Callable[[], None]) -> list[Episode]:
-        active, name = self._active, f"confirming on {plan.episodes:,} new starts"
+        active = self._active
+        name = f"confirming on {plan.episodes:,} new starts"
         episodes: list[Episode] = []
         while len(episodes) < plan.episodes and not plan.is_lost(episodes):
             self.activity = Activity(name, f"{len(episodes):,} played, needs {plan.requirement}")

@@ -78,7 +78,8 @@ class Curriculum:
         copies: int = 1,
         world_levels: Sequence[int] = (),
     ) -> None:
-        self._worlds, self._copies = worlds, copies
+        self._worlds = worlds
+        self._copies = copies
         self._program = program
         self._world_levels = world_levels
         self.stages: Sequence[CurriculumStage] = program.curriculum
@@ -100,7 +101,8 @@ class Curriculum:
     @property
     def levels(self) -> LevelSpread | None:
         """The present levels of the worlds; None without levels."""
-        levels, world_levels = self._program.levels, self._world_levels
+        levels = self._program.levels
+        world_levels = self._world_levels
         if levels is None or not world_levels:
             return None
         return LevelSpread(
@@ -179,7 +181,8 @@ class Curriculum:
 
     def describe(self, steps: int) -> str:
         """Return the state for a progress display, such as `few (2 of 3): success rate 0.45 of 0.7`."""
-        until, value = self.criterion, self.value(steps)
+        until = self.criterion
+        value = self.value(steps)
         stage = f"{self.name} ({self.index + 1} of {len(self.stages)})"
         if until is None:
             return stage

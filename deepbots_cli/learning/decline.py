@@ -35,7 +35,8 @@ FALSE_ALARMS = 0.01
 """The largest probability of a reported decline in a training whose policy stays the same."""
 MIN_EFFECT = 0.1
 MIN_SHARE = 0.05
-MIN_EFFECT_OF_FEW, MIN_SHARE_OF_FEW = 0.25, 0.2
+MIN_EFFECT_OF_FEW = 0.25
+MIN_SHARE_OF_FEW = 0.2
 LAST_SHARE = 0.25
 """The share of the present stage whose evaluations are compared with earlier ones."""
 _WINDOWS = (1, 3)
@@ -81,8 +82,8 @@ class Decline:
         )
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,}"
-            f" steps to {last}"
-            f" in {self.last} ({self.last_episodes:,} episodes), since about {self.since_steps:,} steps"
+            f" steps to {last} in {self.last} ({self.last_episodes:,} episodes), since about"
+            f" {self.since_steps:,} steps"
         )
 
 
@@ -111,7 +112,8 @@ def decline(evaluations: Sequence[Mapping[str, Any]], measure: Measure) -> Decli
     earlier = [number for number, row in enumerate(rows) if row["stage"] != rows[-1]["stage"]]
     stage_start = 0.0
     if earlier:
-        stage_start, rows = rows[earlier[-1]]["steps"], rows[earlier[-1] + 1 :]
+        stage_start = rows[earlier[-1]]["steps"]
+        rows = rows[earlier[-1] + 1 :]
     if len(rows) < 2:
         return None
     quarter_start = rows[-1]["steps"] - LAST_SHARE * (rows[-1]["steps"] - stage_start)
@@ -142,9 +144,9 @@ def _fall(
         effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
         if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
             continue
-        if paired(_of_starts(scores[window.start : window.stop]), _of_starts(scores[split:])) <= level / len(
-            windows
-        ):
+        if paired(
+            _mean_scores(scores[window.start : window.stop]), _mean_scores(scores[split:])
+        ) <= level / len(windows):
             better.append((fmean(episodes), window))
     if not better:
         return None
@@ -168,7 +170,7 @@ def _joined(scores: Sequence[Sequence[float]]) -> list[float]:
     return [score for episodes in scores for score in episodes]
 
 
-def _of_starts(scores: Sequence[Sequence[float]]) -> list[float]:
+def _mean_scores(scores: Sequence[Sequence[float]]) -> list[float]:
     """Return the mean score of each start over some evaluations."""
     return [fmean(column) for column in zip(*scores, strict=False)]
 
@@ -201,7 +203,8 @@ def paired(better: Sequence[float], worse: Sequence[float]) -> float:
     if freedom < 2:
         return 1.0
     differences.append(-max(map(abs, differences)))
-    mean, error = fmean(differences), variance(differences) / len(differences)
+    mean = fmean(differences)
+    error = variance(differences) / len(differences)
     if error <= 0:
         return 1.0
     scale = (8 * freedom + 1) / (8 * freedom + 3)

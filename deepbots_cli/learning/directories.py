@@ -106,7 +106,8 @@ def new_directory(folder: str | Path | None, parent: str | Path, scenario: str, 
     Raises:
         UsageError: `folder` exists, or the directory cannot be made.
     """
-    folder, parent = None if folder is None else Path(folder), Path(parent)
+    folder = None if folder is None else Path(folder)
+    parent = Path(parent)
     try:
         if folder is not None:
             folder.mkdir(parents=True)

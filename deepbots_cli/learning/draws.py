@@ -28,9 +28,10 @@ from deepbots_cli.rollout import Episode
 Outcome = Literal["success", "return"]
 Floats = NDArray[np.float64]
 
-MAX_OPTIONS, BINS = 6, 4
-"""The number of parts of a drawn value: one for each of at most 6 different outcomes, otherwise 4 parts with
-equally many episodes."""
+MAX_OPTIONS = 6
+"""The largest number of different outcomes of a drawn value that has a part for each of them."""
+BINS = 4
+"""The number of parts of other values; they have equally many episodes."""
 POWER = 0.9
 """The probability with which an effect of the size `DrawnEffects.detectable` is found."""
 _QUARTERS = 0.75 * math.sqrt(12)
@@ -129,8 +130,7 @@ class DrawnEffects:
             amount = points if self.outcome == "success" else f"{self.detectable:.3g} in the return"
             size = (
                 f"with {self.starts:,} episodes, a difference of {amount} between the lowest and the highest"
-                " quarter"
-                f" of a value is found with a probability of {POWER:.0%}"
+                f" quarter of a value is found with a probability of {POWER:.0%}"
             )
         if count and self.detectable is None:
             size = ""
@@ -165,7 +165,7 @@ class DrawnEffects:
         }
 
 
-def by_drawn_value(
+def drawn_effects(
     episodes: Sequence[Episode],
     labels: Mapping[str, DrawLabel] | None = None,
     bounds: Interval = UNBOUNDED,
@@ -191,8 +191,9 @@ def by_drawn_value(
         if _is_ordered([episode.drawn[name] for episode in drawing]):
             bins = _parts(drawing, name, bounds)
             if len(bins) > 1:
-                starts, results = _by_start(drawing, outcome)
-                parts[name], chances[name] = bins, _chance([start.drawn[name] for start in starts], results)
+                starts, results = _mean_outcomes(drawing, outcome)
+                parts[name] = bins
+                chances[name] = _chance([start.drawn[name] for start in starts], results)
     corrected = _holm(chances)
     values = [
         DrawnValue(
@@ -201,7 +202,7 @@ def by_drawn_value(
         for name, chance in corrected.items()
     ]
     values.sort(key=lambda value: (not value.has_effect, not value.label.is_parameter, value.chance))
-    _, results = _by_start(episodes, outcome)
+    _, results = _mean_outcomes(episodes, outcome)
     detectable = None
     if values and len(results) > 1:
         needed = float(ndtri(1 - ALPHA / (2 * len(values))) + ndtri(POWER)) / math.sqrt(len(results) - 1)
@@ -236,7 +237,7 @@ def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[Dr
 # The test
 
 
-def _by_start(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
+def _mean_outcomes(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
     """Return one episode of each start, and the mean outcome of each start.
 
     Several policies that begin with the same start are no independent observations of its difficulty.
@@ -288,7 +289,9 @@ def _association(first: Floats, second: Floats) -> float:
 
     if max(len(set(values.tolist())) for values in (first, second)) == 2:
         return _exact_association(first == first.max(), second == second.max())
-    count, a, b = len(first), first - first.mean(), second - second.mean()
+    count = len(first)
+    a = first - first.mean()
+    b = second - second.mean()
     variance = float((a**2).sum() * (b**2).sum()) / max(1, count - 1)
     if count < 3 or variance <= 0:
         return 1.0
@@ -308,7 +311,9 @@ def _exact_association(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> f
     their margins."""
     from scipy.special import gammaln
 
-    count, first_ones, second_ones = len(first), int(first.sum()), int(second.sum())
+    count = len(first)
+    first_ones = int(first.sum())
+    second_ones = int(second.sum())
     overlaps = np.arange(max(0, first_ones + second_ones - count), min(first_ones, second_ones) + 1)
     cells = (
         overlaps,

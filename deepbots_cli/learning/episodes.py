@@ -90,7 +90,9 @@ class EpisodeLog:
     def __init__(
         self, path: Path, scenario: str, members: Mapping[str, Member] = MappingProxyType({})
     ) -> None:
-        self._path, self._scenario, self._members = path, scenario, members
+        self._path = path
+        self._scenario = scenario
+        self._members = members
         self._stream: TextIO | None = None
         self._started = time.time()
 
@@ -273,7 +275,8 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
     """
     path = run / "evaluations" / "training.jsonl"
     evaluations: list[dict[str, Any]] = []
-    stages, numbers = KeptNames(path), 0
+    stages = KeptNames(path)
+    numbers = 0
     try:
         with _opened_log(path) as stream:
             if stream is None:
@@ -430,7 +433,8 @@ class Statistics:
     def begin_anew(self) -> None:
         """Forget the recent episodes, which do not describe the next stage."""
         self._window.clear()
-        self._present, self.returns = 0, None
+        self._present = 0
+        self.returns = None
 
     def note_solved(self, mean_return: float, success_rate: float) -> None:
         """Record that a confirmation with this mean return and success rate has shown that the task is
@@ -458,8 +462,11 @@ class Statistics:
         Raises:
             ValueError: The state does not fit the worlds of the training.
         """
-        self.steps, self.episodes, self.solved_at = state.steps, state.episodes, state.solved_at
-        self.cpu_seconds_before, self.returns = state.cpu_seconds, state.returns
+        self.steps = state.steps
+        self.episodes = state.episodes
+        self.solved_at = state.solved_at
+        self.cpu_seconds_before = state.cpu_seconds
+        self.returns = state.returns
         self._present = len(state.recent) if state.present is None else state.present
         self._window.restore(state.recent, state.worlds)
 

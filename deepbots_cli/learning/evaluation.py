@@ -22,8 +22,8 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner
 from deepbots_cli.learning.calls import UNWATCHED, Attempt, Watcher
-from deepbots_cli.learning.confirmation import error_level
-from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
+from deepbots_cli.learning.confirmation_rule import error_level
+from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.environments import WorldFactory, supervisor_factory
 from deepbots_cli.learning.episodes import SUCCESS_STATISTICS, Summary, agent_scores
 from deepbots_cli.learning.executor import SERIAL, Executor, results
@@ -40,7 +40,7 @@ from deepbots_cli.program.members import RANDOM, ZERO
 from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import StopCondition, in_order
+from deepbots_cli.rollout.policies import StopCondition, ordered_episodes
 from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.rollout.worlds import has_copies
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
@@ -87,7 +87,7 @@ class EvaluationResult(Summary, Evaluation, frozen=True):
     @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
-        return by_drawn_value(self.outcomes, self.draws, self.possible_returns)
+        return drawn_effects(self.outcomes, self.draws, self.possible_returns)
 
     @model_serializer(mode="wrap")
     def _with_effects(self, fields: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -182,7 +182,9 @@ def evaluate(
     with closing(
         results(executor.map(_play_part, calls, watcher=watcher, files=[setting.run.path / RECORD_NAME]))
     ) as played:
-        outcomes = in_order(enumerate(chain.from_iterable(played)), range(setting.episodes), until=until)
+        outcomes = ordered_episodes(
+            enumerate(chain.from_iterable(played)), range(setting.episodes), until=until
+        )
     return setting.result(model, outcomes, deterministic=deterministic)
 
 
@@ -237,7 +239,9 @@ class _Finished(Watcher):
     """Calls a function with the number of finished episodes of all parts."""
 
     def __init__(self, show: OnEpisode | None, total: int) -> None:
-        self._show, self._done, self._total = show, {0: 0}, total
+        self._show = show
+        self._done = {0: 0}
+        self._total = total
 
     def on_report(self, item: int, value: object) -> None:
         # A part that is repeated reports from 0 again.
@@ -323,7 +327,7 @@ def evaluate_baselines(
     with closing(setting.build(setting.program)) as world:
         for name, driver in {RANDOM: RANDOM, ZERO: ZERO, **scripts}.items():
             finished = enumerate(play(world, named_driver(world, driver), start) for start in starts)
-            results.append(setting.result(name, in_order(finished, range(len(starts)), on_episode)))
+            results.append(setting.result(name, ordered_episodes(finished, range(len(starts)), on_episode)))
     return tuple(results)
 
 
@@ -414,7 +418,9 @@ class _Setting:
                 f"{run.path} was trained with other observations, actions or messages than {program.name}"
                 f" defines:\n  {lines}"
             )
-        self.program, self.case, self.stage = program.variant(case, stage), case, stage
+        self.program = program.variant(case, stage)
+        self.case = case
+        self.stage = stage
         self.seed = run.evaluation_seed if seed is None else seed
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
@@ -437,7 +443,8 @@ class _Setting:
         until: StopCondition | None = None,
     ) -> list[Episode]:
         """Play the episodes of these numbers, the first of which is a multiple of `FORWARD_BATCH_SIZE`."""
-        seeds, count = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)], len(numbers)
+        seeds = [derive_seed(self.seed, "evaluation", k) for k in range(numbers.stop)]
+        count = len(numbers)
         copies = (
             max(1, min(policy.copies or FORWARD_BATCH_SIZE, FORWARD_BATCH_SIZE))
             if policy.deterministic
@@ -491,13 +498,16 @@ class _Setting:
     ) -> EvaluationResult:
         """Return the result of these episodes. `confirmation` is the number of the confirmation that they
         repeat."""
-        run, program, engine = self.run, self.program, self.engine
+        run = self.run
+        program = self.program
+        engine = self.engine
         if confirmation is None and model == "best" and deterministic and self._has_confirmed_starts:
             assert run.record.result is not None
             confirmation = run.record.result.confirmations
         # A world of the caller may pay anything.
         low, high = possible_returns(program) if engine else UNBOUNDED
-        file, result = run.model(model), run.record.result
+        file = run.model(model)
+        result = run.record.result
         needs_no_confirmation = confirmation is not None or (
             result is not None
             and result.confirmed_seed is not None
@@ -562,7 +572,9 @@ class _Setting:
         self, model: str, elsewhere: str | None, overrides: Sequence[str], *, deterministic: bool
     ) -> tuple[str, ...]:
         """Return notes on how this evaluation differs from the training, or from an ordinary evaluation."""
-        run, digest, trained_in = self.run, (self.judged or self.run).digest, self.run.record.engine
+        run = self.run
+        digest = (self.judged or self.run).digest
+        trained_in = self.run.record.engine
         lines = [f"scenario {elsewhere}"] if elsewhere else []
         if not elsewhere and run.record.digest not in (digest, run.digest):
             lines.append("scenario changed since the training")

@@ -46,9 +46,9 @@ from deepbots_cli.runtime.batch import EpisodeHistory, LostWorld
 FAILURES_FOLDER = "failures"
 _MAX_FILE_BYTES = 100_000_000
 """The largest size of a file in bytes. A file of 100 MB with empty lists takes 3 GB of memory."""
-MAX_LOST_EPISODES, LOSS_WINDOW_EPISODES = 10, 100
-"""The limit of lost episodes: a training stops when `MAX_LOST_EPISODES` of the last `LOSS_WINDOW_EPISODES`
-episodes were lost."""
+# A training stops when `MAX_LOST_EPISODES` of the last `LOSS_WINDOW_EPISODES` episodes were lost.
+MAX_LOST_EPISODES = 10
+LOSS_WINDOW_EPISODES = 100
 
 
 class Failure(BaseModel, strict=True):
@@ -107,8 +107,12 @@ class FailureRecorder(HistoryRecorder):
         stage: str | None = None,
     ) -> None:
         super().__init__(world)
-        self._run, self._program, self.seeds, self._episode = run, program, seeds, episode
-        self._case, self._stage = case, stage
+        self._run = run
+        self._program = program
+        self.seeds = seeds
+        self._episode = episode
+        self._case = case
+        self._stage = stage
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

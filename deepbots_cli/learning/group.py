@@ -445,7 +445,8 @@ def _changes_of(group: Group, seed: int, changes: Mapping[str, Any]) -> Mapping[
 
 def _missed_changes(group: Group, record: RunRecord) -> dict[str, Any]:
     """Return the options of a group with which a run has not continued yet."""
-    total, missed = group.record.total_timesteps, dict[str, Any]()
+    total = group.record.total_timesteps
+    missed: dict[str, Any] = {}
     if total is not None and record.total_timesteps < total:
         missed["total_timesteps"] = total
     if record.stop_when_solved and not group.record.stop_when_solved:

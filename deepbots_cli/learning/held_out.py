@@ -21,7 +21,7 @@ from deepbots_cli.rollout import Episode, Start, play
 from deepbots_cli.rollout.collector import ShardedCollector
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.rollout.episode import OnEpisode
-from deepbots_cli.rollout.policies import StopCondition, in_order, play_batch, play_episodes
+from deepbots_cli.rollout.policies import StopCondition, ordered_episodes, play_batch, play_episodes
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.forward_pass import Predictor
 from deepbots_cli.runtime.streams import derive_seed
@@ -55,7 +55,11 @@ class EvaluationWorlds:
         batch: int = 0,
         singles: int = 1,
     ) -> None:
-        self._build, self._run, self._engine, self._size, self._count = build, run, engine, batch, singles
+        self._build = build
+        self._run = run
+        self._engine = engine
+        self._size = batch
+        self._count = singles
         self._program: Program | None = None
         self._batch: BatchSupervisor | None = None
         self._singles: list[FailureRecorder] = []
@@ -65,7 +69,9 @@ class EvaluationWorlds:
         if program is self._program:
             return
         self.close()
-        self._program, self._case, self._stage = program, case, stage
+        self._program = program
+        self._case = case
+        self._stage = stage
         if not reasons_against_batch(program, self._size, self._engine, self._build):
             self._batch = build_batch(program, self._size, engine=self._engine)
 
@@ -97,12 +103,12 @@ class EvaluationWorlds:
         if self._batch is not None and self.has_batch_for(len(numbers)):
             with suppress(DeepbotsError):  # single worlds report its place, and keep the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
-                return in_order(finished, range(len(numbers)), on_episode, until)
+                return ordered_episodes(finished, range(len(numbers)), on_episode, until)
         worlds = self._single_worlds()
         for world in worlds:
             world.seeds = seeds
         finished = play_episodes(policy, worlds, seeds, deterministic=deterministic, numbers=numbers)
-        return in_order(finished, numbers, on_episode, until)
+        return ordered_episodes(finished, numbers, on_episode, until)
 
     def _single_worlds(self) -> list[FailureRecorder]:
         while self._program is not None and len(self._singles) < self._count:
@@ -117,7 +123,9 @@ class EvaluationWorlds:
             world.close()
         if self._batch is not None:
             self._batch.close()
-        self._singles, self._batch, self._program = [], None, None
+        self._singles = []
+        self._batch = None
+        self._program = None
 
 
 def play_script(build: WorldFactory, program: Program, name: str, seeds: Sequence[int]) -> list[Episode]:

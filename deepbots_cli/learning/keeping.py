@@ -103,7 +103,8 @@ def keep(
             raise RunError(
                 f"{ref.path} is no model that can be kept; names are such as last.zip and step-000020000.zip"
             )
-        program, before = run.program, result.best_model
+        program = run.program
+        before = result.best_model
         measure = measure_of(program.agent.solved, defines_success=program.defines_success)
         previous = 0 if before is None or before.evaluation_seed is None else before.evaluation_seed
         evaluation_seed = _six_digits(run, "kept", previous)
@@ -204,7 +205,9 @@ def _is_best(run: Run, name: ModelName) -> bool:
 
 def _put_first(run: Run, name: ModelName) -> Path | None:
     """Make a model the best one. Returns the file of the best model of before, if there is one."""
-    best, source, earlier = run.model("best"), run.model(name), None
+    best = run.model("best")
+    source = run.model(name)
+    earlier = None
     if best.is_file():
         number = 1
         while run.model(f"earlier-{number}").exists():

@@ -47,14 +47,16 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.teacher import Plan
 
 _MAX_DATA_BYTES = 8_000_000
-_STABLE = {
+# By whether the algorithm is on-policy; imported when it is used.
+_SB3_LEARNERS = {
     True: "deepbots_cli.learning.sb3.learner:OnPolicyLearner",
     False: "deepbots_cli.learning.sb3.learner:OffPolicyLearner",
-}  # by whether the algorithm is on-policy; imported when it is used
-_JOINT = {
-    False: "deepbots_cli.learning.joint:JointLearner",
+}
+# By whether agents share a policy that plays against itself.
+_MULTI_AGENT_LEARNERS = {
+    False: "deepbots_cli.learning.multi_agent:MultiAgentLearner",
     True: "deepbots_cli.learning.self_play:SelfPlayLearner",
-}  # of several agents, by whether they share a policy that plays against itself
+}
 
 
 @dataclass(frozen=True)
@@ -318,7 +320,8 @@ class ArrayLearner(Learner):
     fragment: Fragment
 
     def __init__(self, setup: Setup) -> None:
-        self.setup, self.steps = setup, 0
+        self.setup = setup
+        self.steps = 0
 
     @abstractmethod
     def act(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
@@ -413,11 +416,11 @@ def class_of(training: Training) -> type[Learner]:
     """
     if training.agents:
         has_self_play = any(agent_training.self_play is not None for _, agent_training in training.agents)
-        joint: type[Learner] = import_attribute(_JOINT[has_self_play])
-        return joint
+        learner: type[Learner] = import_attribute(_MULTI_AGENT_LEARNERS[has_self_play])
+        return learner
     model = ALGORITHMS.get(training.algorithm)
     if model is None or model.is_derived():
-        stable: type[Learner] = import_attribute(_STABLE[model is None or model.on_policy])
+        stable: type[Learner] = import_attribute(_SB3_LEARNERS[model is None or model.on_policy])
         return stable
     try:
         learner_class = import_attribute(model.import_path)

@@ -130,14 +130,16 @@ def play_matches(
     ]
     first_agent, second_agent = program.members
     is_symmetric = program.is_symmetric
-    policies, scripted = _policies(program, refs, is_symmetric=is_symmetric), _scripted(program)
+    policies = _policies(program, refs, is_symmetric=is_symmetric)
+    scripted = _scripted(program)
     players = [*policies, *scripted]
     if is_symmetric:
         players = [player for player in players if len(player.drivers) == len(program.members)]
     rows = [player for player in players if first_agent in player.drivers]
     columns = [player for player in players if second_agent in player.drivers]
     pairs = [*combinations(rows, 2)] if is_symmetric else [*product(rows, columns)]
-    count, total = 0, len(pairs) * len(starts) * (2 if is_symmetric else 1)
+    count = 0
+    total = len(pairs) * len(starts) * (2 if is_symmetric else 1)
 
     def counted(outcomes: Iterator[Episode]) -> Iterator[Episode]:
         nonlocal count
@@ -247,13 +249,14 @@ def _scripted(program: Program) -> list[Player]:
 
 def _drivers(program: Program, ref: ModelRef, *, is_symmetric: bool) -> dict[str, str | Predictor]:
     """Return the policies in a model: of all agents, or of the one that its run trained."""
-    run, world = ref.run, _world_of(ref.run.program)
+    run = ref.run
+    world = _world_of(ref.run.program)
     if differing := identity.differences(world, program):
         lines = "\n  ".join(differing)
         raise UsageError(f"the agents of {run.path} are others than those of {program.name}:\n  {lines}")
     if run.program.others is None:
-        joint: Any = loaded(run, ref.name)
-        return dict(joint.learners)
+        model: Any = loaded(run, ref.name)
+        return dict(model.learners)
     agent = run.program.others.agent
     policies: dict[str, str | Predictor] = {agent: loaded(run, ref.name)}
     if is_symmetric:

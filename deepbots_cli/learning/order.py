@@ -130,7 +130,9 @@ def play_off(
     Returns:
         The models with their results, the best one first; and the number of steps played.
     """
-    steps, numbers, remaining = 0, range(FIRST_ROUND), list(models)
+    steps = 0
+    numbers = range(FIRST_ROUND)
+    remaining = list(models)
     results: dict[int, Candidate] = {}
     while not results or (len(remaining) > 1 and steps < max_steps):
         for model, episodes in zip(remaining, play(remaining, numbers), strict=True):
@@ -148,10 +150,12 @@ def play_off(
 
 def most_episodes(models: int) -> int:
     """Return the episodes of a play-off of so many models that no limit of steps ends."""
-    episodes, per_model = 0, FIRST_ROUND
+    episodes = 0
+    per_model = FIRST_ROUND
     while models > 1:
         episodes += models * per_model
-        models, per_model = (models + 1) // 2, 2 * per_model
+        models = (models + 1) // 2
+        per_model = 2 * per_model
     return episodes
 
 

@@ -49,10 +49,8 @@ class Policy:
 
     def __init__(self, program: Program, model: Learner) -> None:
         self.scenario = program.name
-        self.observation_space, self.action_space = (
-            observation_space(program.agent),
-            action_space(program.agent),
-        )
+        self.observation_space = observation_space(program.agent)
+        self.action_space = action_space(program.agent)
         self.observation = program.agent.inputs
         self.goal = program.agent.goal.values if program.agent.goal else ()
         self._observer = Observer(program)
@@ -108,7 +106,8 @@ class Policy:
 
     def _rows(self, observation: Any) -> int:
         """Return the number of rows of an observation; 1 for a single observation."""
-        part, space = observation, self.observation_space
+        part = observation
+        space = self.observation_space
         if isinstance(space, gym.spaces.Dict):
             name, space = next(iter(space.spaces.items()))
             part = observation[name]

@@ -81,7 +81,8 @@ def copy_teacher(teacher: ModelRef, folder: Path) -> None:
     Raises:
         StorageError: The folder cannot be written.
     """
-    run, copied = teacher.run.path, Run.model_below(folder)
+    run = teacher.run.path
+    copied = Run.model_below(folder)
     try:
         folder.mkdir()
         for name in _FILES:
@@ -96,7 +97,8 @@ def copy_teacher(teacher: ModelRef, folder: Path) -> None:
 
 def _columns(teacher: ModelRef, program: Program) -> list[int]:
     """Return the places of what the teacher sees in an observation of the training."""
-    agent, learner = teacher.run.program.agent, program.with_critic.agent
+    agent = teacher.run.program.agent
+    learner = program.with_critic.agent
     name = teacher.label
     training = agent.training
     if training is not None and ALGORITHMS[training.algorithm].base() == "RecurrentPPO":

@@ -256,8 +256,7 @@ class RunRecord(BaseModel):
             age = "a newer version of deepbots" if version > FORMAT else "an older version of deepbots"
             raise RunError(
                 f"{folder} is a run of format {version}, written by {age}, but this version reads format"
-                f" {FORMAT}; "
-                "use the version that wrote it"
+                f" {FORMAT}; use the version that wrote it"
             )
         return read_json(path, cls, _MAX_RECORD_BYTES)
 

@@ -20,9 +20,15 @@ from deepbots_cli.program.task import Solved
 if TYPE_CHECKING:
     from rich.console import Group
 
-LINE_INTERVAL_S, EVALUATION_INTERVAL_S = 30.0, 10.0
-"""The time in s after a line without a terminal until the next one, and until one that an evaluation
-causes."""
+LINE_INTERVAL_S = 30.0
+"""The time in s after a line without a terminal until the next one."""
+EVALUATION_INTERVAL_S = 10.0
+"""The same until a line that an evaluation causes."""
+
+# A training is timed for this time in s, or this share of its steps, before the display shows the remaining
+# time.
+MIN_TIMED_S = 15.0
+MIN_TIMED_SHARE = 0.05
 
 
 class Activity(NamedTuple):
@@ -81,11 +87,6 @@ class TrainingProgress:
         return (self.total_steps - self.steps) * seconds_per_step + self.evaluation_seconds_left
 
 
-MIN_TIMED_S, MIN_TIMED_SHARE = 15.0, 0.05
-"""The time in s, or the share of its steps, for which a training is timed before the display shows the
-remaining time."""
-
-
 class Reporter:
     """Follows a training: `start` once, `update` from time to time, `stop` once, also after a failure. This
     one reports nothing."""
@@ -111,14 +112,19 @@ class ProgressReporter(Reporter):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._display = Display(stream)
-        self._first, self._began, self._shown, self._tenth, self._evaluations = 0, 0.0, 0.0, 0, 0
+        self._first = 0
+        self._began = 0.0
+        self._shown = 0.0
+        self._tenth = 0
+        self._evaluations = 0
         self._activity = ""
 
     def note(self, text: str) -> None:
         self._display.print(f"note: {text}")
 
     def start(self, progress: TrainingProgress) -> None:
-        self._first, self._began = progress.steps, time.perf_counter()
+        self._first = progress.steps
+        self._began = time.perf_counter()
         self._shown = self._began
         self._tenth = 10 * progress.steps // progress.total_steps
 
@@ -133,13 +139,15 @@ class ProgressReporter(Reporter):
                 lambda _height: _table(progress, speed, elapsed, seconds_left), at_once=is_urgent
             )
             return
-        tenth, since = 10 * progress.steps // progress.total_steps, now - self._shown
+        tenth = 10 * progress.steps // progress.total_steps
+        since = now - self._shown
         if progress.activity:
             if progress.activity.name != self._activity or since >= EVALUATION_INTERVAL_S:
                 self._display.print(
                     f"{progress.steps:,} of {progress.total_steps:,} steps  {progress.activity.text} ..."
                 )
-                self._activity, self._shown = progress.activity.name, now
+                self._activity = progress.activity.name
+                self._shown = now
             return
         evaluated = progress.evaluations > self._evaluations and since >= EVALUATION_INTERVAL_S
         if tenth > self._tenth or evaluated or since >= LINE_INTERVAL_S:
@@ -147,7 +155,9 @@ class ProgressReporter(Reporter):
             values.pop("episodes", None)
             if progress.evaluations == self._evaluations:  # an earlier line has reported it
                 values = {name: value for name, value in values.items() if not value.is_evaluation}
-            self._tenth, self._evaluations, self._shown = tenth, progress.evaluations, now
+            self._tenth = tenth
+            self._evaluations = progress.evaluations
+            self._shown = now
             parts = [
                 value.text if value.is_clear else f"{name} {value.text}" for name, value in values.items()
             ]
@@ -177,7 +187,8 @@ class GroupProgressReporter(GroupReporter):
     """
 
     def __init__(self, group: Path, seeds: Sequence[int], stream: TextIO | None = None) -> None:
-        self._group, self._seeds = group, seeds
+        self._group = group
+        self._seeds = seeds
         self._display = Display(stream)
         self._progress: dict[int, TrainingProgress] = {}
         self._states = ["waiting"] * len(seeds)
@@ -189,7 +200,8 @@ class GroupProgressReporter(GroupReporter):
     def on_report(self, item: int, value: object) -> None:
         if isinstance(value, TrainingProgress) and self._states[item] in ("waiting", "training"):
             self._first.setdefault(item, value.steps)
-            self._states[item], self._progress[item] = "training", value
+            self._states[item] = "training"
+            self._progress[item] = value
             self._show()
 
     def on_note(self, item: int, text: str) -> None:
@@ -283,7 +295,8 @@ class GroupProgressReporter(GroupReporter):
         from rich.table import Table
         from rich.text import Text
 
-        seeds, room = range(len(self._seeds)), max(1, height - 4)
+        seeds = range(len(self._seeds))
+        room = max(1, height - 4)
         by_state = sorted(seeds, key=lambda item: self._states[item] != "training")
         listed = [self._row(item) for item in (seeds if len(seeds) <= room else sorted(by_state[:room]))]
         names = [
@@ -323,7 +336,8 @@ def progress_values(
     progress: TrainingProgress, speed: float = 0.0, seconds_left: float | None = None
 ) -> dict[str, ProgressValue]:
     """Return the rows of the display by name, with the values that `solved` requires."""
-    solved, rows = progress.solved, dict[str, ProgressValue]()
+    solved = progress.solved
+    rows: dict[str, ProgressValue] = {}
     if progress.success_rate is not None:
         goal = (
             f" (needs {100 * solved.success_rate:g}%)" if solved and solved.success_rate is not None else ""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import learner as learners
-from deepbots_cli.learning.joint import has_agents, own_model
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import has_agents, own_model
 from deepbots_cli.learning.shards import random_numbers_kept
 from deepbots_cli.program.members import Others
 from deepbots_cli.runtime.spaces import action_space, observation_space
@@ -25,8 +25,10 @@ def load_rival(others: Others, agent: str) -> Learner:
             another scenario.
         RunError: The model is damaged.
     """
-    program, path = others.world.members[agent].program, others.models[agent]
-    training, critic_agent = program.agent.training, program.with_critic.agent
+    program = others.world.members[agent].program
+    path = others.models[agent]
+    training = program.agent.training
+    critic_agent = program.with_critic.agent
     if training is None:
         raise UsageError(
             f"`{agent}` has no `train`, so the layers of its policy in {path} are unknown; write it as in the"

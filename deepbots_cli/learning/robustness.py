@@ -42,12 +42,16 @@ from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
 
 EPISODES_PER_LEVEL = 50
 """The number of episodes of a level, unless the scenario has fewer."""
-LATENCY_STEPS, LOSS_RATES, NOISE_SHARES = (1, 2, 4, 8), (0.05, 0.1, 0.2, 0.4), (0.01, 0.02, 0.05, 0.1)
+LATENCY_STEPS = (1, 2, 4, 8)
+LOSS_RATES = (0.05, 0.1, 0.2, 0.4)
+NOISE_SHARES = (0.01, 0.02, 0.05, 0.1)
 FACTORS: dict[str, tuple[float, ...]] = {"smaller": (0.75, 0.5), "larger": (1.25, 1.5, 2.0)}
 """Factors on a mass or a friction by side, from the smallest change on."""
 STRENGTH_FACTORS = (0.9, 0.75, 0.5, 0.25)
-FACTOR, DELAY = "x {:g}", "+{:g} ms"
-"""Formats of an amount: a factor, and a longer time in ms."""
+FACTOR = "x {:g}"
+"""The format of a factor."""
+DELAY = "+{:g} ms"
+"""The format of a longer time in ms."""
 _MAX_NAMED = 4
 """The number of bodies that the condition of the friction names; more are counted."""
 SHARE_OF_NOMINAL = 0.8

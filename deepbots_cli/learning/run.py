@@ -76,10 +76,12 @@ class Run:
 
     def __post_init__(self) -> None:
         self.program = self.compiled.program
-        self.monitor, self.tensorboard = self.path / "monitor.csv", self.path / "tensorboard"
+        self.monitor = self.path / "monitor.csv"
+        self.tensorboard = self.path / "tensorboard"
         self.demonstrations = self.path / DEMONSTRATIONS_NAME
         self.teacher = self.path / TEACHER_FOLDER
-        self.evaluations, self.checkpoints = self.path / "evaluations", self.path / "checkpoints"
+        self.evaluations = self.path / "evaluations"
+        self.checkpoints = self.path / "checkpoints"
 
     @cached_property
     def digest(self) -> str:
@@ -89,7 +91,8 @@ class Run:
     def resolved(self) -> str:
         """The scenario as its file in the run, with the agent that it is about."""
         text = (self.path / RESOLVED_NAME).read_text(encoding="utf-8")
-        others, role = self.program.others, "\nrole:"
+        others = self.program.others
+        role = "\nrole:"
         return (
             text if others is None or role in text else f"{text.rstrip()}{role} {{agent: {others.agent}}}\n"
         )
@@ -281,7 +284,8 @@ class ModelRef:
         if isinstance(source, Run):
             return cls(source, model)
         if isinstance(source, ModelRef):
-            label, ref = str(source.path), source
+            label = str(source.path)
+            ref = source
         else:
             opened = Source.open(source, permissions, SourceKind.RUN, SourceKind.CHECKPOINT)
             label = opened.name

@@ -27,7 +27,9 @@ class Scalars:
 
     def record_episodes(self) -> None:
         """Record scalars beside those of the learner, which writes them with its own."""
-        log, statistics, curriculum = self._active.log, self._active.statistics, self._active.curriculum
+        log = self._active.log
+        statistics = self._active.statistics
+        curriculum = self._active.curriculum
         log.record("rollout/episodes", statistics.episodes)
         log.record("rollout/simulated_hours", statistics.simulated_hours)
         began, steps = self._began

@@ -121,7 +121,8 @@ class _Times:
     """Adds up the times of iterations after the first one."""
 
     def __init__(self, seconds: float) -> None:
-        self._limit, self._began = seconds, time.perf_counter()
+        self._limit = seconds
+        self._began = time.perf_counter()
         self._first: tuple[Iteration, float] | None = None
         self._last: Iteration | None = None
         self._collect = self._update = 0.0

@@ -34,7 +34,7 @@ class UnmetExpectation:
     """An expectation that is not met.
 
     `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words.
-    `episode`, which counts from 0, is the first that fails. `step` is None if the miss does not belong to a
+    `episode`, which counts from 0, is the first that fails. `step` is None if the expectation does not belong to a
     single step.
     """
 
@@ -47,18 +47,18 @@ class UnmetExpectation:
 
 @dataclass(frozen=True)
 class TestResult:
-    """The result of a test; `steps` counts those of all episodes, `seconds` is wall time, and `misses` are
+    """The result of a test; `steps` counts those of all episodes, `seconds` is wall time, and `unmet` are
     empty if it passed."""
 
     test: ScenarioTest
     episodes: int
     steps: int
     seconds: float
-    misses: tuple[UnmetExpectation, ...]
+    unmet: tuple[UnmetExpectation, ...]
 
     @property
     def passed(self) -> bool:
-        return not self.misses
+        return not self.unmet
 
 
 def run_tests(
@@ -92,41 +92,40 @@ def run_tests(
 
 
 def _run(environment: Supervisor, test: ScenarioTest, on_episode: OnEpisode | None) -> TestResult:
-    began, episodes = time.perf_counter(), list[Episode]()
-    misses: list[UnmetExpectation] = []
+    began = time.perf_counter()
+    episodes: list[Episode] = []
+    unmet: list[UnmetExpectation] = []
     cut = 0
     try:
         for number in range(test.episodes):
-            episodes.append(_episode(environment, test, number, misses))
+            episodes.append(_episode(environment, test, number, unmet))
             if on_episode is not None:
                 on_episode(number + 1, test.episodes)
     except DeepbotsError as error:
         cut = environment.step_count
-        misses.append(
-            UnmetExpectation("no error", test.span.location, str(error), len(episodes), cut or None)
-        )
+        unmet.append(UnmetExpectation("no error", test.span.location, str(error), len(episodes), cut or None))
     else:
-        misses += _over_episodes(environment.scenario, test, episodes)
+        unmet += _unmet_over_episodes(environment.scenario, test, episodes)
     steps = cut + sum(episode.length for episode in episodes)
     return TestResult(
         test,
         len(episodes),
         steps,
         time.perf_counter() - began,
-        tuple(_first_of_each(misses, test, environment.scenario.period)),
+        tuple(_first_unmet(unmet, test, environment.scenario.period)),
     )
 
 
-def _first_of_each(
-    misses: Sequence[UnmetExpectation], test: ScenarioTest, period: float
+def _first_unmet(
+    unmet: Sequence[UnmetExpectation], test: ScenarioTest, period: float
 ) -> Iterator[UnmetExpectation]:
-    """Yield the first miss of each expectation, with the number of episodes that miss it, and the position
-    of the first miss."""
-    first_misses: dict[str, UnmetExpectation] = {}
-    for miss in misses:
-        first_misses.setdefault(miss.where, miss)
-    for first in first_misses.values():
-        episodes = {miss.episode for miss in misses if miss.where == first.where}
+    """Yield each unmet expectation once, in the order in which they were first unmet, with the number of
+    episodes that do not meet it, and its position in the first of them."""
+    first_unmet: dict[str, UnmetExpectation] = {}
+    for expectation in unmet:
+        first_unmet.setdefault(expectation.where, expectation)
+    for first in first_unmet.values():
+        episodes = {expectation.episode for expectation in unmet if expectation.where == first.where}
         many = f"; in {len(episodes)} of {test.episodes} episodes" if len(episodes) > 1 else ""
         step = f", step {first.step:,} ({first.step * period:.4g} s)" if first.step is not None else ""
         yield replace(
@@ -135,12 +134,12 @@ def _first_of_each(
 
 
 def _episode(
-    environment: Supervisor, test: ScenarioTest, number: int, misses: list[UnmetExpectation]
+    environment: Supervisor, test: ScenarioTest, number: int, unmet: list[UnmetExpectation]
 ) -> Episode:
     """Run one episode, whose `ended_by` is None if the test stops it. Unmet expectations are added to
-    `misses`."""
+    `unmet`."""
     start = Start.of_evaluation(test.seed, number)
-    watches = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
+    monitors = [_ExpectationMonitor(agent, test, number) for agent in environment.agents.values()]
     if test.drivers:
         driver: Driver = AgentsDriver(environment, test.drivers)
     elif isinstance(test.driver, str):
@@ -150,24 +149,27 @@ def _episode(
             environment.make_action(action.choices, action.ranges) for action in test.driver
         )
 
-    def watched() -> Iterator[Step]:
+    def observed_steps() -> Iterator[Step]:
         for step in islice(steps(environment, driver, start), test.steps + 1):
-            for watch in watches if step.number else ():
-                watch.look(step.number)
+            if step.number:
+                for monitor in monitors:
+                    monitor.observe(step.number)
             yield step
 
-    episode = result_of(watched(), start.seed)
+    episode = result_of(observed_steps(), start.seed)
     after = f"after {episode.length:,} steps ({episode.length * environment.scenario.period:.4g} s)"
     for expected in test.expected:
         if expected.endings and episode.ended_by not in expected.endings:
             words = f"ended by `{episode.ended_by}` {after}" if episode.ended_by else f"has not ended {after}"
-            misses.append(_miss(expected, words, number))
-    for watch in watches:
-        misses += watch.misses(after.removeprefix("after "))
+            unmet.append(_unmet_expectation(expected, words, number))
+    for monitor in monitors:
+        unmet += monitor.unmet(after.removeprefix("after "))
     return episode
 
 
-def _miss(expected: ExpectedResult, measured: str, episode: int, step: int | None = None) -> UnmetExpectation:
+def _unmet_expectation(
+    expected: ExpectedResult, measured: str, episode: int, step: int | None = None
+) -> UnmetExpectation:
     return UnmetExpectation(
         f"{expected.key}: {expected.text}", expected.span.location, measured, episode, step
     )
@@ -183,7 +185,7 @@ class _ExpectationMonitor:
         self._met: set[ExpectedResult] = set()
         self._broken: dict[ExpectedResult, UnmetExpectation] = {}
 
-    def look(self, step: int) -> None:
+    def observe(self, step: int) -> None:
         """Note which conditions hold after a step."""
         if not self._test.conditions:
             return
@@ -193,17 +195,17 @@ class _ExpectationMonitor:
             if holds:
                 self._met.add(expected)
             elif expected.key == "always" and expected not in self._broken:
-                self._broken[expected] = _miss(
+                self._broken[expected] = _unmet_expectation(
                     expected, self._compared(expected) or "false", self._episode, step
                 )
 
-    def misses(self, length: str) -> Iterator[UnmetExpectation]:
+    def unmet(self, length: str) -> Iterator[UnmetExpectation]:
         """Yield the expectations that the episode does not meet. Call this after its last step."""
         yield from self._broken.values()
         for expected in self._test.conditions:
             if expected.key == "eventually" and expected not in self._met:
                 compared = self._compared(expected)
-                yield _miss(
+                yield _unmet_expectation(
                     expected,
                     f"never in {length}" + (f"; at the end, {compared}" if compared else ""),
                     self._episode,
@@ -222,13 +224,14 @@ class _ExpectationMonitor:
         )
 
 
-def _over_episodes(
+def _unmet_over_episodes(
     program: Program, test: ScenarioTest, episodes: Sequence[Episode]
 ) -> Iterator[UnmetExpectation]:
-    """Yield the requirements that the episodes together do not meet."""
+    """Yield the expectations that the episodes together do not meet."""
     if test.agent is not None:
         member = program.members[test.agent]
-        program, episodes = member.program, [own_episode(member, episode) for episode in episodes]
+        program = member.program
+        episodes = [own_episode(member, episode) for episode in episodes]
     returns = [episode.total_return for episode in episodes]
     for expected in test.expected:
         match expected.key:
@@ -242,7 +245,7 @@ def _over_episodes(
                 share = sum(counted) / len(episodes)
                 if not expected.low <= share <= expected.high:
                     words = f"{sum(counted)} of {len(episodes)} episodes ({100 * share:.3g} %)"
-                    yield _miss(expected, words, counted.index(share > expected.high))
+                    yield _unmet_expectation(expected, words, counted.index(share > expected.high))
             case "mean_return":
                 mean = fmean(returns)
                 if not expected.low <= mean <= expected.high:
@@ -254,4 +257,4 @@ def _over_episodes(
                         if len(episodes) == 1
                         else f"{mean:.6g} over {len(episodes)} episodes, the {extreme} is {worst:.6g}"
                     )
-                    yield _miss(expected, words, returns.index(worst))
+                    yield _unmet_expectation(expected, words, returns.index(worst))

@@ -18,15 +18,15 @@ from pydantic import Field, NonNegativeInt
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.checkpoint_files import Array, ArraySpec, CheckpointPart, CheckpointState
-from deepbots_cli.learning.joint import JointLearner, JointState
 from deepbots_cli.learning.learner import Learner, Setup
+from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState
 from deepbots_cli.learning.records import PoolGames, Rating
-from deepbots_cli.program.members import joint_name
+from deepbots_cli.program.members import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
 from deepbots_cli.rollout.seats import OfferedCollector, joined_actions, own_ending
 from deepbots_cli.runtime.agents import SeatLayout
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 from deepbots_cli.scenario.training import ALGORITHMS
 
 if TYPE_CHECKING:
@@ -76,7 +76,8 @@ class SidesCollector(OfferedCollector):
 
     def __init__(self, of_all: Any, seats: Sequence[SeatLayout], sides: Sides) -> None:
         super().__init__(of_all, seats[0])
-        self._seats, self._sides = seats, sides
+        self._seats = seats
+        self._sides = sides
         self.rows = len(sides.first) + len(sides.second)
 
     @property
@@ -94,7 +95,7 @@ class SidesCollector(OfferedCollector):
             parts = first_rows.take(self._sides.first, axis), second_rows.take(self._sides.second, axis)
             return np.concatenate(parts, axis)
 
-        return by_part(rows, first, second)
+        return apply_to_parts(rows, first, second)
 
     def seen(self, of_all: Any, axis: int = 0) -> Any:
         """Return the observations of the policy, given those of all agents in all worlds."""
@@ -159,7 +160,7 @@ class PastState(RatingState):
     losses: Annotated[float, Field(ge=0)] = 0.0
 
 
-class SelfPlayState(JointState):
+class SelfPlayState(MultiAgentState):
     """The JSON part of a checkpoint; `pool` has the ratings of the members of the pool, and `ratings` those
     of the policy so far, the present one last."""
 
@@ -167,7 +168,7 @@ class SelfPlayState(JointState):
     ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
 
 
-class SelfPlayLearner(JointLearner):
+class SelfPlayLearner(MultiAgentLearner):
     """The learner of two equal agents with one policy.
 
     Attributes:
@@ -228,7 +229,7 @@ class SelfPlayLearner(JointLearner):
         (name, training), _ = setup.training.agents
         seats = [self._critical[agent] for agent, _ in setup.training.agents]
         self._scripts = {
-            agent: [joint_name(agent, script.name) for script in seat.member.program.agent.scripts]
+            agent: [qualified_name(agent, script.name) for script in seat.member.program.agent.scripts]
             for agent, seat in self._critical.items()
         }
         settings = self._settings
@@ -307,7 +308,7 @@ class SelfPlayLearner(JointLearner):
             rows = worlds[self._opponents[worlds] == opponent]
             policy = self._learner if opponent == _PRESENT else self.pool[opponent].policy
             actions[rows], _ = policy.predict(
-                by_part(lambda part, rows=rows: part[rows], observations),
+                apply_to_parts(lambda part, rows=rows: part[rows], observations),
                 action_masks=None if masks is None or not policy.takes_masks else masks[rows],
             )
 

@@ -147,18 +147,18 @@ def make_worlds(
             next_seed=next_seed,
             recorder=recorder,
             **calls,
-            **_of_agents(run.program),
+            **_agent_settings(run.program),
         )
     else:
         with ExitStack() as partly:  # closes the built worlds when another one cannot be built
             worlds = [partly.enter_context(closing(guarded(stage))) for stage in stages]
             partly.pop_all()
-        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_of_agents(run.program))
+        env = Worlds(worlds, seeds, next_world=next_world, **calls, **_agent_settings(run.program))
     stack.callback(env.close)
     return env
 
 
-def _of_agents(program: Program) -> _OfAgents:
+def _agent_settings(program: Program) -> _OfAgents:
     members = program.members.items()
     return {
         "agent_terms": {name: [*member.terms.values()] for name, member in members},
@@ -196,11 +196,15 @@ class Shard:
             raise UsageError(f"{run.program.name} has no `train` section")
         # A CPU gives the same numbers on every machine of a kind.
         self._training = replace(training, device="cpu")
-        self._run, self._build, self._number, self._numbers = run, build, number, worlds
+        self._run = run
+        self._build = build
+        self._number = number
+        self._numbers = worlds
         self._stack = ExitStack()
         self._ended: list[tuple[int, Mapping[str, Any]]] = []
         self._notes: list[str] = []
-        self._stage, self._next_episode = 0, 1
+        self._stage = 0
+        self._next_episode = 1
         self._policy: Learner | None = None
         self._evaluation = EvaluationWorlds(build, run)
 
@@ -241,9 +245,11 @@ class Shard:
     def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
         """Collect experience for an order; `memory` is the memory of the policy for the rows of this
         shard."""
-        began, worlds_before = perf_counter(), self._collector.times.worlds
+        began = perf_counter()
+        worlds_before = self._collector.times.worlds
         actor = self._begun().actor()
-        self._stage, self._next_episode = order.stage, order.next_episode
+        self._stage = order.stage
+        self._next_episode = order.next_episode
         self._ended.clear()
         self._notes.clear()
         actor.load(order.parameters)
@@ -256,7 +262,8 @@ class Shard:
             )
         if fragment is None:
             raise RuntimeError("nothing can end a fragment of a shard")
-        worlds, rows = self._collector.worlds, self._collector.rows // len(self._numbers)
+        worlds = self._collector.worlds
+        rows = self._collector.rows // len(self._numbers)
         has_begun = fragment.starts[1:].any(axis=0) | fragment.following_starts
         begun = {
             world: (worlds.start_of(world), self._stages[world])

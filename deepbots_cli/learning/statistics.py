@@ -52,7 +52,8 @@ def mean_interval(
     if len(values) < 2:
         return None
     if min(values) == max(values):
-        share, value = 1 - error ** (1 / len(values)), values[0]
+        share = 1 - error ** (1 / len(values))
+        value = values[0]
         reach = value - share * (value - bounds[0]), value + share * (bounds[1] - value)
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
     half = student_quantile(len(values) - 1, 1 - error / 2) * stdev(values) / math.sqrt(len(values))
@@ -82,6 +83,8 @@ def interquartile_mean(values: Sequence[float]) -> float:
 
 # -- tests that may be read after every episode
 # ---------------------------------------------------------------------------
+
+_LARGEST_BET = 0.75  # the largest share of the capital that may be lost at once
 
 
 def rate_evidence(rate: float, successes: int, episodes: int) -> float:
@@ -116,9 +119,6 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
     low = 0.0 if excess(tiny) <= 0 else brentq(excess, tiny, max(rate, 2 * tiny))
     high = 1.0 if excess(1 - tiny) <= 0 else brentq(excess, min(rate, 1 - 2 * tiny), 1 - tiny)
     return low, high
-
-
-_LARGEST_BET = 0.75  # the largest share of the capital that may be lost at once
 
 
 def mean_evidence(mean: float, values: Sequence[float], bounds: Interval) -> tuple[float, float]:
@@ -200,7 +200,8 @@ def gate_mean(
     above, below = mean_evidence(required, returns, bounds)
     if left and max(above, below) >= math.log(2 / ALPHA):
         return Verdict(above > below, f"{so_far}; confidence sequence at 95 %")
-    total, needed = math.fsum(returns), required * planned
+    total = math.fsum(returns)
+    needed = required * planned
     if left == 0:
         return Verdict(total >= needed, so_far)
     if total + left * bounds[0] >= needed:
@@ -269,7 +270,8 @@ def compare_episodes(
     The interval is cut at the largest difference that the `bounds` of a score allow.
     """
     differences = [after - before for before, after in zip(first, second, strict=True)]
-    mean, largest = fmean(differences), bounds[1] - bounds[0]
+    mean = fmean(differences)
+    largest = bounds[1] - bounds[0]
     better = fmean(float(difference > 0) + 0.5 * float(difference == 0) for difference in differences)
     if len(differences) > 1 and min(differences) == max(differences):
         return Difference(mean, (mean, mean), better)

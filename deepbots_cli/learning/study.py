@@ -311,7 +311,8 @@ class Study(Campaign[StudyRecord]):
 
         from deepbots_cli.learning.journal_file import JournalFile
 
-        path, level = self.path / JOURNAL_NAME, optuna.logging.get_verbosity()
+        path = self.path / JOURNAL_NAME
+        level = optuna.logging.get_verbosity()
         if path.exists() and not path.is_file():  # a pipe would be read for ever
             raise RunError(f"{path} is not a regular file, so deepbots did not write it")
         if path.exists() and path.stat().st_size > _MAX_JOURNAL_BYTES:
@@ -322,7 +323,8 @@ class Study(Campaign[StudyRecord]):
             direction: Literal["minimize", "maximize"] = (
                 "minimize" if self.record.lower_is_better else "maximize"
             )
-            file, name = JournalFile(path), self.record.scenario
+            file = JournalFile(path)
+            name = self.record.scenario
             with file.checked():
                 storage = JournalStorage(file)
                 present = [study for study in storage.get_all_studies() if study.study_name == name]
@@ -352,7 +354,8 @@ class Study(Campaign[StudyRecord]):
 
     def _trial(self, frozen: optuna.trial.FrozenTrial) -> StudyTrial:
         states: dict[str, TrialState] = {"COMPLETE": "complete", "PRUNED": "pruned", "FAIL": "failed"}
-        state, reason = states.get(frozen.state.name, "running"), frozen.user_attrs.get("reason")
+        state = states.get(frozen.state.name, "running")
+        reason = frozen.user_attrs.get("reason")
         try:
             seeds = _SEED_SCORES.validate_python(frozen.user_attrs.get("seeds", ()))
             values = self.record.texts(frozen.params)
@@ -426,7 +429,9 @@ def create_study(
     if find_spec("optuna") is None:
         raise MissingExtraError("tune", "a search over values")
     compiled = api.compile(checked)
-    program, tune, root = compiled.program, checked.spec.tune if checked.spec else None, checked.document.root
+    program = compiled.program
+    tune = checked.spec.tune if checked.spec else None
+    root = checked.document.root
     if tune is None or root is None:
         raise UsageError(
             f"{program.name} has no `tune` section; name what to search: --param"

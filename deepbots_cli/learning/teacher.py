@@ -84,8 +84,12 @@ class Teaching:
         demonstrations: Demonstrations | None = None,
         policy: PolicyTeacher | None = None,
     ) -> None:
-        self.teacher, self._total, self._worlds, self._has_loss = teacher, total, worlds, imitates
-        self.demonstrations, self.policy = demonstrations, policy
+        self.teacher = teacher
+        self._total = total
+        self._worlds = worlds
+        self._has_loss = imitates
+        self.demonstrations = demonstrations
+        self.policy = policy
         self._is_script = demonstrations is None and policy is None
         self._has_stages = demonstrations is None
         self.score: Summary | None = None
@@ -94,7 +98,9 @@ class Teaching:
         """Whether the script drives some of the worlds."""
         self.agreement = 0.0
         """The share of the newest states in which a policy that imitates agrees with the script."""
-        self._stage, self._imitated_until, self._is_able = 0, -1, True
+        self._stage = 0
+        self._imitated_until = -1
+        self._is_able = True
 
     @property
     def imitates(self) -> bool:
@@ -117,7 +123,9 @@ class Teaching:
             name = "the teacher, a recording"
         mean = f"mean return {summary.mean_return:.3g}"
         if stage != self._stage and (self._has_stages or self._stage < 0):
-            self._stage, self._imitated_until, self.agreement = stage, -1, 0.0
+            self._stage = stage
+            self._imitated_until = -1
+            self.agreement = 0.0
         self._is_able = bool(summary.success_rate) or not defines_success
         success = f"success {summary.success_rate:.0%}, " if defines_success else ""
         explores = (
@@ -173,5 +181,7 @@ class Teaching:
         )
 
     def restore(self, state: TeacherState) -> None:
-        self._stage, self._imitated_until = state.stage, state.imitated_until
-        self.drives, self.agreement = state.drives, state.agreement
+        self._stage = state.stage
+        self._imitated_until = state.imitated_until
+        self.drives = state.drives
+        self.agreement = state.agreement

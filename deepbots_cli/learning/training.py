@@ -91,7 +91,7 @@ def train(
         total_timesteps: Number of steps, summed over all rows of the environment; by default that of the
             scenario. On-policy algorithms complete their current rollout, so they may take a few more steps.
         stop_when_solved: Whether to stop when an evaluation meets the criterion `solved` of the scenario and
-            a confirmation on new starts shows it (`learning.confirmation`).
+            a confirmation on new starts shows it (`learning.confirmation_rule`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and
             the last one.
@@ -431,8 +431,7 @@ def _validate_setup(
         changed = "; ".join(identity.differences(source.run.program, program))
         return (
             f"{label}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
-            " tensors"
-            f"{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
+            f" tensors{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
         )
 
 

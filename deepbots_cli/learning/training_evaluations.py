@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.active import ActiveTraining
-from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.episodes import AGENTS_COLUMN, Summary, agents_line
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, evaluation_seeds
 from deepbots_cli.learning.order import Candidate, Shortlist, measure_of, most_episodes
@@ -22,9 +22,12 @@ from deepbots_cli.rollout import Episode
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
 
-EVALUATION_SHARE, URGENT_SHARE, UNLIMITED_SHARE = 0.1, 0.4, math.inf
-"""The largest ratio of the steps of evaluations to the steps of the training: as a rule, and when one
-evaluation may end the training soon, because its recent episodes meet `solved` or a teacher drives."""
+EVALUATION_SHARE = 0.1
+"""The largest ratio of the steps of evaluations to the steps of the training."""
+URGENT_SHARE = 0.4
+"""The same when an evaluation may end the training soon, because its recent episodes meet `solved` or a
+teacher drives."""
+UNLIMITED_SHARE = math.inf
 
 
 class TrainingEvaluations:
@@ -74,7 +77,8 @@ class TrainingEvaluations:
     def is_due(self, share: float) -> bool:
         """Return whether there are enough episodes since the last evaluation, and evaluations do not take
         more than their `share` of the steps."""
-        statistics, steps = self._active.statistics, self._active.statistics.steps
+        statistics = self._active.statistics
+        steps = self._active.statistics.steps
         fits = self._active.evaluator.steps + EVALUATION_EPISODES * statistics.mean_length <= share * steps
         # In a long rollout, the same policy would play the same starts again without new weights.
         is_new = steps != self.evaluated_at and self.has_new_weights
@@ -84,10 +88,12 @@ class TrainingEvaluations:
         """Play the episodes of an evaluation of the present networks, which are kept if they are among the
         best."""
         active = self._active
-        scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
+        scenario = active.curriculum.scenario_of(active.curriculum.index)
+        stage = active.curriculum.name
         episodes = active.evaluator.evaluate(active.learner, scenario, active.interruption, stage)
         summary = Summary.of_episodes(episodes)
-        self.evaluated_at, self.has_new_weights = active.statistics.steps, False
+        self.evaluated_at = active.statistics.steps
+        self.has_new_weights = False
         lowest, highest = self.returns or (math.inf, -math.inf)
         self.returns = min(lowest, summary.least_return), max(highest, summary.greatest_return)
         self.newest = Candidate.of(self.evaluated_at, summary)
@@ -121,10 +127,13 @@ class TrainingEvaluations:
             load: Makes a policy from the file of a model.
             report: Called once `activity` is set.
         """
-        active, count, played = self._active, len(self.shortlist.candidates), 0
+        active = self._active
+        count = len(self.shortlist.candidates)
+        played = 0
         if count < 2:
             return
-        scenario, stage = active.curriculum.scenario_of(active.curriculum.index), active.curriculum.name
+        scenario = active.curriculum.scenario_of(active.curriculum.index)
+        stage = active.curriculum.name
 
         def play(model: Path, numbers: range) -> list[Episode]:
             nonlocal played

@@ -190,11 +190,14 @@ class TrainingProcess:
             reporter.update(callback.progress())
         finally:
             self._weights_digest = learner.digest()
-            self._ratings, self._pool_games = tuple(learner.ratings), tuple(learner.pool_games)
+            self._ratings = tuple(learner.ratings)
+            self._pool_games = tuple(learner.pool_games)
 
     def _open(self, stack: ExitStack) -> tuple[Learner, Collector, TrainingLog]:
         """Open the worlds, the learner and its log, and attach them to the callback and the checkpoints."""
-        run, callback, checkpoints = self.run, self._callback, self.checkpoints
+        run = self.run
+        callback = self._callback
+        checkpoints = self.checkpoints
         stack.enter_context(algorithms.torch_settings())
         stack.callback(self._evaluator.close)
         episode_log = EpisodeLog(run.monitor, run.program.name, run.program.members)
@@ -217,9 +220,12 @@ class TrainingProcess:
 
     def _make_collector(self, stack: ExitStack, counter: TrainingCounter) -> Collector:
         """Create the worlds of a training, in shards if it has several; all closed with `stack`."""
-        run, training, stages = self.run, self.training, self.checkpoints.stages
+        run = self.run
+        training = self.training
+        stages = self.checkpoints.stages
         if not stages:
-            levels, first = run.program.levels, self._curriculum.index
+            levels = run.program.levels
+            first = self._curriculum.index
             stages.extend(
                 first if levels is None else levels.first(world) for world in range(training.environments)
             )
@@ -243,7 +249,8 @@ class TrainingProcess:
 
     def _learn_until_done(self, learner: Learner, collector: Collector) -> Status:
         """Learn until the goal, a solved task or an interruption."""
-        callback, total = self._callback, self.training.total_timesteps
+        callback = self._callback
+        total = self.training.total_timesteps
         try:
             learner.begin(total, callback, self._followers)
             self.checkpoints.restore()
@@ -306,7 +313,9 @@ class TrainingProcess:
         return self._callback.confirmations.passed if self._callback.is_solved else None
 
     def _result(self) -> TrainingResult:
-        callback, statistics, confirmed = self._callback, self._statistics, self._confirmed
+        callback = self._callback
+        statistics = self._statistics
+        confirmed = self._confirmed
         by_follower = next((follower.name for follower in self._followers if follower.stopped), None)
         return TrainingResult(
             run=self.run.path,
@@ -361,7 +370,9 @@ class TrainingProcess:
     def _write(self, result: TrainingResult) -> None:
         """Write the result into the record of the run, and the confirmation that ended the training as an
         evaluation of its best model."""
-        run, before, confirmed = self.run, self.before, self._confirmed
+        run = self.run
+        before = self.before
+        confirmed = self._confirmed
         # A full disk was reported already.
         with suppress(RunError) if result.status == "failed" else nullcontext():
             if before is None or result.status == "finished" or result.steps > self._first_step:
@@ -378,7 +389,8 @@ class TrainingCounter:
 
     def __init__(self, callback: TrainingCallback, log: EpisodeLog) -> None:
         self._callback = callback
-        self._statistics, self._curriculum = callback.active.statistics, callback.active.curriculum
+        self._statistics = callback.active.statistics
+        self._curriculum = callback.active.curriculum
         self._log = log
 
     def present(self) -> tuple[int, int, int]:

@@ -140,7 +140,9 @@ class _Search(Watcher):
     """
 
     def __init__(self, study: Study, reporter: StudyReporter, permissions: Permissions) -> None:
-        self._study, self._reporter, self._permissions = study, reporter, permissions
+        self._study = study
+        self._reporter = reporter
+        self._permissions = permissions
         self._journal = study.connect()
         self._numbers: list[int] = []
         self._locks: dict[int, ExitStack] = {}
@@ -216,7 +218,8 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
 
     with ExitStack() as stack:
         with run_lock(study.path, ".next.lock", _CLAIM_TIMEOUT_S):
-            trials, number = journal.trials, None
+            trials = journal.trials
+            number = None
             for trial in trials:
                 if trial.state.name == "RUNNING":
                     with ExitStack() as attempt, suppress(UsageError):  # another process works on it
@@ -278,8 +281,12 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
     Raises:
         RunError: The study is damaged, or a file cannot be written.
     """
-    study, number, permissions = Study.open(taken.study), taken.number, taken.permissions
-    record, folder, journal = study.record, study.trial_folder(number), study.connect()
+    study = Study.open(taken.study)
+    number = taken.number
+    permissions = taken.permissions
+    record = study.record
+    folder = study.trial_folder(number)
+    journal = study.connect()
     # A node that was lost may still be at work.
     if attempt.number > 1 and not has_ended(folder):
         return TrialResult("running")
@@ -337,12 +344,14 @@ def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:
 
 def _seed_score(study: Study, group: Group, solved: Solved | None, seed: int) -> SeedScore:
     """Return the score of a training from the evaluation of its best model."""
-    path, record = group.run(seed), study.record
+    path = group.run(seed)
+    record = study.record
     run = RunRecord.read(path) if folder_kind(path) is SourceKind.RUN else None
     quoted = quoted_evaluation(path, run) if run is not None else None
     if run is None or run.result is None or quoted is None:
         return SeedScore(seed, UNSOLVED)
-    evaluation, rate = quoted[1], quoted[1].success_rate or 0.0
+    evaluation = quoted[1]
+    rate = quoted[1].success_rate or 0.0
     met = (
         evaluation.solved
         if evaluation.solved is not None
@@ -402,7 +411,9 @@ class _Follower(Reporter):
     def __init__(
         self, study: Study, journal: Journal, number: int, program: Program, attempt: Attempt
     ) -> None:
-        self._study, self._journal, self._attempt = study, journal, attempt
+        self._study = study
+        self._journal = journal
+        self._attempt = attempt
         self._seed = (0, 0, 0)
         self._trial = journal.trial(number)
         self._runs = [study.trial_folder(number) / f"seed-{seed}" for seed in study.record.seeds]
@@ -425,7 +436,8 @@ class _Follower(Reporter):
 
     def add_evaluation(self, run: Path) -> str | None:
         """Called after each evaluation of a training."""
-        index, evaluations = self._runs.index(run), self._evaluations(run)
+        index = self._runs.index(run)
+        evaluations = self._evaluations(run)
         point = int(GRID * evaluations[-1][0]) if evaluations else 0
         return PRUNED_BY if 0 < point < GRID and self._is_worse(index, point) else None
 
@@ -446,7 +458,8 @@ class _Follower(Reporter):
     def _is_worse(self, index: int, point: int) -> bool:
         """Report the scores up to a point of the training at `index`, and return whether the score at the
         point is worse than the median."""
-        value, step = self._report(index, point), GRID * index + point
+        value = self._report(index, point)
+        step = GRID * index + point
         complete = [
             trial.intermediate_values for trial in self._journal.trials if trial.state.name == "COMPLETE"
         ]
@@ -486,7 +499,8 @@ class _Follower(Reporter):
 
     def _score_of(self, run: Path, point: int) -> float | None:
         """Return the score of the best evaluation of a training up to a point."""
-        record, study = RunRecord.read(run), self._study.record
+        record = RunRecord.read(run)
+        study = self._study.record
         at = record.result.solved_at if record.status == "finished" and record.result is not None else None
         share = (
             at.steps / study.total_timesteps
@@ -505,7 +519,8 @@ class _Follower(Reporter):
     def _evaluations(self, run: Path) -> list[tuple[float, float, float]]:
         """Return the evaluations of a training in the last stage of the curriculum: fraction of its steps,
         mean return, success rate."""
-        path, total = run / "evaluations" / "training.jsonl", self._study.record.total_timesteps
+        path = run / "evaluations" / "training.jsonl"
+        total = self._study.record.total_timesteps
         try:
             lines = map(
                 json.loads,

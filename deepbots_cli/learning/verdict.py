@@ -53,7 +53,8 @@ def solved_verdict(
         number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
             whose episodes need only meet the criterion.
     """
-    episodes, mean_return = len(outcomes), fmean(episode.total_return for episode in outcomes)
+    episodes = len(outcomes)
+    mean_return = fmean(episode.total_return for episode in outcomes)
     success_rate = fmean(episode.is_success for episode in outcomes)
     if solved is None:
         return SolvedVerdict(None, "the scenario has no `solved` criterion", None)
@@ -78,7 +79,7 @@ def solved_verdict(
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    from deepbots_cli.learning.confirmation import Confirmation
+    from deepbots_cli.learning.confirmation_rule import Confirmation
 
     lowest = min(episode.total_return for episode in outcomes)
     highest = max(episode.total_return for episode in outcomes)
@@ -86,7 +87,7 @@ def solved_verdict(
         returns[0] if math.isfinite(returns[0]) else lowest,
         returns[1] if math.isfinite(returns[1]) else highest,
     )
-    confirmation = Confirmation.by(solved, number, bounds, episodes)
+    confirmation = Confirmation.with_episodes(solved, number, bounds, episodes)
     if confirmation.passes(outcomes):
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
     plan = Confirmation.plan(solved, number, bounds, outcomes)
@@ -156,7 +157,7 @@ def quoted_evaluation(path: Path, record: RunRecord) -> tuple[Path, EvaluationRe
 
     def weight(entry: tuple[Path, EvaluationRecord]) -> tuple[bool, int, bool]:
         _, evaluation = entry
-        return _of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
+        return _is_of_training(evaluation, record), evaluation.episodes, evaluation.confirmation is not None
 
     return max(reversed(evaluations), key=weight, default=None)
 
@@ -220,14 +221,14 @@ def own_evaluations(
                 (
                     file,
                     evaluation
-                    if _of_training(evaluation, record)
+                    if _is_of_training(evaluation, record)
                     else evaluation.model_copy(update={"solved": None}),
                 )
             )
     return evaluations
 
 
-def _of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
+def _is_of_training(evaluation: EvaluationRecord, record: RunRecord) -> bool:
     """Return whether an evaluation was made in the scenario of the training. Evaluations of older versions
     have no digest."""
     return evaluation.digest in (None, record.digest)

@@ -17,10 +17,10 @@ from deepbots_cli.analysis.courses import (
     Course,
     Required,
     Way,
-    beyond,
     hold_times,
     merged,
     thresholds_of,
+    value_beyond,
     value_within,
     ways,
 )
@@ -47,8 +47,10 @@ _MAX_HELD = 400
 """The maximum number of timesteps of a cycle in which a success is nearly held."""
 _MIN_STEPS = 10
 """The least number of steps left in an episode in which a cycle can repeat."""
-_MAX_INSIDE, _MAX_WAYS = 2, 4
-"""The numbers of ways to succeed, and to avoid success, that are examined."""
+_MAX_INSIDE = 2
+"""The number of ways to succeed that are examined."""
+_MAX_WAYS = 4
+"""The number of ways to avoid success that are examined."""
 _MAX_PLAYED = 12_000
 """The maximum number of timesteps of all courses of a scenario."""
 
@@ -102,7 +104,8 @@ class _Search:
     """The cycles around one success."""
 
     def __init__(self, analysis: Analysis, success: Expression) -> None:
-        self._analysis, self._success = analysis, success
+        self._analysis = analysis
+        self._success = success
         self._reward = analysis.reward
         program = analysis.program
         self._steps = steps_from(analysis, success) * program.action_repeat
@@ -236,7 +239,7 @@ class _Search:
             if (key, threshold) not in sides:
                 sides.add((key, threshold))
                 self._nodes[key] = self._analysis.resolve_aliases(quantity)
-                yield key, (single(beyond(threshold, -1.0)), single(beyond(threshold, 1.0)))
+                yield key, (single(value_beyond(threshold, -1.0)), single(value_beyond(threshold, 1.0)))
         for part in (part for tree in self._terms for part in self._analysis.walk_definitions(tree)):
             if (
                 isinstance(part, EngineRead)
@@ -358,7 +361,7 @@ def _just_outside(required: Required) -> float | None:
     low, high = required.within
     if low == high:
         return 1.0 - low if low in (0.0, 1.0) else None
-    return beyond(low, -1.0) if low > -INF else beyond(high, 1.0)
+    return value_beyond(low, -1.0) if low > -INF else value_beyond(high, 1.0)
 
 
 # Words
@@ -400,18 +403,20 @@ def _description(context: RuleContext, cycle: Cycle) -> str:
 def _texts(context: RuleContext) -> dict[int, tuple[str, Dimension | None]]:
     """Return the shortest text of each quantity in the scenario, by its identity, with its dimension; None
     for truth values."""
-    analysis, texts = context.analysis.ideal, dict[int, tuple[str, Dimension | None]]()
+    analysis = context.analysis.ideal
+    texts: dict[int, tuple[str, Dimension | None]] = {}
     values = [*context.program.endings, *context.program.signals, *context.program.agent.reward]
     for value in values:
-        for node in walk(value.typed) if value.foreign is None else ():
-            parts = node.args if isinstance(node, Operation) else (node,)
-            for part in parts:
-                trees = analysis.lowered(part, value.owner)
-                text = value.text[part.start : part.end]
-                dimension = None if part.type.boolean else part.type.dimension
-                key = analysis.identity(trees[0])
-                if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
-                    texts[key] = text, dimension
+        if value.foreign is None:
+            for node in walk(value.typed):
+                parts = node.args if isinstance(node, Operation) else (node,)
+                for part in parts:
+                    trees = analysis.lowered(part, value.owner)
+                    text = value.text[part.start : part.end]
+                    dimension = None if part.type.boolean else part.type.dimension
+                    key = analysis.identity(trees[0])
+                    if len(trees) == 1 and text and (key not in texts or len(text) < len(texts[key][0])):
+                        texts[key] = text, dimension
     return texts
 
 

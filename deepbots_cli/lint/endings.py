@@ -150,21 +150,24 @@ def shadowed_limit(context: RuleContext) -> Iterator[Finding]:
     """Report one of two limits without effect, because the other always comes first."""
     yield from _later_limit(context)
     yield from _later_ending(context)
-    analysis, last = context.analysis, context.analysis.last_step
+    analysis = context.analysis
+    last = context.analysis.last_step
     for ending in context.program.endings:
         if _truth_over_episode(analysis, ending).is_single or ending.foreign:
             continue  # DB801, DB802
         (node,) = analysis.scalars(ending)
         limit = f"the truncation at step {last}"
         if _with_return(analysis, 0, last).of(node) == NEVER:
-            headline, label = f"`{ending.name}` cannot become true before {limit}", "the truncation"
+            headline = f"`{ending.name}` cannot become true before {limit}"
+            label = "the truncation"
             help = "raise the limit under `truncation`, or remove the ending"
         elif (
             not _leaves(analysis, node) <= _CLOCK_NAMES
             and last > 1
             and _with_return(analysis, last - 1, last - 1).of(node) == ALWAYS
         ):
-            headline, label = f"`{ending.name}` ends every episode before {limit}", "never reached"
+            headline = f"`{ending.name}` ends every episode before {limit}"
+            label = "never reached"
             help = (
                 "remove this ending: `truncation` already ends the episode; describe a good result under"
                 " `solved`"
@@ -201,10 +204,12 @@ def _later_limit(context: RuleContext) -> Iterator[Finding]:
 
 
 def _later(program: Program) -> str:
-    limits, timestep = program.truncation, program.world.timestep
+    limits = program.truncation
+    timestep = program.world.timestep
     if limits.max_steps is None or limits.max_time is None:
         return ""
-    steps, time = limits.max_steps * program.action_repeat, ceil(limits.max_time / timestep - 1e-9)
+    steps = limits.max_steps * program.action_repeat
+    time = ceil(limits.max_time / timestep - 1e-9)
     if time > steps:
         return "max_time"
     if steps > time:
@@ -214,7 +219,8 @@ def _later(program: Program) -> str:
 
 def _later_ending(context: RuleContext) -> Iterator[Finding]:
     """Report endings that come too late in every case and every stage."""
-    shadowed, failures = context.analysis.shadowed, context.program.failures
+    shadowed = context.analysis.shadowed
+    failures = context.program.failures
     later = [{late.name for late in analysis.shadowed} for analysis in context.versions] if shadowed else []
     for late, first in shadowed.items():
         if all(late.name in names for names in later):
@@ -248,20 +254,28 @@ def timeout_as_termination(context: RuleContext) -> Iterator[Finding]:
         for node in analysis.scalars(entry.value)
         for name in _leaves(analysis, node)
     }
-    for ending in context.program.endings if not observed_names & _CLOCK_NAMES else ():
-        names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
-        if names and names <= _CLOCK_NAMES and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single:
-            headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
-            limits = " or ".join(
-                f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
-            )
-            yield Finding("DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}")
+    if not observed_names & _CLOCK_NAMES:
+        for ending in context.program.endings:
+            names = _leaves(analysis, analysis.scalars(ending)[0]) if ending.foreign is None else set()
+            if (
+                names
+                and names <= _CLOCK_NAMES
+                and not analysis.ranges.of(analysis.scalars(ending)[0]).is_single
+            ):
+                headline = f"`{ending.name}` depends only on the time, which the policy does not observe"
+                limits = " or ".join(
+                    f"`{'max_time: 5 s' if name == 'time' else 'max_steps: 200'}`" for name in sorted(names)
+                )
+                yield Finding(
+                    "DB805", ending.span, headline, f"limit the episode under `truncation`: {limits}"
+                )
 
 
 @rule("DB806")
 def ends_at_reset(context: RuleContext) -> Iterator[Finding]:
     """Report an ending that is already true at the start of every episode."""
-    analysis, start = context.analysis, context.analysis.start
+    analysis = context.analysis
+    start = context.analysis.start
     for ending in context.program.endings:
         if ending.foreign is None and start.of(analysis.scalars(ending)[0]) == ALWAYS != _truth_over_episode(
             analysis, ending
@@ -314,7 +328,8 @@ def _help_for_early(program: Program, ending: Expression, help_for_failure: str)
 @rule("DB808")
 def undefined_value(simulation: Simulation) -> Iterator[Finding]:
     """Report an episode that cannot begin or continue, for a reason that no other code reports."""
-    stop, failed = simulation.report.stop, simulation.failed
+    stop = simulation.report.stop
+    failed = simulation.failed
     if failed is not None and failed.section == "other":
         help = (
             "write an expression that is always defined; keep divisors away from zero, as in `1 / max(d,"

@@ -191,7 +191,8 @@ class Fixer:
                 return False
         if before[name].root is not None and not _are_fixed(fixes, before[name], after[name]):
             return False
-        self.drafts, self._linted = {**drafts, **edited}, {**before, **after}
+        self.drafts = {**drafts, **edited}
+        self._linted = {**before, **after}
         return True
 
     def _edited(self, linted: LintResult, edits: Iterable[Edit]) -> dict[Path, bytes]:
@@ -247,7 +248,8 @@ def _outside(added: Iterable[Finding], root: MappingNode, edits: Iterable[Edit])
     entries = []
     shift: Counter[Source] = Counter()
     for edit in sorted(edits, key=lambda edit: edit.span.start):
-        source, start = edit.span.source, edit.span.start + shift[edit.span.source]
+        source = edit.span.source
+        start = edit.span.start + shift[edit.span.source]
         shift[source] += len(edit.text) - (edit.span.end - edit.span.start)
         entries.append(enclosing_entry(root, source.name, start, start + len(edit.text)))
     return [

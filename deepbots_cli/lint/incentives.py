@@ -29,11 +29,14 @@ MIN_WORTH = 0.25
 
 # Failing early
 
+LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
+
 
 @rule("DB705")
 def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
     """Report that failing early costs less than an episode that goes on to its time limit."""
-    program, reward = context.program, context.analysis.reward
+    program = context.program
+    reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     running = _short_of_the_goal(reward)
     last = (reward.analysis.last_step - 1) * program.action_repeat
@@ -57,7 +60,8 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         return
     dearest = min(ordinary, key=lambda term: _total_sum([term], running, steps))[0]
     also = (Label(ending.span, "the cheaper ending"),)
-    total_cost, price = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}", _price(cost)
+    total_cost = f"{-_total_sum(ordinary, running, last) - at_limit:.3g}"
+    price = _price(cost)
     if success is not None and prize > 0.0:
         share = break_even(living, cost, prize + max(0.0, _total_sum(ordinary, running, 0)))
         if share >= MIN_BREAK_EVEN:
@@ -84,9 +88,6 @@ def rewards_early_death(context: RuleContext) -> Iterator[Finding]:
         )
         help = f"reward the goal instead, as in `1 when goal_reached`, or remove `{ending.name}`"
     yield Finding("DB705", dearest.span, headline, help, labels=also)
-
-
-LIVING_HELP = "raise the cost of a failure above the cost of all steps together, or lower the cost of a step"
 
 
 def _price(cost: float) -> str:
@@ -175,7 +176,8 @@ def _sum_over_steps(ranges: Ranges, node: Scalar, steps: float) -> Interval:
 
 def _short_of_the_goal(reward: RewardTerms) -> Ranges:
     """Return ranges in a step that ends nothing and, if there is a goal, does not reach it."""
-    goal, running = reward.program.agent.goal, reward.ranges_while_running()
+    goal = reward.program.agent.goal
+    running = reward.ranges_while_running()
     reached = reward.analysis.resolve_aliases(Name("goal_reached"))
     if goal is None or not isinstance(reached, Op):
         return running
@@ -189,7 +191,8 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
     """Report that failing early costs less than even the cheapest simulated policy, as with `-distance`."""
     reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
-    failure, successes = _cheapest_failure(reward, final), simulation.program.successes
+    failure = _cheapest_failure(reward, final)
+    successes = simulation.program.successes
     rows = {by: simulation.measured[by] for by in (RANDOM, HELD_RANDOM, IDLE) if by in simulation.measured}
     if not (
         simulation.is_complete
@@ -240,6 +243,11 @@ def measured_early_death(simulation: Simulation) -> Iterator[Finding]:
 
 
 # Staying short of the success
+
+PROGRESS_HELP = (
+    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
+    " episode without success can collect"
+)
 
 
 class _StillRanges(Ranges):
@@ -318,12 +326,14 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
 
 def hovering(context: RuleContext) -> Finding | None:
     """Return a finding about the state beside the success that pays more than this; None if there is none."""
-    analysis, reward = context.analysis, context.analysis.reward
+    analysis = context.analysis
+    reward = context.analysis.reward
     ordinary, final = reward.split_by_end()
     successes = context.program.successes
     if not reward.is_complete or len(successes) != 1 or not ordinary:
         return None
-    success, running = successes[0], reward.ranges_while_running()
+    success = successes[0]
+    running = reward.ranges_while_running()
     possible = (
         TRUTH
         if success.foreign
@@ -366,8 +376,8 @@ def _end_at_one_time(analysis: Analysis, success: Expression) -> str:
     if not limit < INF:
         return ""
     return (
-        ", or let all episodes last equally long, with"
-        f" `{success.name}: time > {limit - analysis.period / 2.0:.6g} s and ...`"
+        f", or let all episodes last equally long, with `{success.name}: time >"
+        f" {limit - analysis.period / 2.0:.6g} s and ...`"
     )
 
 
@@ -398,17 +408,21 @@ def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | 
 def _first_step(analysis: Analysis, ending: Expression) -> float:
     """Return the first step in which an ending may hold, as in `time > 5 s and still`, or `duration(still) >
     5 s`."""
-    first, ranges = 0.0, analysis.ranges_in(0.0, float(analysis.last_step))
-    for node in analysis.conjuncts(*analysis.scalars(ending)[:1]) if ending.foreign is None else ():
-        match node:
-            case Op("greater" | "greater_equal", (late, limit)) | Op("less" | "less_equal", (limit, late)):
-                clock = analysis.resolve_aliases(late)
-                if isinstance(clock, State) and clock.function == "duration":
-                    clock = Name("time")
-                if isinstance(clock, Name) and clock.name in CLOCKS:
-                    first = max(
-                        first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
-                    )
+    first = 0.0
+    ranges = analysis.ranges_in(0.0, float(analysis.last_step))
+    if ending.foreign is None:
+        for node in analysis.conjuncts(*analysis.scalars(ending)[:1]):
+            match node:
+                case Op("greater" | "greater_equal", (late, limit)) | Op(
+                    "less" | "less_equal", (limit, late)
+                ):
+                    clock = analysis.resolve_aliases(late)
+                    if isinstance(clock, State) and clock.function == "duration":
+                        clock = Name("time")
+                    if isinstance(clock, Name) and clock.name in CLOCKS:
+                        first = max(
+                            first, ranges.of(limit).low / (analysis.period if clock.name == "time" else 1.0)
+                        )
     return min(first, float(analysis.last_step))
 
 
@@ -459,12 +473,6 @@ def other_policy_pays_more(simulation: Simulation) -> Iterator[Finding]:
         yield from idle or _place_pays(simulation, successes[0])
 
 
-PROGRESS_HELP = (
-    "reward progress, as in `-10 * delta(distance) / m`, or make success pay more than an"
-    " episode without success can collect"
-)
-
-
 def _better_than_success(
     episodes: list[SimulatedEpisode],
 ) -> tuple[SimulatedEpisode, SimulatedEpisode] | None:
@@ -491,7 +499,8 @@ def _better_than_success(
 def _place_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """Report like the static rule a reward that depends on positions of unknown range: it uses the highest
     reward of any simulated step."""
-    analysis, reward = simulation.analysis, simulation.analysis.reward
+    analysis = simulation.analysis
+    reward = simulation.analysis.reward
     ordinary, final = reward.split_by_end()
     if (
         not reward.is_complete
@@ -529,7 +538,8 @@ def _is_motion(analysis: Analysis, node: Scalar) -> bool:
 def _idle_pays(simulation: Simulation, success: Expression) -> list[Finding]:
     """Report like the static rule: compare the reward of doing nothing in the steps that matter with the
     single reward of the success."""
-    reward, row = simulation.analysis.reward, simulation.measured.get(IDLE)
+    reward = simulation.analysis.reward
+    row = simulation.measured.get(IDLE)
     ordinary, _ = reward.split_by_end()
     if row is None or not reward.is_complete:
         return []

@@ -251,7 +251,8 @@ def angle_jumps(context: RuleContext) -> Iterator[Finding]:
     for value, on in values:
         for node in _AngleWrapping(context.analysis, on, jumping).jumps(value.typed):
             text = context.text(f"robots.{value.owner}" if on else value.owner)
-            angle_text, span = text.text[node.start : node.end], text.part(node.start, node.end)
+            angle_text = text.text[node.start : node.end]
+            span = text.part(node.start, node.end)
             yield Finding(
                 "DB506",
                 span,

@@ -373,11 +373,13 @@ def constant_observation(simulation: Simulation) -> Iterator[Finding]:
     constant = [number for number in constant if -1.0 < _constant(simulation, number) < 1.0]
     for _, group in groupby(constant, key=lambda number: number.entry.value.name):
         numbers = list(group)
-        entry, parts = numbers[0].entry, max(1, len(numbers[0].entry.value.components))
+        entry = numbers[0].entry
+        parts = max(1, len(numbers[0].entry.value.components))
         is_whole = len(numbers) == parts
         names = [entry.value.name] if is_whole and parts > 1 else [number.full_name for number in numbers]
-        name, verb = "` and `".join(names), "never changes" if len(names) == 1 else "never change"
-        value = with_unit(_in_units(simulation, numbers[0]), numbers[0].dimension)
+        name = "` and `".join(names)
+        verb = "never changes" if len(names) == 1 else "never change"
+        value = with_unit(_number_in_units(simulation, numbers[0]), numbers[0].dimension)
         headline = f"`{name}` {verb}" + (f": it is {value} in every step" if len(numbers) == 1 else "")
         help = (
             "remove it" if is_whole else "observe only the other components"
@@ -403,7 +405,7 @@ def _constant(simulation: Simulation, number: RangedNumber) -> float:
     return next(iter(simulation.measured.values())).numbers[number.place].low
 
 
-def _in_units(simulation: Simulation, number: RangedNumber) -> float:
+def _number_in_units(simulation: Simulation, number: RangedNumber) -> float:
     value = number.low + (_constant(simulation, number) + 1.0) / 2.0 * (number.high - number.low)
     return value if abs(value) > number.slack else 0.0
 
@@ -419,7 +421,8 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
         entry = number.entry
         if not entry.clip or id(entry) in met:
             continue
-        interval, slack = simulation.analysis.ranges.of(number.node), number.slack
+        interval = simulation.analysis.ranges.of(number.node)
+        slack = number.slack
         for end, is_beyond in (
             (number.high, interval.high > number.high + slack),
             (number.low, interval.low < number.low - slack),
@@ -450,12 +453,14 @@ def often_saturated(simulation: Simulation) -> Iterator[Finding]:
 def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
     """Report the range `auto` of several joints that is much wider than the limits of one of them."""
     for entry in context.program.agent.observation:
-        span, dimension = context.range_span(entry), entry.value.typed.type.dimension
+        span = context.range_span(entry)
+        dimension = entry.value.typed.type.dimension
         limits = _limits_of_parts(context.program, entry) if span.text == "auto" else []
         shares = [(part.high - part.low) / (entry.high[0] - entry.low[0]) for part in limits]
         if shares and min(shares) < _MIN_RANGE_SHARE:
             narrowest = shares.index(min(shares))
-            joint, own_range = entry.value.components[narrowest], range_text(limits[narrowest], dimension)
+            joint = entry.value.components[narrowest]
+            own_range = range_text(limits[narrowest], dimension)
             whole_range = range_text(Interval(entry.low[0], entry.high[0]), dimension)
             headline = (
                 f"`auto` uses one range for all joints, {whole_range},"
@@ -471,15 +476,17 @@ def range_of_other_parts(context: RuleContext) -> Iterator[Finding]:
 
 def _limits_of_parts(program: Program, entry: Observation) -> list[Interval]:
     """Return the limits of each joint, if an entry has the positions of several; else nothing."""
-    parts, dimension = entry.value.components, entry.value.typed.type.dimension
-    for body in program.world.robots if len(parts) > 1 else ():
-        joints = {
-            joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension
-        }
-        if joints.keys() >= set(parts):
-            limits = [joint_interval(joints[part]) for part in parts]
-            if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
-                return limits
+    parts = entry.value.components
+    dimension = entry.value.typed.type.dimension
+    if len(parts) > 1:
+        for body in program.world.robots:
+            joints = {
+                joint.name: joint for joint in body.model.moving_joints if joint_dimension(joint) == dimension
+            }
+            if joints.keys() >= set(parts):
+                limits = [joint_interval(joints[part]) for part in parts]
+                if (hull(limits).low, hull(limits).high) == (entry.low[0], entry.high[0]):
+                    return limits
     return []
 
 

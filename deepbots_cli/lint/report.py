@@ -320,7 +320,8 @@ class SimulationReport:
         """Add an entry of the process."""
         match entry:
             case Activity():
-                self.where, self.fastest = SimulationPosition(entry.name, entry.seed, 0), None
+                self.where = SimulationPosition(entry.name, entry.seed, 0)
+                self.fastest = None
             case FastestBody():
                 self.fastest = entry
             case EarlyEnding():

@@ -175,7 +175,10 @@ def term_dominates(context: RuleContext) -> Iterator[Finding]:
 def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     """Return the smallest size of the sum over an episode: block by block, since a term may depend on the
     number of the step."""
-    first, last, total, sign = 1, reward.analysis.last_step, 0.0, 0.0
+    first = 1
+    last = reward.analysis.last_step
+    total = 0.0
+    sign = 0.0
     while first <= last:
         end = min(last, 2 * first - 1)
         interval = reward.ranges_while_running((float(first), float(end))).of(node)
@@ -214,7 +217,8 @@ def dominating_term(simulation: Simulation) -> Iterator[Finding]:
                 )
                 / episodes
             )
-            size, rival = row.absolute_total / episodes, max(other_sum, prize)
+            size = row.absolute_total / episodes
+            rival = max(other_sum, prize)
             ratios.append(size / rival if rival > 0.0 and row.low < row.high else 0.0)
             note = (
                 f"{by}: `{term.name}` adds up to {_short(size)} per episode, all other terms to"

@@ -14,7 +14,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.values import Expression
 
-JointRule = LintRule[Program, Finding]
+MultiAgentRule = LintRule[Program, Finding]
 """A rule about the program of all agents."""
 
 
@@ -104,4 +104,4 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-JOINT_RULES: tuple[JointRule, ...] = (nearly_zero_sum,)
+MULTI_AGENT_RULES: tuple[MultiAgentRule, ...] = (nearly_zero_sum,)

@@ -36,9 +36,10 @@ _MIN_SHARE = 0.25
 """The share of the commands of the agent that an actuator must be able to follow."""
 _MIN_MISS_SHARE = 0.1
 """The share of the commands of an episode: a script may pass over positions out of reach on its way."""
-_MIN_SHOWN_DISTANCE_M, _MIN_SHOWN_ANGLE = 0.001, radians(0.5)
-"""The least distance (m) and angle (rad) that a finding mentions; a smaller miss is given only by the other
-measure."""
+# The least distance (m) and angle (rad) that a finding mentions; a smaller miss is given only by the other
+# measure.
+_MIN_SHOWN_DISTANCE_M = 0.001
+_MIN_SHOWN_ANGLE = radians(0.5)
 _SAME_HEIGHT_M = 1e-4
 """The difference of heights (m) below which they are equal."""
 _FOOT_HEIGHT_M = 0.005
@@ -47,8 +48,9 @@ _RESTING_GAP_M = 0.05
 """The distance (m) from its resting height within which a robot comes to rest there."""
 _MIN_WHEEL_TURN = pi
 """The angle (rad) that a driven wheel has turned where its robot should have moved."""
-_MAX_STAY_M, _MAX_STAY_ANGLE = 0.01, radians(5.0)
-"""The distance (m) and angle (rad) that a robot that slips moves at most."""
+# A robot that slips moves at most by this distance (m) and angle (rad).
+_MAX_STAY_M = 0.01
+_MAX_STAY_ANGLE = radians(5.0)
 _STEP_MARGIN = 1.5
 """The factor by which a suggested engine step is shorter than the longest one that is stable."""
 _TOPPLED = radians(45.0)
@@ -150,7 +152,8 @@ def joint_driven_twice(context: RuleContext) -> Iterator[Finding]:
     for robot in context.program.robots:
         driving: dict[str, str] = {}
         for command in robot.commands:
-            name, joints = command.actuator.name, _held_joints(command.actuator)
+            name = command.actuator.name
+            joints = _held_joints(command.actuator)
             shared = next((joint for joint in joints if joint in driving), None)
             if shared is not None:
                 first, second = (
@@ -181,7 +184,9 @@ def _held_joints(actuator: Actuator) -> tuple[str, ...]:
 def limp_at_start(context: RuleContext) -> Iterator[Finding]:
     """Report an arm that sinks at the start of an episode, because the first command reaches its torque
     motors late."""
-    program, analysis, values = context.program, context.analysis, context.values
+    program = context.program
+    analysis = context.analysis
+    values = context.values
     if program.reset.settle or any(varied.what == "gravity" for varied in program.reset.variations):
         return
     for robot in program.robots:
@@ -301,7 +306,8 @@ def _load_and_inertia(
     kg) that the joint moves: that of the links behind it, and its armature."""
     pivot, joint_rotation = where[joint.child]
     axis = frames.rotate(joint_rotation, joint.axis)
-    load, inertia = 0.0, joint.armature
+    load = 0.0
+    inertia = joint.armature
     for link in model.links:
         if link.inertial is None or not joint_moves_link(model, joint, link.name):
             continue
@@ -618,7 +624,8 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
 @rule("DB615")
 def rays_meet_nothing(context: RuleContext) -> Iterator[Finding]:
     """Report a sensor whose rays pass over everything in the world, or begin below the ground."""
-    heights, variants = Heights(context.analysis), [Heights(analysis) for analysis in context.versions[1:]]
+    heights = Heights(context.analysis)
+    variants = [Heights(analysis) for analysis in context.versions[1:]]
     for robot in context.program.robots:
         for sensor in robot.sensors:
             clearance = heights.clearance(robot.name, sensor.name) if casts_rays(sensor) else None
@@ -789,7 +796,8 @@ class Heights:
         top = -inf
         for shape, fixed in kinds:
             box = footprint.bounds_of_shape(shape)
-            size, high = footprint.box_sides(box), box[1][2]
+            size = footprint.box_sides(box)
+            high = box[1][2]
             top = max(top, -inf if fixed else max(size))
             if not poses:  # a wall
                 top = max(top, size[2], body.pose.xyz[2] + high)
@@ -852,7 +860,8 @@ def _can_lift(world: WorldModel) -> bool:
 def _standing_height(model: RobotModel) -> float | None:
     """Return the height (m) of the root's origin on level ground; None for a robot that joints raise, or that
     has to balance."""
-    contact_points, center = footprint.contact_points(model, _FOOT_HEIGHT_M), _center_of_mass(model)
+    contact_points = footprint.contact_points(model, _FOOT_HEIGHT_M)
+    center = _center_of_mass(model)
     stands = contact_points and all(
         min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points)
         for axis in (0, 1)
@@ -886,7 +895,8 @@ def _passing_over(
     )
     help = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
-        subject, span = "the walls of the arena", values.span_of_first(("world", "arena"), "wall_height")
+        subject = "the walls of the arena"
+        span = values.span_of_first(("world", "arena"), "wall_height")
         help = (
             f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}`"
             f" for the arena, or {help}"

@@ -53,10 +53,11 @@ from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 
 _MIN_TERM_SIZE = 1e-9
-"""The same for a term of the reward."""
-_FIRST_EPISODES, _FIRST_STEPS = 2, 10
-"""The number of episodes in which the first command of each arm is checked, and the steps within which it
-must arrive."""
+"""A term of the reward has fired in a step in which its absolute value is above this."""
+_FIRST_EPISODES = 2
+"""The number of episodes in which the first command of each arm is checked."""
+_FIRST_STEPS = 10
+"""The steps within which an arm must arrive at its first command."""
 _VARIANTS_LABEL = "cases and stages"
 
 
@@ -223,7 +224,8 @@ class Simulator:
     ) -> None:
         episode_steps = self._steps(environment, rollout)
         next(episode_steps)
-        speeds, check_rays = SpeedWatch(environment), self._rays.watch(environment.engine)
+        speeds = SpeedWatch(environment)
+        check_rays = self._rays.watch(environment.engine)
         check_wheels = (
             self._wheels.watch(environment.engine) if report else lambda: None
         )  # a case may have another robot file
@@ -329,7 +331,9 @@ class StepStatistics:
         self.rows = 0
         self.low, self.high = np.full(numbers, np.inf), np.full(numbers, -np.inf)
         self.at_low, self.at_high = np.zeros(numbers, int), np.zeros(numbers, int)
-        self.sums, self.sizes, self.fired = np.zeros(terms), np.zeros(terms), np.zeros(terms, bool)
+        self.sums = np.zeros(terms)
+        self.sizes = np.zeros(terms)
+        self.fired = np.zeros(terms, bool)
         self.least, self.greatest = np.full(terms, np.inf), np.full(terms, -np.inf)
 
     def add(self, observation: Any, terms: dict[str, float]) -> None:

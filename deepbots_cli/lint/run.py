@@ -49,10 +49,12 @@ SIMULATED_RULES: tuple[SimulatedRule, ...] = tuple(
     rule for module in _MODULES for rule in getattr(module, "SIMULATED_RULES", ())
 )
 
-JOINT_RULES = rivals.JOINT_RULES
+MULTI_AGENT_RULES = rivals.MULTI_AGENT_RULES
 
 _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
+
+_UNUSED = "DB205"
 
 
 def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Iterator[Finding]:
@@ -66,15 +68,15 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     if checked.agents:
         root = checked.document.root
         shares_endings = root is not None and "termination" in root.entries
-        for finding in _of_agents(
+        for finding in _findings_of_agents(
             [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
         ):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
-        for joint in JOINT_RULES:
+        for rule in MULTI_AGENT_RULES:
             yield from exceptions_as_findings(
-                f"the rule {joint.code}",
+                f"the rule {rule.code}",
                 checked.document.source,
-                partial(_found, partial(joint, checked.program)),
+                partial(_found, partial(rule, checked.program)),
             )
         return
     context = RuleContext(checked, checked.program, checked.namespace)
@@ -103,10 +105,7 @@ def _about_shared_ending(finding: Finding) -> Finding:
     return replace(finding, help=help, fix=None)
 
 
-_UNUSED = "DB205"
-
-
-def _of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
+def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
     """Yield the findings of several agents, each once. What only some agents do not use is used."""
     used = [{finding.sort_key for finding in findings if finding.code == _UNUSED} for findings in of_each]
     unused_by_all = set.intersection(*used)

@@ -97,8 +97,11 @@ def _blind(
 def _edge(number: RangedNumber, threshold: Threshold, ranges: Ranges) -> float:
     """Return the end of the range of the quantity itself; for a value that depends on it, the point where it
     stops changing."""
-    analysis, bound, limit = ranges.analysis, threshold.bound, threshold.limit
-    interval, quantity = ranges.of(threshold.quantity), analysis.identity(threshold.quantity)
+    analysis = ranges.analysis
+    bound = threshold.bound
+    limit = threshold.limit
+    interval = ranges.of(threshold.quantity)
+    quantity = analysis.identity(threshold.quantity)
     if not number.entry.clip:
         return nan
     if quantity == analysis.identity(number.node):
@@ -133,8 +136,11 @@ def _unseen(
     ending: Expression,
     comparison: ConditionComparison,
 ) -> Finding:
-    number, name, limit = view.number, view.number.name, view.threshold.limit
-    help, fix = f"widen the range of `{name}`, or the bounds of a `clamp` in its value", None
+    number = view.number
+    name = view.number.name
+    limit = view.threshold.limit
+    help = f"widen the range of `{name}`, or the bounds of a `clamp` in its value"
+    fix = None
     help += f", so that it still changes at the limit of `{ending.name}`"
     if analysis.identity(number.node) == analysis.identity(view.threshold.quantity):
         end = "high" if view.threshold.above else "low"
@@ -162,7 +168,8 @@ def _unseen(
         headline += f", the limit of `{ending.name}`"
     else:
         headline = f"`{name}` is already constant shortly before `{ending.name}` reaches its limit"
-    limit_span, label = ending.span, f"`{ending.name}` ends the episode here"
+    limit_span = ending.span
+    label = f"`{ending.name}` ends the episode here"
     if comparison.value.owner:
         limit_span = context.text(comparison.value.owner).part(comparison.node.start, comparison.node.end)
         label = label if comparison.value.name == ending.name else f"the limit of `{ending.name}`"
@@ -194,7 +201,8 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
     for number in first_of_each_clipped(analysis):
         if number.is_outside(analysis.ranges.of(number.node)):
             continue  # DB602
-        first, fact = analysis.start.of(number.node), analysis.resolve_aliases(number.node)
+        first = analysis.start.of(number.node)
+        fact = analysis.resolve_aliases(number.node)
         is_beyond = first.low > number.high + number.slack or first.high < number.low - number.slack
         start_range = analysis.start.initial(fact) if isinstance(fact, EngineRead) else None
         if (
@@ -220,7 +228,8 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
 def _goal_out_of_range(context: RuleContext) -> Iterator[Finding]:
     """Report a goal that is drawn from more than its range: policy, reward and endings use only the clipped
     value."""
-    analysis, goal = context.analysis, context.program.agent.goal
+    analysis = context.analysis
+    goal = context.program.agent.goal
     if goal is None:
         return
     for node, low, high in zip(analysis.scalars(goal.desired), goal.low, goal.high, strict=True):
@@ -250,7 +259,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
     met = set()
     for number in ranged_numbers(context.analysis):
         leaf = context.analysis.resolve_aliases(number.node)
-        reading = _at_rest(context.analysis, leaf)
+        reading = _reading_at_rest(context.analysis, leaf)
         if (
             reading is None
             or not number.entry.clip
@@ -273,7 +282,7 @@ def _saturated_by_gravity(context: RuleContext) -> Iterator[Finding]:
         yield Finding("DB611", context.range_span(number.entry), headline, help, fix=fix)
 
 
-def _at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
+def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
     """Return the reading (m/s^2) of an axis of an accelerometer while its robot is upright and still; None if
     that is unknown."""
     reading = analysis.sensor(leaf)

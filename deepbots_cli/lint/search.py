@@ -34,20 +34,27 @@ _STARTS = 3
 """The number of episodes with different starts, from number 0 on."""
 _MAX_WORK = 400_000.0
 """The work of a search in the unit of `work_per_step`; 10 to 30 s of CPU."""
-_MAX_CONSTANTS, _MAX_PAIRS = 27, 12
+_MAX_CONSTANTS = 27
+_MAX_PAIRS = 12
 _HOLDS = (2, 10)
 """The numbers of steps for which alternating actions are held."""
 _CONFIRMED = 3
 """The number of best drivers of the first start that are tried on the others, for each kind of end."""
-_INTERRUPTIONS, _MAX_INTERRUPTIONS, _MIN_BETWEEN = (1, 3), 5, 2
-"""Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are
-none that lasts."""
+# Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none
+# that lasts.
+_INTERRUPTIONS = (1, 3)
+_MAX_INTERRUPTIONS = 5
+_MIN_BETWEEN = 2
 _SHARE_OF_INTERRUPTIONS = 0.05
 """The share of the steps that are left for the interruptions from each start."""
-_POPULATION, _ELITES, _GENERATIONS = 12, 3, 12
+_POPULATION = 12
+_ELITES = 3
+_GENERATIONS = 12
 _MIN_DEVIATION = 0.1
 _AT_LIMIT = 0.02
 """The share of the range of a joint within which it is at a limit."""
+
+_MAX_SHOWN = 80
 
 
 class ExploitSearch:
@@ -164,7 +171,8 @@ class ExploitSearch:
         return self._played.get(key)
 
     def _episode(self, driver: str, kind: DriverKind, number: int) -> DrivenEpisode:
-        environment, acting = self._environment, named_driver(self._environment, driver)
+        environment = self._environment
+        acting = named_driver(self._environment, driver)
         watch: MotionWatch | None = None
         rows: list[list[float]] = []
         numbers = count(1)
@@ -235,7 +243,8 @@ class ExploitSearch:
     def _cross_entropy(
         self, number: int, family: Family, budget: float, seed: int, *, with_success: bool
     ) -> None:
-        end, rng = self._left - budget, np.random.default_rng([number, seed, with_success])
+        end = self._left - budget
+        rng = np.random.default_rng([number, seed, with_success])
         distribution = Distribution(family.slots)
         for _ in range(_GENERATIONS):
             scored: list[tuple[float, NDArray[np.float64]]] = []
@@ -249,9 +258,6 @@ class ExploitSearch:
             distribution.move_to(
                 [numbers for _, numbers in sorted(scored, key=lambda entry: -entry[0])[:_ELITES]]
             )
-
-
-_MAX_SHOWN = 80
 
 
 # Fixed drivers
@@ -344,7 +350,9 @@ class Cycle:
 
     def __init__(self, slots: Sequence[Slot], holds: Sequence[int]) -> None:
         self.kind: DriverKind = "sequence"
-        self.slots, self._of_one, self._holds = list(slots) * len(holds), slots, holds
+        self.slots = list(slots) * len(holds)
+        self._of_one = slots
+        self._holds = holds
 
     def driver(self, numbers: Sequence[float]) -> str:
         width = len(self._of_one)

@@ -190,7 +190,8 @@ def scenarios_in(folder: Path, project: Settings) -> list[Path]:
 
 
 def _yaml_files(folder: Path, project: Settings, excluded: set[Path]) -> Iterator[Path]:
-    root, deepest = files.project_root(folder), str(folder).count(os.sep) + _MAX_LEVELS
+    root = files.project_root(folder)
+    deepest = str(folder).count(os.sep) + _MAX_LEVELS
     for folder_name, folders, names in os.walk(folder):
         parent = Path(folder_name)
         if parent != folder and not _NOT_SEARCHED.isdisjoint(names):

@@ -40,11 +40,13 @@ _RATE_FUNCTIONS = frozenset({"velocity", "angular_velocity", "angular_momentum"}
 def suspicious_sign(context: RuleContext) -> Iterator[Finding]:
     """Report a reward with the wrong sign: a failure pays, a success costs, or progress towards success
     costs."""
-    reward, program = context.analysis.reward, context.program
+    reward = context.analysis.reward
+    program = context.program
     ordinary, final = reward.split_by_end()
     for term, node in final:
         for ending in program.endings:
-            paid, failed = reward.ranges_at(ending).of(node), ending.name in program.failures
+            paid = reward.ranges_at(ending).of(node)
+            failed = ending.name in program.failures
             other_ends = (
                 end
                 for end in reward.endings_and_truncation
@@ -71,19 +73,24 @@ def _wrong_sign(term: Expression, headline: str, also: tuple[Label, ...]) -> Fin
 
 def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression) -> Iterator[Finding]:
     """Report terms that pay for the opposite of the one comparison of a success."""
-    analysis, running = reward.analysis, reward.ranges_while_running()
+    analysis = reward.analysis
+    running = reward.ranges_while_running()
     compared = only_comparison(analysis, ending)
-    for threshold in thresholds(compared, running) if compared else ():
-        if is_clock(analysis, threshold.quantity):
-            continue
-        slope, wrong = Slope(running, threshold), -1.0 if threshold.above else 1.0
-        slopes = [slope.of(node) for _, node in ordinary]
-        if all(sign in (wrong, 0.0) for sign in slopes) and wrong in slopes:
-            for (term, _), sign in zip(ordinary, slopes, strict=True):
-                if sign == wrong:
-                    headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
-                    yield _wrong_sign(term, headline, (Label(ending.span, "success requires the opposite"),))
-            return
+    if compared:
+        for threshold in thresholds(compared, running):
+            if is_clock(analysis, threshold.quantity):
+                continue
+            slope = Slope(running, threshold)
+            wrong = -1.0 if threshold.above else 1.0
+            slopes = [slope.of(node) for _, node in ordinary]
+            if all(sign in (wrong, 0.0) for sign in slopes) and wrong in slopes:
+                for (term, _), sign in zip(ordinary, slopes, strict=True):
+                    if sign == wrong:
+                        headline = f"`{term.name}` pays less as the episode approaches `{ending.name}`"
+                        yield _wrong_sign(
+                            term, headline, (Label(ending.span, "success requires the opposite"),)
+                        )
+                return
 
 
 class Slope:
@@ -187,7 +194,8 @@ def _sum(slopes: list[float | None]) -> float | None:
 def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
     """Report a reward that depends on a value that differs between episodes and that the policy does not
     observe."""
-    analysis, program = context.analysis.ideal, context.program
+    analysis = context.analysis.ideal
+    program = context.program
     observed = [entry.value for entry in program.agent.observation]
     observed += (
         [program.agent.goal.achieved, program.agent.goal.desired] if program.agent.goal is not None else []
@@ -226,7 +234,8 @@ def hidden_state_reward(context: RuleContext) -> Iterator[Finding]:
 @rule("DB710")
 def pays_towards_failure(context: RuleContext) -> Iterator[Finding]:
     """Report a term that pays more as the episode approaches a failure."""
-    analysis, reward = context.analysis, context.analysis.reward
+    analysis = context.analysis
+    reward = context.analysis.reward
     if context.program.agent.goal is not None or not reward.is_complete:
         return
     ordinary, _ = reward.split_by_end()
@@ -260,7 +269,8 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     analysis = reward.analysis
     running = reward.ranges_while_running()
     slope = Slope(reward.ranges_while_running(), threshold)
-    limit, quantity = threshold.bound.low, analysis.identity(threshold.quantity)
+    limit = threshold.bound.low
+    quantity = analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE_SHARE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE_SHARE) * limit, limit))
     wrong = [

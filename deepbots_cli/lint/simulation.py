@@ -40,10 +40,16 @@ IDLE = "doing nothing"
 
 _RESETS = 24
 """Resets with different seeds: an overlap in one of eight starts is found with a probability of 96 %."""
-_RANDOM_EPISODES, _RANDOM_STEPS, _ENOUGH_STEPS = 24, 250, 1500
-"""Episodes of random actions, the steps of each, and the steps in all after which no further one begins."""
-_OTHER_EPISODES, _OTHER_STEPS = 2, 500
-"""Episodes without action and of each script, and the steps of each."""
+_RANDOM_EPISODES = 24
+"""Episodes of random actions."""
+_RANDOM_STEPS = 250
+"""The steps of each of them."""
+_ENOUGH_STEPS = 1500
+"""The steps of all of them after which no further one begins."""
+_OTHER_EPISODES = 2
+"""Episodes without action, and of each script."""
+_OTHER_STEPS = 500
+"""The steps of each of them."""
 _VARIANT_STEPS = 100
 """Steps of an episode in a case or a stage."""
 _MAX_WORK = 200_000.0

@@ -81,7 +81,8 @@ class SpeedWatch:
             if not math.isfinite(velocity + spin):
                 return Stop("speed", body=watched.body, motion="nan")
             if velocity > self._fastest * _MIN_SPEED_GROWTH:
-                self._fastest, self.new_maximum = velocity, FastestBody(watched.body, velocity)
+                self._fastest = velocity
+                self.new_maximum = FastestBody(watched.body, velocity)
             if velocity > _MAX_SPEED + self._fall * time:
                 return Stop("speed", body=watched.body, motion="velocity", value=velocity)
             if spin > _MAX_SPIN and spin * self._substep > _HALF_TURN:
@@ -141,9 +142,11 @@ class WheelWatch:
         return check
 
     def _watched(self, engine: Engine, robot: str) -> Callable[[], None]:
-        pose, states = engine.pose(robot), engine.joint_states(robot, self._wheels[robot])
+        pose = engine.pose(robot)
+        states = engine.joint_states(robot, self._wheels[robot])
         (x, y, _), attitude = pose()
-        heading, positions = frames.roll_pitch_yaw(attitude)[2], [state[0] for state in states()]
+        heading = frames.roll_pitch_yaw(attitude)[2]
+        positions = [state[0] for state in states()]
 
         def check() -> None:
             position, attitude = pose()
@@ -205,7 +208,9 @@ class TiltWatch:
                 tilt = min(tilt, smallest)
             if self._time >= longest:
                 self.tilts[name] = self._time, tilt
-        self._watched, self._now, self._time = {}, {}, 0.0
+        self._watched = {}
+        self._now = {}
+        self._time = 0.0
 
 
 # Arms
@@ -407,7 +412,8 @@ def _top_of(engine: Engine, body: ObjectBody) -> Callable[[], float]:
 
 def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[[], float]:
     """Return a reader of an upper bound of the height in any attitude of the root, m."""
-    pose, reach = engine.pose(name), hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))
+    pose = engine.pose(name)
+    reach = hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))
     return lambda: pose()[0][2] + reach
 
 
@@ -415,12 +421,15 @@ def _ray_heights(engine: Engine, robot: str, sensor: Sensor) -> Callable[[], tup
     """Return a reader of the lowest point of any ray within its range, and the highest at which one begins,
     in m; (-inf, inf) while a ray meets something."""
     assert sensor.beams is not None  # only sensors that cast rays get here
-    mount, reach, part = frames.frame(sensor.mount), sensor.beams.reach, (robot, sensor.subjects[0])
+    mount = frames.frame(sensor.mount)
+    reach = sensor.beams.reach
+    part = (robot, sensor.subjects[0])
     rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
     begins = [ray[0] for ray in rays]
     ends = [*begins, *(frames.compose(ray, ((reach, 0.0, 0.0), frames.IDENTITY_ROTATION))[0] for ray in rays)]
     upright = sensor.beams.upright
-    pose, cast = engine.pose(*part), cast_rays(engine, part, rays, reach, upright=upright)
+    pose = engine.pose(*part)
+    cast = cast_rays(engine, part, rays, reach, upright=upright)
 
     def measured() -> tuple[float, float]:
         (_, _, height), turn = pose()

@@ -34,9 +34,11 @@ _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
 m^3."""
 _MAX_SIZE_RATIO = 4.0
 """The width of an object from which a robot in it is too small, as a multiple of the size of the robot."""
-_MIN_LARGE_ROBOT_M, _MIN_ROBOT_DENSITY = 10.0, 1e-5
-"""The length (m) of a large robot, and the mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg
-has 8, an arm of 0.75 m and 3.5 kg too."""
+_MIN_LARGE_ROBOT_M = 10.0
+"""The length (m) of a large robot."""
+_MIN_ROBOT_DENSITY = 1e-5
+"""Its mass (kg) for each cube of the length; a drone of 0.5 m and 1 kg has 8, an arm of 0.75 m and 3.5 kg
+too."""
 _MIN_OVERLAP_M = 0.01
 """The overlap (m) of the heights of two bodies of which one does not stand on the other."""
 _MAX_MASS_RATIO = 1e5
@@ -85,7 +87,8 @@ def falls_without_end(context: RuleContext) -> Iterator[Finding]:
 @rule("DB316")
 def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     """Report a physics engine that is not installed, or does not support a part of the world."""
-    world, kind = context.program.world, ENGINES.get(context.program.engine or "")
+    world = context.program.world
+    kind = ENGINES.get(context.program.engine or "")
     terrain = world.terrain
     if kind is None:
         return
@@ -155,7 +158,8 @@ def _needed_features(context: RuleContext) -> Iterator[tuple[Feature, Span]]:
 @rule("DB507")
 def odd_scale(context: RuleContext) -> Iterator[Finding]:
     """Report an implausible size or mass of an object or of a robot."""
-    world, values = context.program.world, context.values
+    world = context.program.world
+    values = context.values
     sizes = [
         (robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model)))))
         for robot in world.robots
@@ -258,7 +262,8 @@ def _odd_mass(
     size = volume(kind.shape)
     if not body.solid or kind.fixed or not size or kind.mass <= 0.0:
         return None
-    weight, density = with_unit(kind.mass, MASS), kind.mass / size
+    weight = with_unit(kind.mass, MASS)
+    density = kind.mass / size
     water = f"the same volume of water weighs {with_unit(_WATER_DENSITY * size, MASS)}"
     if not _MIN_DENSITY <= density <= _MAX_DENSITY:
         beyond = "more than any metal" if density > _MAX_DENSITY else "less than a tenth of air"
@@ -316,7 +321,8 @@ def unstable_simulation(simulation: Simulation) -> Iterator[Finding]:
     halt, stop = simulation.report.halt, simulation.report.stop
     if halt is not None and halt.kind in _KINDS:
         headline, help = _KINDS[halt.kind]
-        body, notes = None, [simulation.when()]
+        body = None
+        notes = [simulation.when()]
         if simulation.report.fastest:
             body, speed = simulation.report.fastest.body, simulation.report.fastest.speed
             notes.append(f"the fastest body before was `{body}`, at {speed:.3g} m/s")
@@ -335,7 +341,8 @@ def _stopped(simulation: Simulation, stop: Stop) -> Iterator[Finding]:
         case "lost":
             headline = f"the motion of `{body}` became infinite or NaN"
         case "engine":
-            headline, body = f"the engine stops with an error: {text}", _body_in(simulation, text)
+            headline = f"the engine stops with an error: {text}"
+            body = _body_in(simulation, text)
         case "build":
             yield Finding(
                 "DB309",
@@ -444,7 +451,9 @@ def _draws_coordinates(place: Placement) -> bool:
 def requirement_not_redrawn(context: RuleContext) -> Iterator[Finding]:
     """Report `reset.require` that depends only on parameters, which are not drawn again if it does not
     hold."""
-    program, analysis, require = context.program, context.analysis, context.program.reset.require
+    program = context.program
+    analysis = context.analysis
+    require = context.program.reset.require
     if require is None:
         return
     (node,) = analysis.scalars(require)

@@ -157,8 +157,8 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
         yield from _section_keys(section)
         return
     yield Choice(shape.key, CompletionItemKind.Property, f"one of {', '.join(shape.names)}")
-    for marker, model in shape.models_by_marker.items():
-        yield Choice(marker, CompletionItemKind.Property, summary(model, marker), hover_text(model, marker))
+    for key, model in shape.models_by_key.items():
+        yield Choice(key, CompletionItemKind.Property, summary(model, key), hover_text(model, key))
 
 
 # Values

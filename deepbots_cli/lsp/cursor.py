@@ -64,7 +64,8 @@ def cursor_at(text: str, offset: int) -> Cursor:
         except MarkedYAMLError as error:
             at, sign, behind = _repair(reader, behind, error)
         except _EndedError as error:
-            at, sign = error.opening, "_"
+            at = error.opening
+            sign = "_"
         else:
             if len(reader.open_containers) > MAX_DEPTH:
                 break
@@ -88,7 +89,8 @@ def value_at(data: Any, path: NodePath) -> Any:
 def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, str, str]:
     """Return the repair that lets the scanner continue: an offset, the character to put there (or none), and
     the text after the mark."""
-    text, problem = reader.text, error.problem or ""
+    text = reader.text
+    problem = error.problem or ""
     stop = error.problem_mark.index if error.problem_mark else len(text)
     at = error.context_mark.index if error.context_mark else stop
     if "could not find expected ':'" in problem:  # a line without a key
@@ -221,7 +223,9 @@ class _Reader:
 
     def _scalar(self, text: str, start: int, end: int) -> None:
         holder, key, _ = self.slot
-        self.word, self.value_start, self.value_end = text, start, end
+        self.word = text
+        self.value_start = start
+        self.value_end = end
         if key is not None:
             holder[key] = text
 
@@ -241,12 +245,15 @@ class _Reader:
             and "\n" not in line
             and not _DASHES.sub("", line[: len(line) - len(self.text) + start], 1)
         )
-        self.path, self.start = path, start
+        self.path = path
+        self.start = start
         if key is not None and holder[key] != "":  # a complete value, and more
             if on_own_line:
-                self.path, self.role = self.open_containers[-1][2] if self.open_containers else (), "key"
+                self.path = self.open_containers[-1][2] if self.open_containers else ()
+                self.role = "key"
             elif self.value_end == start and self.text.endswith(("}", "]")):
-                self.role, self.start = "value", self.value_start
+                self.role = "value"
+                self.start = self.value_start
             return
         self.role = "key" if key is None or on_own_line else "value"
         if is_block:

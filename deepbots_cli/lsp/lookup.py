@@ -47,6 +47,31 @@ from deepbots_cli.scenario.scenario import Scenario
 
 _OPTION = Reference("option")
 
+_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
+_COLON = re.compile(r"[\"']?[ \t]*:")
+_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
+
+_START = types.Range(types.Position(0, 0), types.Position(0, 0))
+_ALIAS = re.compile(r"\*([\w-]+)")
+
+_DEPTH = 4
+_SECTIONS = {
+    "parameters": types.SymbolKind.Constant,
+    "signals": types.SymbolKind.Variable,
+    "augment": types.SymbolKind.Variable,
+    "robots": types.SymbolKind.Class,
+    "objects": types.SymbolKind.Object,
+    "action": types.SymbolKind.Event,
+    "reward": types.SymbolKind.Number,
+    "success": types.SymbolKind.Boolean,
+    "failure": types.SymbolKind.Boolean,
+    "sensors": types.SymbolKind.Interface,
+    "actuators": types.SymbolKind.Interface,
+    "scripts": types.SymbolKind.Function,
+    "tests": types.SymbolKind.Method,
+}
+"""The symbol kind of the names in a section."""
+
 
 def shapes_at(path: NodePath, data: Any) -> list[Shape]:
     """Return every shape that the schema allows at `path`; several while the data does not determine the form
@@ -116,11 +141,6 @@ def _sections(shape: Shape, data: Any) -> tuple[type[Section], ...]:
         section = shape.find(data)
         return (section,) if section else shape.distinct_models
     return (shape,) if isinstance(shape, type) else ()
-
-
-_KEY = re.compile(r"[^\s:,\[\]{}#\"']*")
-_COLON = re.compile(r"[\"']?[ \t]*:")
-_VALUE = re.compile(r"(?:[^\s,\[\]{}]|[ \t]+(?![#\s]))*")
 
 
 class ExpressionNode(NamedTuple):
@@ -203,7 +223,8 @@ def expression_at(view: CursorView) -> ExpressionNode | None:
 
 def key_or_value_at(view: CursorView) -> KeyOrValue | None:
     """Return the key or the single value under the cursor."""
-    cursor, text = view.cursor, view.document.plain
+    cursor = view.cursor
+    text = view.document.plain
     if cursor.role == "aside":
         return None
     if cursor.role == "key":
@@ -224,7 +245,8 @@ def _end(pattern: re.Pattern[str], text: str, start: int) -> int:
 def _size_around(view: CursorView, reading: ScopedExpression) -> int | None:
     """Return the length of the expression's text if it contains the cursor, otherwise None. A default has no
     text in the file."""
-    text, then = reading.text, view.known_offset
+    text = reading.text
+    then = view.known_offset
     first, last = text.part(0, 1), text.part(max(0, len(text.text) - 1), len(text.text))
     if first.source is not view.source or then is None or not first.start <= then <= last.end:
         return None
@@ -263,10 +285,6 @@ def _inside(node: syntax.Node) -> Iterator[tuple[syntax.Node, frozenset[Kind] | 
 
 def ignore_finding(*_finding: object, **_more: object) -> None:
     """Discard a finding, because the analysis reports it."""
-
-
-_START = types.Range(types.Position(0, 0), types.Position(0, 0))
-_ALIAS = re.compile(r"\*([\w-]+)")
 
 
 def definitions(view: CursorView, open_uris: dict[Path, str]) -> list[types.Location]:
@@ -363,25 +381,6 @@ def _setting(root: MappingNode, text: str) -> list[Span]:
     return [key.span] if key else []
 
 
-_DEPTH = 4
-_SECTIONS = {
-    "parameters": types.SymbolKind.Constant,
-    "signals": types.SymbolKind.Variable,
-    "augment": types.SymbolKind.Variable,
-    "robots": types.SymbolKind.Class,
-    "objects": types.SymbolKind.Object,
-    "action": types.SymbolKind.Event,
-    "reward": types.SymbolKind.Number,
-    "success": types.SymbolKind.Boolean,
-    "failure": types.SymbolKind.Boolean,
-    "sensors": types.SymbolKind.Interface,
-    "actuators": types.SymbolKind.Interface,
-    "scripts": types.SymbolKind.Function,
-    "tests": types.SymbolKind.Method,
-}
-"""The symbol kind of the names in a section."""
-
-
 def document_symbols(document: Document) -> list[types.DocumentSymbol]:
     """Return the keys of a document in the order of the file; empty if the document cannot be parsed."""
     _, root, _ = document.read()
@@ -420,6 +419,8 @@ def _document_symbol(
 _CODE = re.compile(r"DB\d{3}")
 _MAX_CHARACTERS = 300
 
+_LONGEST_NOUN = 120
+
 
 def hover(view: CursorView) -> types.Hover | None:
     """Return the hover text of a place; None for white space and text without a meaning."""
@@ -443,11 +444,12 @@ def _suppressed_code(view: CursorView) -> HoverText | None:
     end = text.find("\n", view.offset)
     line = text[begin : end if end >= 0 else len(text)]
     comment = line.find("deepbots:")
-    for match in _CODE.finditer(line, max(0, comment)) if comment >= 0 else ():
-        if begin + match.start() <= view.offset <= begin + match.end() and (
-            page := describe_rule(match.group())
-        ):
-            return page, begin + match.start(), begin + match.end()
+    if comment >= 0:
+        for match in _CODE.finditer(line, max(0, comment)):
+            if begin + match.start() <= view.offset <= begin + match.end() and (
+                page := describe_rule(match.group())
+            ):
+                return page, begin + match.start(), begin + match.end()
     return None
 
 
@@ -602,9 +604,6 @@ def _reference_text(view: CursorView, target: KeyOrValue, field: FieldType) -> s
         (entry for entry in names_at(checked, field.kind, target.path) if entry.name == target.text), None
     )
     return f"`{match.name}`: {match.description}{_definition_line(match)}" if match else None
-
-
-_LONGEST_NOUN = 120
 
 
 def summary(part: type[Section], key: str) -> str:

@@ -53,6 +53,15 @@ _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.Diagnos
 _UNNECESSARY = frozenset({"DB205", "DB901"})
 """The rules that report unnecessary text, which editors show faded."""
 
+_DEBOUNCE = 0.05
+"""Seconds between a change and its analysis; people type up to ten letters a second."""
+
+FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
+KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
+
+_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
+_MAX_TITLE = 40
+
 
 def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
     """Convert a finding with its related locations."""
@@ -85,9 +94,6 @@ def diagnostics(analysis: DocumentAnalysis, open_uris: dict[Path, str]) -> dict[
         by_uri.setdefault(locator.uri(finding.span.source), []).append(diagnostic(finding, locator))
     return by_uri
 
-
-_DEBOUNCE = 0.05
-"""Seconds between a change and its analysis; people type up to ten letters a second."""
 
 Publish = Callable[[str, int | None, list[types.Diagnostic]], None]
 Warn = Callable[[str], None]
@@ -205,13 +211,6 @@ class Checker:
             self._publish(uri, document.version if document else None, list(unique.values()))
 
 
-FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
-KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
-
-_SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
-_MAX_TITLE = 40
-
-
 class CodeActions:
     """The code actions of a document; edits apply only to the open versions of documents."""
 
@@ -270,7 +269,8 @@ class CodeActions:
 
     def _findings(self, range: types.Range) -> Iterator[tuple[Finding, DocumentAnalysis]]:
         """Yield the findings in the document that touch the range, each once."""
-        lines, keys = self._document.lines, set()
+        lines = self._document.lines
+        keys = set()
         start, end = lines.offset(range.start), lines.offset(range.end)
         for analysis, source in self._workspace.analyses_of(self._document):
             for finding in analysis.findings:
@@ -305,12 +305,13 @@ class CodeActions:
         documents."""
         changes: dict[Document, list[types.TextEdit]] = {}
         by_path = self._workspace.by_path
-        for edit in finding.fix.edits if finding.fix else ():
-            document = by_path.get(analysis.path(edit.span.source))
-            if document is None or document.plain != edit.span.source.text:
-                return {}
-            span = document.lines.range(edit.span.start, edit.span.end)
-            changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
+        if finding.fix:
+            for edit in finding.fix.edits:
+                document = by_path.get(analysis.path(edit.span.source))
+                if document is None or document.plain != edit.span.source.text:
+                    return {}
+                span = document.lines.range(edit.span.start, edit.span.end)
+                changes.setdefault(document, []).append(types.TextEdit(span, edit.text))
         return changes
 
     def _suppression_edit(self, finding: Finding) -> types.TextEdit | None:
@@ -323,9 +324,11 @@ class CodeActions:
         line = text[begin:end].rstrip()
         match = _SUPPRESSION.search(line)
         if match:
-            at, added = begin + match.end(1), f", {finding.code}"
+            at = begin + match.end(1)
+            added = f", {finding.code}"
         else:
-            at, added = begin + len(line), f"  # deepbots: ignore[{finding.code}]"
+            at = begin + len(line)
+            added = f"  # deepbots: ignore[{finding.code}]"
         if not has_same_values(Source("", text), text[:at] + added + text[at:]):
             return None
         position = self._document.lines.position(at)

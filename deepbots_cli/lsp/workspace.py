@@ -38,6 +38,8 @@ _LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
 _UTF_16 = PositionCodec()
 
+_NAMELESS = "<untitled {:08x}>"
+
 
 class Lines:
     """Converts between offsets in a text and positions of the protocol, whose columns count units of the
@@ -74,16 +76,14 @@ class Lines:
         if position.line >= len(self._starts):
             return len(self._text) - self._mark
         line = max(0, position.line)
-        start, text = self._starts[line], self._text[self._starts[line] : self._ends[line]]
+        start = self._starts[line]
+        text = self._text[self._starts[line] : self._ends[line]]
         column = min(max(0, position.character), len(text))
         if not text.isascii():
             column = bisect_right(
                 list(accumulate(map(self._codec.client_num_units, text))), max(0, position.character)
             )
         return max(0, start + column - self._mark)
-
-
-_NAMELESS = "<untitled {:08x}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,12 +213,14 @@ def analyze(
     try:
         project = settings(document.path.parent)
     except UsageError as error:
-        project, settings_error = Settings(document.path.parent), str(error)
+        project = Settings(document.path.parent)
+        settings_error = str(error)
     preview = bool(project.preview)
     try:
         selection = Selection(project.select, project.ignore, preview=preview)
     except UsageError as error:
-        selection, settings_error = Selection(preview=preview), str(error)
+        selection = Selection(preview=preview)
+        settings_error = str(error)
     try:
         loaded = load(
             document.path,

@@ -44,7 +44,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.program.draws import EpisodeDraws
 from deepbots_cli.program.levels import Levels
-from deepbots_cli.program.members import Member, Others, joint_name, members_of
+from deepbots_cli.program.members import Member, Others, members_of, qualified_name
 from deepbots_cli.program.resets import Disturbance, Reset
 from deepbots_cli.program.robots import Direction, Link, Robot, Timing
 from deepbots_cli.program.task import Agent, Choices, Criterion, Evaluation, ScenarioTest, Script, Truncation
@@ -177,7 +177,7 @@ class Program:
     def with_critic_of(self, name: str) -> Program:
         """Return the program of all agents in which only one of them has the values of its critic, too."""
         member = self.members[name]
-        names = {joint_name(name, entry.name) for entry in member.program.agent.critic}
+        names = {qualified_name(name, entry.name) for entry in member.program.agent.critic}
         entries = tuple(entry for entry in self.agent.critic if entry.name in names)
         agents = {key: replace(agent, critic=entries).with_critic for key, agent in self.agents.items()}
         programs = {key: entry.program for key, entry in self.members.items()}

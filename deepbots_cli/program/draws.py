@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 
 _PLANE = ("x", "y")
 
+_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
+
+_OF_COPY = re.compile(r"\w+#\d+\.")
+
 
 class _Units(TypedDict):
     """The SI unit of a draw, and the unit in which the scenario writes it."""
@@ -79,15 +83,9 @@ def key_of_member(member: str, name: str) -> str:
     return f"{member}|{name}"
 
 
-_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
-
-
 def is_of_member(name: str) -> bool:
     """Return whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
     return _OF_MEMBER.match(name) is not None
-
-
-_OF_COPY = re.compile(r"\w+#\d+\.")
 
 
 def without_copy(name: str) -> str:
@@ -188,10 +186,8 @@ class EpisodeDraws:
         yield from ((None, entry) for group in reset.groups for entry in _draws(group.count))
         for object_body in self.program.world.objects:
             if len(object_body.variants) > 1:
-                name, names = (
-                    kind_key(object_body.name),
-                    tuple(variant.name for variant in object_body.variants),
-                )
+                name = kind_key(object_body.name)
+                names = tuple(variant.name for variant in object_body.variants)
                 yield object_body.name, EpisodeDraw(name, name, words=names)
         yield from self._of_placements()
 
@@ -207,7 +203,8 @@ class EpisodeDraws:
 
     def _of_placements(self) -> Iterator[tuple[str | None, EpisodeDraw]]:
         """Yield the positions that are looked for."""
-        reset, units = self.program.reset, self._reset_units
+        reset = self.program.reset
+        units = self._reset_units
         groups = {group.name: group for group in reset.groups}
         arranged = (
             ("reset.place", reset.placements),
@@ -272,7 +269,8 @@ def _places(
     coordinates with a value."""
     bounds = _bounds(place, group)
     for body in group.copies if group else (place.body,):
-        member, body_path = body if group else "", f"{path}.{body}"
+        member = body if group else ""
+        body_path = f"{path}.{body}"
         if group:
             trees = [
                 (f"{body_path}.{axis}", value)

@@ -104,8 +104,9 @@ def _agreed(agent: Agent, program: Program) -> dict[str, str]:
         items["agent.frame_stack"] = f"{agent.frame_stack} observations in a row"
     items |= {f"action.{part.name}": _action(part) for part in agent.action}
     for robot in program.robots:
-        for layout in (robot.to_robot, robot.from_robot) if robot.name in agent.robots else ():
-            items |= _message(layout)
+        if robot.name in agent.robots:
+            for layout in (robot.to_robot, robot.from_robot):
+                items |= _message(layout)
     return items
 
 

@@ -24,12 +24,6 @@ RANDOM, ZERO = "random", "zero"
 """Drivers of an agent besides its scripts."""
 _SEPARATOR = "__"
 
-
-def joint_name(agent: str, name: str) -> str:
-    """Return the name of something of an agent in the program of all agents."""
-    return f"{agent}{_SEPARATOR}{name}"
-
-
 PREVIOUS_ACTION = "previous_action"
 PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
 """Values of an agent itself: they are made of its own reward terms."""
@@ -39,8 +33,13 @@ _OWN_SECTIONS = frozenset({"action", "augment", "critic", "observation", "reward
 _SIGNALS = "signals"
 
 
+def qualified_name(agent: str, name: str) -> str:
+    """Return the name of something of an agent in the program of all agents."""
+    return f"{agent}{_SEPARATOR}{name}"
+
+
 @dataclass(frozen=True)
-class JointNames:
+class MemberNames:
     """The names of an agent in the program of all agents.
 
     Attributes:
@@ -68,7 +67,7 @@ class JointNames:
         noise = value.noise
         return replace(
             value,
-            name=joint_name(self.agent, value.name) if own else value.name,
+            name=qualified_name(self.agent, value.name) if own else value.name,
             owner=self._owner(value.owner),
             lowered=None if value.foreign is not None else self.scalars(value.scalars),
             noise=None if noise is None else replace(noise, std=self.expression(noise.std, own=False)),
@@ -82,7 +81,7 @@ class JointNames:
             return name._replace(component=self.previous[name.component or next(iter(self.previous))])
         of_agent = (PREVIOUS_REWARD, EPISODE_RETURN, *((TERMINATED, ENDED) if self.ends_alone else ()))
         if name.name in of_agent:
-            return name._replace(name=joint_name(self.agent, name.name))
+            return name._replace(name=qualified_name(self.agent, name.name))
         return name._replace(name=self.names.get(name.name, name.name))
 
     def _slot(self, slot: str) -> str:
@@ -123,7 +122,7 @@ class Member:
     """
 
     name: str
-    names: JointNames
+    names: MemberNames
     program: Program
     columns: tuple[int, ...]
     choices: tuple[int, int]
@@ -175,7 +174,7 @@ class Others:
     def scripts(self) -> tuple[str, ...]:
         """The scripts that act for other agents, by their names in the program of all agents."""
         return tuple(
-            joint_name(name, driver)
+            qualified_name(name, driver)
             for name, driver in self.drivers.items()
             if driver not in (RANDOM, ZERO) and name not in self.models
         )
@@ -215,13 +214,13 @@ def endings_alone(agent: str, programs: Mapping[str, Program]) -> frozenset[str]
 
 
 def members_of(
-    programs: Mapping[str, Program], names: Mapping[str, JointNames], joint: Agent
+    programs: Mapping[str, Program], names: Mapping[str, MemberNames], combined: Agent
 ) -> dict[str, Member]:
     """Return the agents with these programs and names, given the agent of the program of all."""
     positions = {
         (number.name, number.component, age): position
-        for position, (index, age) in enumerate(joint.seen)
-        for number in (joint.numbers[index],)
+        for position, (index, age) in enumerate(combined.seen)
+        for number in (combined.numbers[index],)
     }
     members: dict[str, Member] = {}
     choices = ranges = 0
@@ -233,10 +232,12 @@ def members_of(
             name,
             names[name],
             program,
-            tuple(positions[joint_name(name, number.name), number.component, age] for number, age in entries),
+            tuple(
+                positions[qualified_name(name, number.name), number.component, age] for number, age in entries
+            ),
             (choices, last_choice),
             (ranges, last_range),
-            {term.name: joint_name(name, term.name) for term in agent.reward},
+            {term.name: qualified_name(name, term.name) for term in agent.reward},
             endings_alone(name, programs),
         )
         choices, ranges = last_choice, last_range

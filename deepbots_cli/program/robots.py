@@ -495,7 +495,8 @@ class Command:
     @cached_property
     def scalars(self) -> tuple[Scalar, ...]:
         """One target per component, within the velocity limits of joints and the range of thrusts."""
-        values, reach = self.target.scalars, self.target.typed.type.interval
+        values = self.target.scalars
+        reach = self.target.typed.type.interval
         if self.opening:
             closed, open_ = self.opening
             share = _clamped(values[0], 0.0, 1.0, reach)

@@ -40,6 +40,9 @@ EngineParameter = WorldParameter | LinkParameter | JointParameter
 WALL_COLOR: Color = (0.55, 0.60, 0.68, 1.0)
 """The color of walls without a color of their own."""
 
+TILE_MARGIN_M = 0.5
+"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
+
 
 @dataclass(frozen=True)
 class Ground:
@@ -82,10 +85,6 @@ class Formula:
     size: tuple[float, float]
 
 
-TILE_MARGIN_M = 0.5
-"""The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
-
-
 @dataclass(frozen=True)
 class Tile:
     """The kind of a tile, and its measures by name: at the lowest and at the highest level, in SI units."""
@@ -118,7 +117,8 @@ class Tiles:
 
     def largest_height(self, kind: int) -> float:
         """Return the largest height or depth (m) that a kind of tile can have in any level."""
-        tile, rise = self.tiles[kind], (self.side - self.platform) / 2
+        tile = self.tiles[kind]
+        rise = (self.side - self.platform) / 2
         largest = {name: max(low, high) for name, low, high in tile.measures}
         if tile.kind == "slope":
             return math.tan(largest["angle"]) * rise

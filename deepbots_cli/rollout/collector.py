@@ -27,7 +27,10 @@ import numpy as np
 from deepbots_cli.rollout.episode import Episode
 from deepbots_cli.rollout.worlds import Array, Ending, Worlds, WorldsStep, observation_digest
 from deepbots_cli.runtime.batch import EpisodeHistory
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
+
+_NOISE = 0.1
+"""The standard deviation of the noise on ranges while a script drives, in the agent's [-1, 1]."""
 
 
 class Decision(NamedTuple):
@@ -41,10 +44,6 @@ class Decision(NamedTuple):
 Actor = Callable[[Any, Array, Array | None], Decision]
 """Acts on the observations of all rows, given which rows begin an episode, and which options are allowed
 (None: all)."""
-
-
-_NOISE = 0.1
-"""The standard deviation of the noise on ranges while a script drives, in the agent's [-1, 1]."""
 
 
 class Lesson(NamedTuple):
@@ -199,8 +198,13 @@ class LocalCollector:
         with_masks: bool = False,
         lesson: Lesson | None = None,
     ) -> Fragment | None:
-        observations, starts = self.begin(), self.starts
-        observation_rows, decisions, rewards, begun, endings = [], [], [], [], []
+        observations = self.begin()
+        starts = self.starts
+        observation_rows = []
+        decisions = []
+        rewards = []
+        begun = []
+        endings = []
         agent_rewards: list[Mapping[str, Array]] = []
         agent_phases: list[Mapping[str, Array]] = []
         for number in range(steps):
@@ -241,7 +245,8 @@ class LocalCollector:
         fragment contains more states."""
         taught = self.worlds.scripted(lesson.script)
         columns = {**decision.columns, "taught": taught}
-        actions, lesson_actions = np.array(decision.actions), taught[: lesson.worlds]
+        actions = np.array(decision.actions)
+        lesson_actions = taught[: lesson.worlds]
         if lesson.worlds:
             if isinstance(self.action_space, gym.spaces.Box):
                 lesson_actions = np.clip(
@@ -315,7 +320,7 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
 
 def _joined(join_arrays: Callable[[Sequence[Any]], Any], observations: Sequence[Any]) -> Any:
     """Join observations array by array."""
-    return by_part(lambda *parts: join_arrays(parts), *observations)
+    return apply_to_parts(lambda *parts: join_arrays(parts), *observations)
 
 
 # Shards
@@ -516,7 +521,10 @@ class ShardedCollector(FetchingCollector):
         agents: Sequence[Any],
         listener: ShardListener,
     ) -> None:
-        self._pool, self._listener, self._sizes, self._stages = pool, listener, sizes, stages
+        self._pool = pool
+        self._listener = listener
+        self._sizes = sizes
+        self._stages = stages
         self.agents = agents
         self._anew(seeds)
         self._width = len(agents)
@@ -553,7 +561,9 @@ class ShardedCollector(FetchingCollector):
     ) -> Fragment:
         began = perf_counter()
         answer = self._asked or self._ask(actor, steps, with_masks, lesson)
-        harvests, self._asked, self.stale = answer(), None, {}
+        harvests = answer()
+        self._asked = None
+        self.stale = {}
         self._note_times(harvests, perf_counter() - began)
         actor.remember(
             {
@@ -650,7 +660,9 @@ class ShardedCollector(FetchingCollector):
                     upcoming = next(endings, None)
             self.starts = fragment.following_starts if is_last else fragment.starts[number + 1]
             self._observations = (
-                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+                fragment.following
+                if is_last
+                else apply_to_parts(itemgetter(number + 1), fragment.observations)
             )
             yield WorldsStep(
                 self._observations, fragment.rewards[number], self.starts, [{}] * self.rows, step_endings

@@ -20,9 +20,14 @@ if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.forward_pass import Predictor
 
-HAND, POLICY, RECORDED, ROBOT = "you", "policy", "recording", "robot"
-"""The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
-option of each choice."""
+# The names of drivers besides the scripts of a scenario. `zero` is the middle of each range and the first
+# option of each choice.
+HAND = "you"
+POLICY = "policy"
+RECORDED = "recording"
+ROBOT = "robot"
+
+_MAX_DIGITS = 6
 
 
 def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
@@ -92,7 +97,9 @@ class AgentsDriver(Driver):
     def __init__(self, world: Supervisor, drivers: Mapping[str, str | Predictor]) -> None:
         from deepbots_cli.runtime import agents
 
-        self._world, self._seats, self._join = world, agents.seats_of(world), agents.joint_action
+        self._world = world
+        self._seats = agents.seats_of(world)
+        self._join = agents.combined_action
         self._policies = {
             name: agents.PolicyAct(driver, self._seats[name])
             for name, driver in drivers.items()
@@ -171,9 +178,6 @@ class _RepeatedActions(Driver):
 
     def _acts(self) -> Iterator[Callable[[], Any]]:
         return (act for act, times in cycle(self._parts) for _ in range(times))
-
-
-_MAX_DIGITS = 6
 
 
 def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:

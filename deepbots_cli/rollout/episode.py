@@ -183,7 +183,8 @@ class EpisodeAccumulator:
 
     def begin(self, seed: int | None, info: Mapping[str, Any]) -> None:
         """Begin an episode with the seed of the reset, and the info that it returned."""
-        self._seed, self._drawn = seed, info.get("drawn", {})
+        self._seed = seed
+        self._drawn = info.get("drawn", {})
 
     def add(self, reward: float, info: Mapping[str, Any]) -> None:
         """Count one step.
@@ -207,12 +208,17 @@ class EpisodeAccumulator:
 
     def close(self, info: Mapping[str, Any]) -> Episode:
         """Return the finished episode, given the info of its last step. The next one begins."""
-        success, ended_by = bool(info.get("is_success", False)), info.get("ended_by")
+        success = bool(info.get("is_success", False))
+        ended_by = info.get("ended_by")
         ends = info.get("agent_endings", {})
         episode = Episode(
             self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn, ends
         )
-        self._return, self._length, self._terms, self._seed, self._drawn = 0.0, 0, {}, None, {}
+        self._return = 0.0
+        self._length = 0
+        self._terms = {}
+        self._seed = None
+        self._drawn = {}
         return episode
 
 

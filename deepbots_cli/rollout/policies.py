@@ -74,7 +74,7 @@ def play_episodes(
             running = [lane for lane, episode in stepped if episode is None or lane.begin(forward)]
 
 
-def in_order(
+def ordered_episodes(
     finished: Iterable[NumberedEpisode],
     numbers: Sequence[int],
     on_episode: OnEpisode | None = None,
@@ -106,12 +106,14 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
     Raises:
         DeepbotsError: A world fails; `play_episodes` reports its place.
     """
-    count, width = len(worlds.singles), worlds.copies
+    count = len(worlds.singles)
+    width = worlds.copies
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
     choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
     passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
-    numbers, running = list(range(count)), BatchEpisodes(worlds)
+    numbers = list(range(count))
+    running = BatchEpisodes(worlds)
     answers: list[Any] = [None] * len(passes)
     lost = len(worlds.losses)
     observations = worlds.reset(seeds[:count])
@@ -128,7 +130,8 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
             raise EngineError(worlds.losses[-1].error)
         begun = []
         for index, world in enumerate(outcome.done.tolist()):
-            number, row = numbers[world], world % size
+            number = numbers[world]
+            row = world % size
             yield number, running.close(world, outcome.infos[index], seeds[number], draws[world])
             if waiting[row]:
                 numbers[world] = waiting[row].popleft()
@@ -161,7 +164,9 @@ class PolicyDriver(Driver):
         deterministic: bool = True,
         batch: BatchSupervisor | None = None,
     ) -> None:
-        self._policy, self._world, self._deterministic = policy, world, deterministic
+        self._policy = policy
+        self._world = world
+        self._deterministic = deterministic
         if batch:
             self._size = batch.count
         elif has_copies(world):
@@ -171,13 +176,16 @@ class PolicyDriver(Driver):
         self._takes_masks = policy.takes_masks and world.has_wrapper_attr("action_masks")
         self._masks = batch.action_masks if batch else lambda: world.get_wrapper_attr("action_masks")()
         self._forward: ForwardPass | None = None
-        self._row, self._starts = 0, np.ones(self._size or 1, bool)
+        self._row = 0
+        self._starts = np.ones(self._size or 1, bool)
         self._memory: Any = None
 
     def begin(self, start: Start) -> None:
         if start.seed is not None:  # only a policy that samples draws from it
             _seed_sampling(derive_seed(start.seed, "policy"))
-        self._memory, self._starts[:], self._forward = None, True, None
+        self._memory = None
+        self._starts[:] = True
+        self._forward = None
         if start.number is not None and not self._size:
             self._row = start.number % FORWARD_BATCH_SIZE
             self._forward = ForwardPass(
@@ -231,7 +239,9 @@ class EvaluationLane:
         self, world: gym.Env[Any, Any], row: int, numbers: Iterable[int], seeds: Sequence[int]
     ) -> None:
         self.row = self.number = row
-        self._world, self._numbers, self._seeds = world, iter(numbers), seeds
+        self._world = world
+        self._numbers = iter(numbers)
+        self._seeds = seeds
         self._accumulator = EpisodeAccumulator()
         self._action: Any = None
         self._steps: Iterator[Step] = iter(())
@@ -241,7 +251,8 @@ class EvaluationLane:
         number = next(self._numbers, None)
         if number is None:
             return False
-        self.number, seed = number, self._seeds[number]
+        self.number = number
+        seed = self._seeds[number]
         _seed_sampling(derive_seed(seed, "policy"))  # only a policy that samples draws from it
         forward.starts[self.row] = True
         self._steps = steps(self._world, Driver(lambda _: self._action), Start(seed, number=number))

@@ -24,7 +24,9 @@ from deepbots_cli.files import read_at_most
 
 FORMAT = 1
 # The largest sizes of a file, of one record, and of all records unpacked, in bytes.
-_MAX_FILE, _MAX_RECORD, _MAX_CONTENT = 1 << 28, 1 << 26, 1 << 29
+_MAX_FILE = 1 << 28
+_MAX_RECORD = 1 << 26
+_MAX_CONTENT = 1 << 29
 _MAX_INPUTS = 1000
 _RECORD_OVERHEAD_BYTES = 100
 """The number of bytes that a record takes in memory besides its content, because even a chunk of empty

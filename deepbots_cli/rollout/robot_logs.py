@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 MAX_STEPS = 500_000
 
+EVENT_PREFIXES = {
+    "safe": "safe posture: ",
+    "resumed": "the policy acts again: ",
+    "refused": "a message was refused: ",
+}
+
 
 class LoggedStep(msgspec.Struct, frozen=True):
     """A command, and the inputs of the policy for it.
@@ -85,8 +91,7 @@ class RobotLog:
             if description is None or "resolved.yaml" not in files:
                 raise RecordingError(
                     f"{path} is the log of a robot without the scenario, which the page draws; serve a whole"
-                    " bundle of this version of"
-                    f" deepbots, or read the log with: deepbots diagnose {path}"
+                    f" bundle of this version of deepbots, or read the log with: deepbots diagnose {path}"
                 )
             info = decode(description)
             files = {safe_name(name): content for name, content in files.items()}
@@ -143,12 +148,15 @@ def _episodes(
     """Yield the episodes with a step. They have the numbers of the log, or their places if a number occurs
     twice. Calls `note` if there are more than `MAX_STEPS` steps, of which the others are left out."""
     episodes: list[tuple[int, list[LoggedStep]]] = []
-    begun, events, count = 0.0, list[str](), 0
+    begun = 0.0
+    events: list[str] = []
+    count = 0
     for topic, stamp, content in messages:
         kind, text = (str(content.get(key, "")) for key in ("kind", "text"))
         if topic == "/event" and kind == "episode":
             episodes.append((int(text) if text.isdecimal() else 0, []))
-            begun, events = stamp, []
+            begun = stamp
+            events = []
         elif topic == "/event":
             events.append(f"{EVENT_PREFIXES.get(kind, '')}{text}"[:200])
         elif topic == "/step":
@@ -166,10 +174,3 @@ def _episodes(
     twice = any(times > 1 for times in numbers.values())
     for index, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
         yield LoggedEpisode(index if twice else number, steps)
-
-
-EVENT_PREFIXES = {
-    "safe": "safe posture: ",
-    "resumed": "the policy acts again: ",
-    "refused": "a message was refused: ",
-}

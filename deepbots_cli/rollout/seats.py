@@ -27,7 +27,7 @@ from deepbots_cli.rollout.collector import (
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.worlds import Array, Ending, Phase, WorldsStep
 from deepbots_cli.runtime.agents import SeatLayout
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 
 _SEPARATOR = "/"
 """Between the name of an agent and a name of its own, in names of columns, weights and memories."""
@@ -63,7 +63,9 @@ class OfferedCollector(FetchingCollector):
 
     def __init__(self, of_all: Any, example: SeatLayout) -> None:
         self._of_all = of_all
-        self.times, self.stale, self.agents = CollectTimes(), {}, (_NoWorld(),)
+        self.times = CollectTimes()
+        self.stale = {}
+        self.agents = (_NoWorld(),)
         self.observation_space, self.action_space = example.observation_space, example.action_space
         self._fragment: Fragment | None = None
 
@@ -96,7 +98,9 @@ class OfferedCollector(FetchingCollector):
         for number, rewards in enumerate(fragment.rewards):
             is_last = number + 1 == len(fragment.rewards)
             following = (
-                fragment.following if is_last else by_part(itemgetter(number + 1), fragment.observations)
+                fragment.following
+                if is_last
+                else apply_to_parts(itemgetter(number + 1), fragment.observations)
             )
             dones = fragment.following_starts if is_last else fragment.starts[number + 1]
             yield WorldsStep(following, rewards, dones, [{}] * self.rows, endings.get(number, []))
@@ -122,7 +126,8 @@ class SeatCollector(OfferedCollector):
 
     def __init__(self, seat: SeatLayout, of_all: Any) -> None:
         super().__init__(of_all, seat)
-        self._seat, self.rows = seat, of_all.rows
+        self._seat = seat
+        self.rows = of_all.rows
 
     @property
     def starts(self) -> Array:
@@ -133,7 +138,8 @@ class SeatCollector(OfferedCollector):
         return self._seat.observation(self._of_all.begin())
 
     def part_of(self, of_all: Fragment) -> Fragment:
-        seat, name = self._seat, self._seat.member.name
+        seat = self._seat
+        name = self._seat.member.name
         return replace(
             _own_course(of_all, of_all.agent_phases.get(name)),
             observations=seat.observation(of_all.observations),
@@ -166,7 +172,7 @@ class SharedCollector(OfferedCollector):
         return np.concatenate([seat.starts for seat in self._seats])
 
     def begin(self) -> Any:
-        return by_part(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
+        return apply_to_parts(lambda *parts: np.concatenate(parts), *(seat.begin() for seat in self._seats))
 
     def part_of(self, of_all: Fragment) -> Fragment:
         parts = [seat.part_of(of_all) for seat in self._seats]
@@ -191,7 +197,7 @@ def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:
     )
 
 
-class JointActor:
+class MultiAgentActor:
     """Acts for several agents in the same worlds, each with its own actor.
 
     Args:
@@ -203,7 +209,9 @@ class JointActor:
     def __init__(
         self, seats: Mapping[str, SeatLayout], actors: Mapping[str, PolicyActor], masked: Sequence[str] = ()
     ) -> None:
-        self._seats, self._actors, self._masked = seats, actors, masked
+        self._seats = seats
+        self._actors = actors
+        self._masked = masked
 
     def begin(self) -> None:
         for actor in self._actors.values():

@@ -29,7 +29,7 @@ from deepbots_cli.rollout.episode import (
     set_random_state,
 )
 from deepbots_cli.runtime.batch import BatchStep, BatchSupervisor, EpisodeHistory, LostWorld
-from deepbots_cli.runtime.spaces import by_part
+from deepbots_cli.runtime.spaces import apply_to_parts
 
 Array = NDArray[Any]
 ENDED_BY_ANOTHER_COPY = "another_copy"
@@ -134,7 +134,8 @@ class Worlds:
         agent_terms: AgentTerms = ONE_AGENT,
         agents_alone: Sequence[str] = (),
     ) -> None:
-        self._agent_terms, self._agents_alone = agent_terms, agents_alone
+        self._agent_terms = agent_terms
+        self._agents_alone = agents_alone
         self.worlds = [_recorded(world) for world in worlds]
         self.starts = list(seeds)
         self._on_step = on_step
@@ -185,7 +186,10 @@ class Worlds:
     def step_all(self, actions: Any) -> WorldsStep:
         """Act in all rows."""
         observations: list[Any] = []
-        rewards, dones, infos, endings = [], [], [], []
+        rewards = []
+        dones = []
+        infos = []
+        endings = []
         lengths: list[int] = []
         for index in range(len(self.worlds)):
             action = (
@@ -343,14 +347,17 @@ class BatchEpisodes:
     """
 
     def __init__(self, batch: BatchSupervisor, *, of_agents: bool = False) -> None:
-        self.batch, self._of_agents, self.resting = batch, of_agents, np.zeros(len(batch.singles), bool)
+        self.batch = batch
+        self._of_agents = of_agents
+        self.resting = np.zeros(len(batch.singles), bool)
         self.clear()
 
     def clear(self) -> None:
         """Begin all episodes."""
         count = self.batch.count if self._of_agents else len(self.resting)
         self.resting[:] = False
-        self.returns, self._lengths = np.zeros(count), np.zeros(count, int)
+        self.returns = np.zeros(count)
+        self._lengths = np.zeros(count, int)
         self._terms = np.zeros((len(self.batch.TERMS), count))
 
     def step_all(self, actions: Any) -> BatchStep:
@@ -379,9 +386,14 @@ class BatchEpisodes:
     ) -> Episode:
         """Return the finished episode of a row, given the info of its last step. The next one begins."""
         terms = dict(zip(self.batch.TERMS, self._terms[:, row].tolist(), strict=True))
-        total, length = float(self.returns[row]), int(self._lengths[row])
-        self.returns[row], self._lengths[row], self._terms[:, row] = 0.0, 0, 0.0
-        success, ended_by, ends = info["is_success"], info["ended_by"], info.get("agent_endings", {})
+        total = float(self.returns[row])
+        length = int(self._lengths[row])
+        self.returns[row] = 0.0
+        self._lengths[row] = 0
+        self._terms[:, row] = 0.0
+        success = info["is_success"]
+        ended_by = info["ended_by"]
+        ends = info.get("agent_endings", {})
         return Episode(total, length, success, ended_by, terms, seed, draws or {}, ends)
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
@@ -439,7 +451,9 @@ class BatchWorlds(Worlds):
         agent_terms: AgentTerms = ONE_AGENT,
         agents_alone: Sequence[str] = (),
     ) -> None:
-        self._build, self._next_seed, self._recorder = build, next_seed, recorder
+        self._build = build
+        self._next_seed = next_seed
+        self._recorder = recorder
         self.stages = [0] * len(seeds) if stages is None else stages
         self._batches: dict[int, BatchEpisodes] = {}
         first = self._batch_of(self.stages[0])
@@ -492,7 +506,8 @@ class BatchWorlds(Worlds):
         (_, first), *other_batches = self._batches.items()
         observations = first.batch.observations()
         for stage, episodes in other_batches:
-            rows, more = self._rows_in(stage), episodes.batch.observations()
+            rows = self._rows_in(stage)
+            more = episodes.batch.observations()
             for target, source in (
                 zip(observations.values(), more.values(), strict=True)
                 if isinstance(observations, dict)
@@ -524,7 +539,8 @@ class BatchWorlds(Worlds):
         infos: list[dict[str, Any]] = [{}] * self.rows
         ended: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
         for stage, episodes in self._batches.items():
-            acting, episodes.resting = self._rows_in(stage), ~self._in(stage)
+            acting = self._rows_in(stage)
+            episodes.resting = ~self._in(stage)
             losses_before = len(episodes.batch.losses)
             with self._recording_failures(stage):
                 outcome = episodes.step_all(actions)
@@ -544,12 +560,13 @@ class BatchWorlds(Worlds):
             self._on_step()
             if row in ended:
                 index, outcome, episodes = ended[row]
-                infos[row], world = outcome.infos[index], row // self._width
+                infos[row] = outcome.infos[index]
+                world = row // self._width
                 episode = episodes.close(
                     row, _own(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )
                 self._on_episode(world, episode)
-                final_observation = by_part(itemgetter(index), outcome.final_observations)
+                final_observation = apply_to_parts(itemgetter(index), outcome.final_observations)
                 endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)
@@ -585,7 +602,8 @@ class BatchWorlds(Worlds):
     def _begin_in(self, stage: int, beginning: Sequence[tuple[int, int | None]]) -> None:
         """Begin an episode of worlds in a stage. When the first ones enter it, the others are paused in
         it."""
-        is_new, worlds = stage not in self._batches, self._batch_of(stage)
+        is_new = stage not in self._batches
+        worlds = self._batch_of(stage)
         with self._recording_failures(stage):
             if is_new:
                 self._reset(worlds)

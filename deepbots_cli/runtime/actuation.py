@@ -87,7 +87,8 @@ class Response:
         if self._jumps:
             self._still = True
             return self._goal
-        before, share = self._initial_value() if self._value is None else self._value, self._share
+        before = self._initial_value() if self._value is None else self._value
+        share = self._share
         after = [old + share * (goal - old) for old, goal in zip(before, self._goal, strict=True)]
         if self._most:
             after = [
@@ -135,8 +136,12 @@ class Motor:
         self.stiffness = stiffness
         self.damping = damping
         self.strength = strength
-        self._stall_torque, self._no_load_speed = stall_torque, no_load_speed
-        self._engine, self._kind, self._robot, self._joints = engine, kind, robot, joints
+        self._stall_torque = stall_torque
+        self._no_load_speed = no_load_speed
+        self._engine = engine
+        self._kind = kind
+        self._robot = robot
+        self._joints = joints
         self._states = engine.joint_states(robot, joints)
         self._bound: object = None
         self.response = (
@@ -308,7 +313,8 @@ class CustomMotor(Motor):
     """
 
     def __init__(self, site: Site) -> None:
-        actuator, response = site.actuator, site.actuator.response
+        actuator = site.actuator
+        response = site.actuator.response
         self._law: ControlLaw = import_attribute(actuator.drive)(site)
         limits = [inf if limit is None else limit for limit in actuator.max_torque]
         super().__init__(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, joint_name
+from deepbots_cli.program.members import RANDOM, ZERO, qualified_name
 from deepbots_cli.runtime.agents import AgentEnvironment, SeatLayout, forward_pass, own_info
 from deepbots_cli.runtime.batch import (
     BatchStep,
@@ -21,7 +21,7 @@ from deepbots_cli.runtime.batch import (
 )
 from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
-from deepbots_cli.runtime.spaces import Column, by_part, compose_rows, parts_of_rows
+from deepbots_cli.runtime.spaces import Column, apply_to_parts, compose_rows, parts_of_rows
 
 _Parts = tuple[Column, Column]
 """Actions of one agent in all worlds: options by number (world, choice), and numbers (world, range)."""
@@ -51,9 +51,12 @@ class AgentBatch:
     ) -> None:
         others = scenario.others
         assert others is not None
-        self.world, self.scenario, self.agent = world, scenario, scenario.agent
+        self.world = world
+        self.scenario = scenario
+        self.agent = scenario.agent
         self.singles = [AgentEnvironment(single, scenario, policies=policies) for single in world.singles]
-        self.count, self.rows = len(self.singles), WorldRows(1, has_copies=False)
+        self.count = len(self.singles)
+        self.rows = WorldRows(1, has_copies=False)
         members = world.scenario.members
         self._seats = {name: SeatLayout(member, world.agent) for name, member in members.items()}
         self._own = self._seats[others.agent]
@@ -63,7 +66,7 @@ class AgentBatch:
         self.histories = EpisodeHistories(self.count)
         choices = self.agent.choices
         self.forbids_options = any(option.forbidden for part in choices for option in part.options)
-        names = {part.name: joint_name(others.agent, part.name) for part in choices}
+        names = {part.name: qualified_name(others.agent, part.name) for part in choices}
         self.options = world.options.of_agent(self.agent, names)
         self._policies = {
             name: _PolicyRows(policy, self._seats[name], world) for name, policy in policies.items()
@@ -139,7 +142,7 @@ class AgentBatch:
 
     def _of_all(self, action: Any, acting: Column) -> Any:
         """Return the actions of all agents, given those of the agent, which are recorded."""
-        action = by_part(np.array, action)
+        action = apply_to_parts(np.array, action)
         self.histories.actions.append(action)
         observations = self.world.observations()
         parts = [
@@ -196,7 +199,9 @@ class _PolicyRows:
     mod `FORWARD_BATCH_SIZE` of one of several forward passes."""
 
     def __init__(self, policy: Predictor, seat: SeatLayout, world: BatchSupervisor) -> None:
-        self._policy, self._seat, self._world = policy, seat, world
+        self._policy = policy
+        self._seat = seat
+        self._world = world
         count = len(world.singles)
         self._slices = [
             slice(first, min(first + FORWARD_BATCH_SIZE, count))
@@ -216,14 +221,17 @@ class _PolicyRows:
         for rows, forward in zip(self._slices, self._passes, strict=True):
             forward.put_all(observations, rows, masks)
             answer = forward.predict(self._policy, deterministic=True)
-            answers.append(by_part(itemgetter(slice(rows.stop - rows.start)), answer))
-        return parts_of_rows(by_part(lambda *parts: np.concatenate(parts), *answers))
+            answers.append(apply_to_parts(itemgetter(slice(rows.stop - rows.start)), answer))
+        return parts_of_rows(apply_to_parts(lambda *parts: np.concatenate(parts), *answers))
 
 
 def _driven(world: BatchSupervisor, seat: SeatLayout, driver: str) -> _Act:
     """Return who acts for an agent in all worlds: a script, `random` or `zero`."""
-    member, agent, count = seat.member, seat.member.program.agent, len(world.singles)
-    options, width = [len(part.options) for part in agent.choices], len(agent.range_names)
+    member = seat.member
+    agent = seat.member.program.agent
+    count = len(world.singles)
+    options = [len(part.options) for part in agent.choices]
+    width = len(agent.range_names)
     still = np.zeros((count, len(options)), np.int64), np.zeros((count, width), np.float32)
     if driver == ZERO:
         return lambda observations, acting: still
@@ -239,7 +247,7 @@ def _driven(world: BatchSupervisor, seat: SeatLayout, driver: str) -> _Act:
             return choices, ranges
 
         return draw
-    script = joint_name(member.name, driver)
+    script = qualified_name(member.name, driver)
 
     def follow(observations: Any, acting: Column) -> _Parts:
         with np.errstate(all="ignore"):

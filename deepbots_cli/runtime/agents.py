@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, Member, joint_name
+from deepbots_cli.program.members import RANDOM, ZERO, Member, qualified_name
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE, ForwardPass, Predictor
 from deepbots_cli.runtime.spaces import (
@@ -50,7 +50,7 @@ class SeatLayout:
         self.shape = self.action_space.shape
         self._columns = _column_index(member.columns)
         self._pictures = {
-            entry.key: joint_name(member.name, entry.name).replace(".", "_") for entry in agent.images
+            entry.key: qualified_name(member.name, entry.name).replace(".", "_") for entry in agent.images
         }
         self._choices = len(agent.choices)
         first, last = member.choices
@@ -64,7 +64,7 @@ class SeatLayout:
         numbers = of_all["observation"][..., self._columns] if "observation" in of_all else None
         if not self._pictures:
             return numbers
-        pictures = {key: of_all[joint] for key, joint in self._pictures.items()}
+        pictures = {key: of_all[name] for key, name in self._pictures.items()}
         has_numbers = numbers is not None and numbers.shape[-1] > 0
         return {"observation": numbers, **pictures} if has_numbers else pictures
 
@@ -137,7 +137,7 @@ class Seat(SeatLayout):
             UsageError: The agent has no such script, or no episode has begun.
         """
         self.member.program.script(name)
-        return self.own_action(self._world.script(joint_name(self.member.name, name)))
+        return self.own_action(self._world.script(qualified_name(self.member.name, name)))
 
     def info(self, of_all: Mapping[str, Any]) -> Info:
         """Return the info of a step as it is for the agent."""
@@ -160,7 +160,7 @@ def own_info(member: Member, of_all: Mapping[str, Any]) -> Info:
     info: Info = {
         **of_all,
         "is_success": member.has_succeeded(of_all["endings"]),
-        "reward_terms": {name: terms[joint] for name, joint in member.terms.items()},
+        "reward_terms": {own_name: terms[name] for own_name, name in member.terms.items()},
     }
     ends = info.pop("agent_endings", None)
     if ends and (end := ends.get(member.name)) is not None:
@@ -173,7 +173,7 @@ def seats_of(world: Supervisor) -> dict[str, Seat]:
     return {name: Seat(world, member) for name, member in world.scenario.members.items()}
 
 
-def joint_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[str, Any]) -> Any:
+def combined_action(world: Supervisor, seats: Mapping[str, Seat], actions: Mapping[str, Any]) -> Any:
     """Return the action of all agents, given that of each.
 
     Raises:
@@ -220,7 +220,10 @@ class AgentEnvironment(gym.Env[Any, Any]):
     ) -> None:
         others = scenario.others
         assert others is not None
-        self.supervisor, self.scenario, self.rebuild, self.number = supervisor, scenario, rebuild, 0
+        self.supervisor = supervisor
+        self.scenario = scenario
+        self.rebuild = rebuild
+        self.number = 0
         self._seats = seats_of(supervisor)
         self._own = others.agent
         self.seat = self._seats[others.agent]
@@ -232,7 +235,8 @@ class AgentEnvironment(gym.Env[Any, Any]):
         self.agent = scenario.agent
         self.agents = {self.agent.name: self}
         self.observation_space, self.action_space = self.seat.observation_space, self.seat.action_space
-        self.metadata, self.render_mode = supervisor.metadata, supervisor.render_mode
+        self.metadata = supervisor.metadata
+        self.render_mode = supervisor.render_mode
         self._observed: Any = None
         self._result: tuple[float, Info] = (0.0, {})
 
@@ -256,7 +260,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
             name: act(self._seats[name].observation(self._observed)) for name, act in self._acts.items()
         }
         actions[self._own] = action
-        together = joint_action(self.supervisor, self._seats, actions)
+        together = combined_action(self.supervisor, self._seats, actions)
         self._observed, _, _, _, info = self.supervisor.step(together)
         self._result = self.seat.reward(info), self.seat.info(info)
         return self.get_observations(), self.get_reward(), self.terminated, self.truncated, self.get_info()
@@ -328,8 +332,10 @@ class AgentEnvironment(gym.Env[Any, Any]):
         if name.startswith("_") or name == "supervisor":
             raise AttributeError(name)
         kind, separator, value_name = name.partition("_")
-        joint = f"{kind}{separator}{joint_name(self._own, value_name)}"  # such as `last_hunter__angle`
-        return getattr(self.supervisor, joint if hasattr(self.supervisor, joint) else name)
+        attribute = (
+            f"{kind}{separator}{qualified_name(self._own, value_name)}"  # such as `last_hunter__angle`
+        )
+        return getattr(self.supervisor, attribute if hasattr(self.supervisor, attribute) else name)
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.rebuild is None:
@@ -347,12 +353,14 @@ class PolicyAct:
     """Acts for an agent with a policy, which takes its most likely action, in one row of a forward pass."""
 
     def __init__(self, policy: Predictor, seat: Seat) -> None:
-        self._policy, self._seat = policy, seat
+        self._policy = policy
+        self._seat = seat
         self.begin()
 
     def begin(self, number: int = 0) -> None:
         """Begin the episode of this number: a recurrent policy forgets the previous one."""
-        self._row, self._forward = number % FORWARD_BATCH_SIZE, forward_pass(self._policy, self._seat)
+        self._row = number % FORWARD_BATCH_SIZE
+        self._forward = forward_pass(self._policy, self._seat)
 
     def __call__(self, observation: Any) -> Any:
         masks = self._seat.action_mask() if self._policy.takes_masks else None

@@ -28,7 +28,7 @@ from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.endings import EpisodeEnds
 from deepbots_cli.runtime.failures import infinite_reward, without_option
 from deepbots_cli.runtime.observations import ObservedColumns
-from deepbots_cli.runtime.spaces import Column, by_part, compose_rows, joined
+from deepbots_cli.runtime.spaces import Column, apply_to_parts, compose_rows, joined
 from deepbots_cli.runtime.supervisor import Supervisor
 
 __all__ = ["BatchController", "BatchStep", "BatchSupervisor", "EpisodeHistory", "LostWorld"]
@@ -111,7 +111,7 @@ class EpisodeHistories:
         proportional to the number of actions."""
         return [
             EpisodeHistory(
-                start, [by_part(itemgetter(world), action) for action in self.actions[first:]], options
+                start, [apply_to_parts(itemgetter(world), action) for action in self.actions[first:]], options
             )
             for world, (start, first, options) in enumerate(
                 zip(self.starts, self._first, self.options, strict=True)
@@ -153,7 +153,9 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         agents = [agent for single in singles for agent in single.agents.values()]
         BatchRobots.__init__(self, agents, self)
         ObservedColumns.__init__(self, agents[0].agent, len(agents))
-        self.singles, self.engine, self.scenario = singles, engine, agents[0].scenario
+        self.singles = singles
+        self.engine = engine
+        self.scenario = agents[0].scenario
         self.copies = self.count // len(singles)
         """The rows of a world."""
         self.rows = WorldRows(self.copies, has_copies=self.agent.copies is not None)
@@ -173,7 +175,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         self.running: Column | None = None
         self._acting: Column | None = None
         """The rows that take part in this step."""
-        self.step_count, self.timestep_count = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self.step_count = np.zeros(count, np.int64)
+        self.timestep_count = np.zeros(count, np.int64)
         self.reward: Any = np.zeros(count)
         self.previous_reward: Any = np.zeros(count)
         self.episode_return: Any = np.zeros(count)
@@ -221,7 +224,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """Advance by one step all worlds except those that are `resting` (truth values), whose episodes have
         ended; no episode begins."""
-        action = by_part(np.array, action)
+        action = apply_to_parts(np.array, action)
         self.histories.actions.append(self.rows.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
         self._acting = self.running = None if resting is None else ~resting
@@ -235,16 +238,16 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
             stuck = self.options.without_option(going_on if resting is None else going_on & ~resting)
             if stuck is not None:
                 raise self.failed(stuck.row, without_option(self.agent, stuck.choice))
-        observations, rewards, terms = self.observations(), self.rewards(), self.terms()
+        observations = self.observations()
+        rewards = self.rewards()
+        terms = self.terms()
         terminated, truncated = self.terminated, self.truncated
         ended = self.rows.any_in_world(terminated | truncated)
         ended_worlds = np.flatnonzero(ended if resting is None else ended & ~resting)
         if not len(ended_worlds):
             return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, None, [])
-        last, infos = (
-            by_part(itemgetter(ended_worlds), observations),
-            [self.info(world) for world in ended_worlds.tolist()],
-        )
+        last = apply_to_parts(itemgetter(ended_worlds), observations)
+        infos = [self.info(world) for world in ended_worlds.tolist()]
         return BatchStep(observations, rewards, terms, terminated, truncated, ended_worlds, last, infos)
 
     def begin(
@@ -460,10 +463,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         ).tolist()
         for row in rows:
             single = self._singles[row]
-            single.step_count, single.timestep_count = (
-                int(self.step_count[row]),
-                int(self.timestep_count[row]),
-            )
+            single.step_count = int(self.step_count[row])
+            single.timestep_count = int(self.timestep_count[row])
             draw(single)
         if rows:
             self.take_columns(rows, names)

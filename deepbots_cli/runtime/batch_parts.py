@@ -27,7 +27,8 @@ class PerWorldCall:
     """Calls the single worlds in turn: functions that take and give single numbers, over columns."""
 
     def __init__(self, functions: Sequence[Callable[..., Any]], engine: BatchEngine) -> None:
-        self._functions, self._engine = functions, engine
+        self._functions = functions
+        self._engine = engine
 
     def __call__(self, *arguments: Any) -> Any:
         if not arguments:
@@ -68,7 +69,8 @@ class BatchLossyChannel:
     """A channel on which messages come late or are lost: the channels of the single worlds, in turn."""
 
     def __init__(self, channels: Sequence[LossyChannel], batch: BatchSupervisor) -> None:
-        self._channels, self._batch = channels, batch
+        self._channels = channels
+        self._batch = batch
 
     @property
     def age(self) -> Column:
@@ -116,7 +118,8 @@ class BatchPart:
     the next step reads."""
 
     def __init__(self, singles: Sequence[Any], batch: BatchSupervisor) -> None:
-        self._singles, self._batch = singles, batch
+        self._singles = singles
+        self._batch = batch
         self._loaded: list[BatchMemory | BatchDevice] = []
 
     def each(self, attribute: str) -> PerWorldCall:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def pick(table: dict[int, Any], options: Any) -> Any:
-    """Return the values of each world's option: a column, or one per value of an option."""
+    """Return, for each world, the value of its option: a column, or a column per component."""
     return np.array(list(table.values()))[options].T
 
 
@@ -51,15 +51,16 @@ any_of, all_of = partial(reduce, np.logical_or), partial(reduce, np.logical_and)
 
 
 class ExactFunction:
-    """A function of `math` in each world; numpy may round its last bit otherwise, and the episodes of a batch
-    equal those of single worlds.
+    """A function of `math` in each world; numpy may round its last bit otherwise, so its results would differ
+    from those of single worlds.
 
     It takes 0.1 us per world. If a world has no value, all take that of `estimate`, which numpy computes over
     columns.
     """
 
     def __init__(self, function: Callable[..., float], estimate: Callable[..., Any]) -> None:
-        self._function, self._estimate = function, estimate
+        self._function = function
+        self._estimate = estimate
 
     def __call__(self, *columns: Any) -> Any:
         arrays = [column for column in columns if isinstance(column, np.ndarray)]
@@ -105,7 +106,9 @@ def scale_freely(value: Any, low: float, high: float) -> Any:
 
 
 distance, ground_distance, bearing, roll, pitch, yaw, tilt = formulas.pose_functions(atan2, hypot)
-to_body_frame, total, wrap_angle = formulas.to_body_frame, formulas.total, formulas.wrap_angle
+to_body_frame = formulas.to_body_frame
+total = formulas.total
+wrap_angle = formulas.wrap_angle
 
 # Memories
 
@@ -132,14 +135,18 @@ class BatchMemory:
     ) -> None:
         """Create the memory; `updated_worlds` gives the worlds in which the memory is updated, as truth
         values; None for all."""
-        self._singles, first, self._chosen = singles, singles[0], updated_worlds
+        self._singles = singles
+        first = singles[0]
+        self._chosen = updated_worlds
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
-        kind, count = (
-            (first.component, first.count)
-            if isinstance(first, formulas.Memories | formulas.VectorMemory)
-            else (type(first), 1)
-        )
-        self._law, self._choose = kind(first.timestep), _KEPT.get(kind)
+        if isinstance(first, formulas.Memories | formulas.VectorMemory):
+            kind = first.component
+            count = first.count
+        else:
+            kind = type(first)
+            count = 1
+        self._law = kind(first.timestep)
+        self._choose = _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))
         self._waiting: Column | None = None
         """The worlds without a message so far, if the memory begins with the first one; None if there are
@@ -163,16 +170,20 @@ class BatchMemory:
         parts = [
             stacked(argument, worlds) if self._vector else np.asarray(argument) for argument in arguments
         ]
-        law, mask = self._law, self._chosen()
+        law = self._law
+        mask = self._chosen()
         before = self._kept
         if self._waiting is not None:
+            # The memories begin with these arguments in all worlds; only the waiting worlds take the result.
             law.begin(*parts)
             before = np.where(self._waiting, law.kept, before)
+            # A world that the mask leaves out has no message yet, and goes on waiting.
             waiting = None if mask is None else self._waiting & ~mask
             self._waiting = waiting if waiting is not None and waiting.any() else None
         law.kept = before if self._choose is None else self._choose(before, law.timestep, *parts)
         value = law.advance(*parts) if self._choose is None else law.kept
         after = law.kept if mask is None else np.where(mask, law.kept, self._kept)
+        # A copy, because `load` writes into it, and the value of the caller may share its memory.
         self._kept = np.broadcast_to(after, (count, worlds)).copy()
         return value if self._vector else np.broadcast_to(value, (count, worlds))[0]
 

@@ -58,7 +58,8 @@ class RobotController(WithMemories):
         super().__init__(scenario.world.timestep)
         self.spec = spec
         self.devices: dict[str, Device] = {}
-        self._world, self._engine = scenario.world, engine
+        self._world = scenario.world
+        self._engine = engine
         self.bind(engine)
         drives = [
             (actuator, getattr(self, generated.drive(actuator.name), None)) for actuator in spec.actuators
@@ -134,7 +135,8 @@ class SupervisedRobots(WithMemories):
 
     def __init__(self, scenario: Program, engine: Engine) -> None:
         super().__init__(scenario.world.timestep)
-        self.scenario, self.engine = scenario, engine
+        self.scenario = scenario
+        self.engine = engine
         self.controllers: dict[str, RobotController] = {}
         self.channels: dict[tuple[str, Direction], Channel | LossyChannel] = {}
         """The paths of messages, by robot and direction."""
@@ -165,7 +167,8 @@ class SupervisedRobots(WithMemories):
 
     def lossy_channel(self, name: str, direction: Direction) -> LossyChannel:
         """Return the path of messages to or from a robot, where messages come late or may be lost."""
-        robot, to_robot = self._spec(name), direction == "to_robot"
+        robot = self._spec(name)
+        to_robot = direction == "to_robot"
         route, layout = (robot.to_route, robot.to_robot) if to_robot else (robot.from_route, robot.from_robot)
         channel = LossyChannel(
             f"{name}.{direction}",

@@ -28,7 +28,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.runtime.placement import copy_offset
-from deepbots_cli.runtime.spaces import Column, by_part, canonical_action, is_canonical, joined
+from deepbots_cli.runtime.spaces import Column, apply_to_parts, canonical_action, is_canonical, joined
 from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
 from deepbots_cli.runtime.supervisor import Info, Supervisor
 
@@ -100,7 +100,8 @@ class EngineOfCopy(EngineProxy):
 
     def __init__(self, engine: Engine, copies: RobotCopies, number: int) -> None:
         super().__init__(engine)
-        self._robot, self._copy = copies.robot, copy_name(copies, number)
+        self._robot = copies.robot
+        self._copy = copy_name(copies, number)
         self._offset = copy_offset(copies, number)
         self._is_first = number == 1
         self.settling = 0
@@ -143,7 +144,8 @@ class BatchOfCopies:
     """
 
     def __init__(self, engine: BatchEngine, copies: RobotCopies) -> None:
-        self._engine, self._count = engine, copies.count
+        self._engine = engine
+        self._count = copies.count
         self._views = [
             EngineOfCopy(cast("Engine", engine), copies, number + 1) for number in range(copies.count)
         ]
@@ -161,7 +163,7 @@ class BatchOfCopies:
 
     def _reader(self, kind: str, *subjects: Any, **options: Any) -> Callable[[], Any]:
         readers = [getattr(view, kind)(*subjects, **options) for view in self._views]
-        return lambda: _by_row([read() for read in readers])
+        return lambda: _readings_by_row([read() for read in readers])
 
     contact = partialmethod(_reader, "contact")
     contact_force = partialmethod(_reader, "contact_force")
@@ -193,12 +195,12 @@ class BatchOfCopies:
     torque_motor = partialmethod(_motor, "torque_motor")
 
 
-def _by_row(readings: Sequence[Any]) -> Any:
+def _readings_by_row(readings: Sequence[Any]) -> Any:
     """Return the readings of all copies, columns with a number per world, as columns with a number per
     row."""
     first = readings[0]
     if isinstance(first, (tuple, list)):
-        return tuple(_by_row(parts) for parts in zip(*readings, strict=True))
+        return tuple(_readings_by_row(parts) for parts in zip(*readings, strict=True))
     return np.stack(readings, axis=-1).reshape(*first.shape[:-1], -1)
 
 
@@ -241,7 +243,8 @@ class WorldRows:
     """The rows of a batch by world: a row is an agent, and a world with copies has a row for each copy."""
 
     def __init__(self, per_world: int, *, has_copies: bool) -> None:
-        self._copies, self._has_copies = per_world, has_copies
+        self._copies = per_world
+        self._has_copies = has_copies
 
     def of(self, worlds: Any) -> Any:
         """Return the numbers of the rows of these worlds."""
@@ -251,13 +254,17 @@ class WorldRows:
 
     def by_row(self, values: Any) -> Any:
         """Return actions or observations of worlds with a row per agent."""
-        return by_part(lambda part: part.reshape(-1, *part.shape[2:]), values) if self._has_copies else values
+        return (
+            apply_to_parts(lambda part: part.reshape(-1, *part.shape[2:]), values)
+            if self._has_copies
+            else values
+        )
 
     def by_world(self, values: Any) -> Any:
         """Return actions or observations with a row per agent as those of worlds."""
         if not self._has_copies:
             return values
-        return by_part(lambda part: part.reshape(-1, self._copies, *part.shape[1:]), values)
+        return apply_to_parts(lambda part: part.reshape(-1, self._copies, *part.shape[1:]), values)
 
     def step_by_world(self, step: BatchStep) -> BatchStep:
         """Return the result of a step with a row per world, as the single worlds give it."""
@@ -414,7 +421,8 @@ class CopiesSupervisor(Supervisor):
     def _gather(self) -> None:
         """Take reward and endings from the agents."""
         agents = list(self.agents.values())
-        self.step_count, self.timestep_count = agents[0].step_count, agents[0].timestep_count
+        self.step_count = agents[0].step_count
+        self.timestep_count = agents[0].timestep_count
         results = [
             CopyResult(agent.reward, agent.terminated, agent.truncated, agent.get_info()) for agent in agents
         ]

@@ -72,7 +72,8 @@ class BatchSensorErrors:
             name: np.zeros((width, len(devices))) for name in ("noise", "share", "gain", "bias", "drift")
         }
         self._has: dict[str, bool] = {}
-        spec, self._unseen = self._chains[0].spec, self._chains[0].unseen
+        spec = self._chains[0].spec
+        self._unseen = self._chains[0].unseen
         self._noise = BatchNormals([chain.normals for chain in self._chains], width)
         self._ends = tuple(np.array(ends)[:, None] for ends in (spec.low, spec.high)) if spec.low else None
         self._steps = np.array(spec.resolution)[:, None] if spec.resolution else None
@@ -137,10 +138,13 @@ class BatchDevice:
     per component."""
 
     def __init__(self, devices: Sequence[Device], sensor: Sensor, robot: str, batch: BatchSupervisor) -> None:
-        self._devices, self._batch = devices, batch
-        count, self._width = len(devices), max(1, len(sensor.components))
+        self._devices = devices
+        self._batch = batch
+        count = len(devices)
+        self._width = max(1, len(sensor.components))
         faults = sensor.faults or NoiseModel()
-        self._period, self._timestep = faults.period, batch.scenario.world.timestep
+        self._period = faults.period
+        self._timestep = batch.scenario.world.timestep
         self._faults = BatchSensorErrors(devices, self._width) if devices[0].chain is not None else None
         tables = [device.instrument.lookup for device in devices if device.instrument.lookup is not None]
         self._lookups = BatchLookupTable(tables, self._width) if tables else None
@@ -167,7 +171,9 @@ class BatchDevice:
         if not self.reading.flags.writeable:
             self.reading = self.reading.copy()
         self.reading[:, world] = reading
-        self._tick[world], self.measured_tick[world], self._delay[world] = 0, 0, device.delay
+        self._tick[world] = 0
+        self.measured_tick[world] = 0
+        self._delay[world] = device.delay
         for part in (self._faults, self._lookups):
             if part is not None:
                 part.load(world)
@@ -184,7 +190,8 @@ class BatchDevice:
             sampled = running if sampled is None else sampled & running
         delayed = bool(self._delay.any())
         if sampled is None and not delayed:
-            self.reading, self.measured_tick = self._sampled(None), self._tick.copy()
+            self.reading = self._sampled(None)
+            self.measured_tick = self._tick.copy()
             return
         values = self._sampled(sampled)
         if not delayed:

@@ -76,8 +76,10 @@ class AgentColumns:
     """
 
     def __init__(self, count: int) -> None:
-        self.ended, self.success = np.zeros(count, bool), np.zeros(count, bool)
-        self.steps, self.holds = np.zeros(count, np.int64), dict[str, Column]()
+        self.ended = np.zeros(count, bool)
+        self.success = np.zeros(count, bool)
+        self.steps = np.zeros(count, np.int64)
+        self.holds: dict[str, Column] = {}
 
     def end(self, now: Column, steps: Column, endings: Mapping[str, Any], success: Any) -> None:
         """Note the ends of this step, in the rows in which there is one `now`."""

@@ -206,7 +206,9 @@ class Memories:
     """One memory for each component of a vector; `update` takes and returns vectors."""
 
     def __init__(self, kind: type[Memory], count: int, timestep: float, *, on_message: bool = False) -> None:
-        self.component, self.count, self.timestep = kind, count, timestep
+        self.component = kind
+        self.count = count
+        self.timestep = timestep
         self.parts = [kind(timestep, on_message=on_message) for _ in range(count)]
         self._advance = [memory.advance for memory in self.parts]
         self.reset()

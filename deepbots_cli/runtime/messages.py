@@ -425,9 +425,11 @@ class LossyChannel:
         self._sent += 1
 
     def _is_lost(self) -> bool:
-        route, lost = self._route, False
+        route = self._route
+        lost = False
         if self._random is not None:
-            share, burst = self.loss, route.burst
+            share = self.loss
+            burst = route.burst
             if burst is None or self._losing is None or not 0.0 < share < 1.0:
                 chance = share
             else:
@@ -452,7 +454,9 @@ class LossyChannel:
         return self.wire.decode(self.latest) if self.wire else self.latest
 
     def _arrived(self) -> list[Any]:
-        now, queue, messages = self._tick + _TICK_ROUNDING, self._queue, []
+        now = self._tick + _TICK_ROUNDING
+        queue = self._queue
+        messages = []
         self._tick += 1
         self.message_received = False
         while queue and queue[0][0] <= now:

@@ -135,9 +135,11 @@ class ObservedColumns(ABC):
 
     def __init__(self, agent: Agent, count: int) -> None:
         """Create the columns; `count` is the number of rows."""
-        self.agent, self.count = agent, count
+        self.agent = agent
+        self.count = count
         self._views = frame_indices(agent)
-        self.depth, self.newest = len(self._views), 0
+        self.depth = len(self._views)
+        self.newest = 0
         self.frames = np.zeros((self.depth, len(agent.numbers), count), np.float32)
         self._size = len(agent.goal.low) if agent.goal else 0
         self.goal = np.zeros((2 * self._size, count), np.float32)

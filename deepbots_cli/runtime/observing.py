@@ -28,7 +28,8 @@ class Observer:
 
     def __init__(self, program: Program) -> None:
         agent = program.agent
-        self._inputs, self._goal = agent.inputs, agent.goal
+        self._inputs = agent.inputs
+        self._goal = agent.goal
         self._unsupported = self._unsupported_for(program)
         self._achieved: dict[str, Scalar] = {}
         sent = {f"{robot.name}.{field.name}" for robot in program.robots for field in robot.from_robot.fields}
@@ -95,7 +96,8 @@ class Observer:
             if desired is not None:
                 raise UsageError("this policy has no goal; leave out `desired`")
             return []
-        size, names = len(goal.low), f" ({', '.join(goal.components)})" if goal.components else ""
+        size = len(goal.low)
+        names = f" ({', '.join(goal.components)})" if goal.components else ""
         expected = f"{counted(size, 'number')}{names}{f' in {goal.unit}' if goal.unit != '1' else ''}"
         if desired is None:
             raise UsageError(f"this policy has a goal; give it as `desired`: {expected}")

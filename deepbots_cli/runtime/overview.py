@@ -82,7 +82,8 @@ def view_around(boxes: Sequence[Bounds], width: int = 480, height: int = 320) ->
     tall = math.tan(View(ZERO_VECTOR, ZERO_VECTOR).fov / 2) / _VIEW_MARGIN
     # A corner is in the picture if |(corner - eye) * side| <= slope * (eye - corner) * back, for both sides
     # of the picture.
-    eye, distance = ZERO_VECTOR, -math.inf
+    eye = ZERO_VECTOR
+    distance = -math.inf
     for side, slope in ((right, tall * width / height), (up, tall)):
         ahead = max(dot(corner, side) + slope * dot(corner, back) for corner in corners)
         behind = max(slope * dot(corner, back) - dot(corner, side) for corner in corners)
@@ -317,7 +318,8 @@ class FollowingView:
     """The view of `Supervisor.render`: it shows the whole scene, and follows a robot that may leave it."""
 
     def __init__(self, scenario: Program, engine: Engine) -> None:
-        self._scenario, self._engine = scenario, engine
+        self._scenario = scenario
+        self._engine = engine
         self._origin: tuple[float, float] | None = None
 
     def restart(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pettingzoo import ParallelEnv
 
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.runtime.supervisor import Supervisor
 
@@ -36,7 +36,8 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
     """
 
     def __init__(self, world: Supervisor, render_mode: str | None = None) -> None:
-        self.world, self._seats = world, seats_of(world)
+        self.world = world
+        self._seats = seats_of(world)
         self.possible_agents = list(self._seats)
         self.agents: list[str] = []
         modes = world.metadata["render_modes"]
@@ -93,7 +94,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         if len(acting) < len(self._seats):
             resting = {name: seat.still for name, seat in self._seats.items() if name not in acting}
             actions = {**actions, **resting}
-        together = joint_action(self.world, self._seats, actions)
+        together = combined_action(self.world, self._seats, actions)
         self._observed, _, terminated, truncated, info = self.world.step(together)
         alone = self.world.agent_endings
         ends, cuts = dict.fromkeys(acting, terminated), dict.fromkeys(acting, truncated)
@@ -102,7 +103,9 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
                 ends[name], cuts[name] = True, False
             self.agents = [name for name in acting if not (ends[name] or cuts[name])]
         self._show()
-        observations, rewards, infos = {}, {}, {}
+        observations = {}
+        rewards = {}
+        infos = {}
         for name in acting:
             seat = self._seats[name]
             observations[name] = seat.observation(self._observed)
@@ -153,7 +156,9 @@ class Window:
             from matplotlib import pyplot
         except ModuleNotFoundError as error:
             raise MissingExtraError("view", "a window") from error
-        self._pyplot, self._period, self._due = pyplot, period, 0.0
+        self._pyplot = pyplot
+        self._period = period
+        self._due = 0.0
         self._figure = pyplot.figure(layout="tight")
         if self._figure.canvas.manager is not None:
             self._figure.canvas.manager.set_window_title(title)

@@ -180,7 +180,8 @@ class _PathQuery:
     def _renew(self) -> DistanceField:
         """Return the field of the world as it is; the last one if it has the same arguments, as in a world
         whose bodies start where they did."""
-        ways, goal = self._ways, self._there()[0]
+        ways = self._ways
+        goal = self._there()[0]
         standing = [(body, read, read()) for body, read in ways.solids(self._one[0], self._other[0])]
         patches = [patch for body, _, pose in standing if (patch := ways.patch(body, pose)) is not None]
         self._watched = [
@@ -193,7 +194,8 @@ class _PathQuery:
         area = ways.area(patches, ((x, y), goal[:2]), radius)
         inputs: _FieldInputs = (area, radius, patches, goal[:2], ways.radius(self._other))
         if self._field is None or inputs != self._shown:
-            self._field, self._shown = DistanceField(*inputs), inputs
+            self._field = DistanceField(*inputs)
+            self._shown = inputs
         self.is_current = True
         return self._field
 
@@ -221,7 +223,8 @@ class DistanceField:
         blocked = self._outside.copy()
         for patch in solids:
             self._block(blocked, patch, radius)
-        self._goal, self._radius = goal, radius
+        self._goal = goal
+        self._radius = radius
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
@@ -357,7 +360,7 @@ class _GridLines:
         self.length = -(-blocked.size // self.stride)
         self.padding = self.length * self.stride - blocked.size
         broken = blocked.copy()
-        for row, column in _between(rows, columns):
+        for row, column in _passed_cells(rows, columns):
             broken |= np.roll(blocked, (row, column), (0, 1))  # any blocked cell that a move touches bars it
         step = cell * LENGTH_SCALE * hypot(rows, columns)
         walls = np.cumsum(self.view(broken.ravel().astype(np.float64), 1.0), axis=0)
@@ -383,7 +386,7 @@ class _GridLines:
         return np.minimum(np.minimum(lines, ahead), behind[::-1]).ravel()[: lengths.size]
 
 
-def _between(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
+def _passed_cells(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
     """Return the cells that a move passes before it ends, as seen from its end: they are shifted onto it."""
     side = 1 if columns > 0 else -1
     if abs(rows) + abs(columns) == 1:
@@ -448,7 +451,8 @@ class Segment(NamedTuple):
 
 
 def line_segments(line: Line) -> list[Segment]:
-    segments, start = [], 0.0
+    segments = []
+    start = 0.0
     for (x, y), (end_x, end_y) in line.pieces:
         length = hypot(end_x - x, end_y - y)
         if length > 0.0:
@@ -492,23 +496,32 @@ class Follower:
         else:
             moved = hypot(x - self._position[0], y - self._position[1])
             candidates = self._near(2.0 * (moved + abs(self._cross_track_error)) + self._width)
-        at, arc, nearest, side = max(self._at, 0), self._arc, float("inf"), 0.0
+        at = max(self._at, 0)
+        arc = self._arc
+        nearest = float("inf")
+        side = 0.0
         for index in candidates:
             piece = self._pieces[index]
             along, squared, left = piece.nearest_point(x, y)
             if squared < nearest:
-                arc, nearest, side, at = piece.start + along, squared, left, index
+                arc = piece.start + along
+                nearest = squared
+                side = left
+                at = index
         if self._at >= 0:
             step = arc - self._arc
             self._arc_length += step - self._length * round(step / self._length) if self._closed else step
-        self._at, self._arc, self._position = at, arc, (x, y)
+        self._at = at
+        self._arc = arc
+        self._position = (x, y)
         self._cross_track_error = sqrt(nearest) if side >= 0.0 else -sqrt(nearest)
         return self._cross_track_error, self._arc_length
 
     def _near(self, reach: float) -> Iterator[int]:
         """Yield pieces that begin or end within `reach` along the line of the body's last place, that one
         first."""
-        count, piece = len(self._pieces), self._pieces[self._at]
+        count = len(self._pieces)
+        piece = self._pieces[self._at]
         yield self._at
         for sign, distance in ((1, piece.start + piece.length - self._arc), (-1, self._arc - piece.start)):
             index = self._at
@@ -558,7 +571,9 @@ class PaintedGround:
                 nearest[number] = squared
         light = 1.0
         for number, squared in nearest.items():
-            distance, half, spot = sqrt(squared), self._halves[number], self._spot
+            distance = sqrt(squared)
+            half = self._halves[number]
+            spot = self._spot
             covered = (min(distance + spot, half) - max(distance - spot, -half)) / (2.0 * spot)
             if covered > 0.0:
                 light += covered * (self._reflectances[number] - light)

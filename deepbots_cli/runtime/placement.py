@@ -49,7 +49,8 @@ class Arrangement:
     """The places of one episode. `present` counts the copies of each group that take part."""
 
     def __init__(self, scenario: Program, engine: Engine) -> None:
-        world, placed_bodies = scenario.world, _placed(scenario)
+        world = scenario.world
+        placed_bodies = _placed(scenario)
         self._engine = engine
         self._height = ground_height(world.terrain)
         self.forms = Forms(world)
@@ -78,7 +79,8 @@ class Arrangement:
         before = streams.drawn
         for _ in range(attempts):
             self._forget()
-            streams.drawn, streams.member = dict(before), ""
+            streams.drawn = dict(before)
+            streams.member = ""
             try:
                 if attempt():
                     return
@@ -172,7 +174,8 @@ class Arrangement:
     def _chosen_spot(self, stream: str) -> tuple[float | None, float | None] | None:
         """Return the coordinates that `options` of `reset` set for a body that looks for a spot; None if it
         sets neither."""
-        values, key = self._streams.chosen, self._streams.key(stream)
+        values = self._streams.chosen
+        key = self._streams.key(stream)
         x, y = values.get(f"{key}.x"), values.get(f"{key}.y")
         return None if x is None and y is None else (x, y)
 
@@ -221,11 +224,15 @@ class Arrangement:
         Raises:
             NoPlaceError: None was found.
         """
-        generator, coordinates = self._streams[stream], self._chosen_spot(stream)
-        area, surface, base = area or UNBOUNDED_AREA, None, -inf
+        generator = self._streams[stream]
+        coordinates = self._chosen_spot(stream)
+        area = area or UNBOUNDED_AREA
+        surface = None
+        base = -inf
         if on:
             surface = self._surface(on, body)
-            area, base = intersection(area, surface.area), surface.height
+            area = intersection(area, surface.area)
+            base = surface.height
         for number in range(MAX_ROUNDS):
             if number or body not in self.forms.chosen:
                 self.forms.draw(body, self._streams)
@@ -361,14 +368,18 @@ class Floor:
 
     def is_free(self, patch: Patch, clearance: float, base: float = -inf) -> bool:
         """Return whether each body above the height `base` (m) keeps its clearance and that of the patch."""
-        x, y, radius = patch.x, patch.y, patch.radius
+        x = patch.x
+        y = patch.y
+        radius = patch.radius
         for obstacle, other_clearance, top in self._taken:
             if top <= base + TOUCHING_TOLERANCE_M:
                 continue
             patch_distance = (
                 clearance if clearance > other_clearance else other_clearance
             ) - TOUCHING_TOLERANCE_M
-            dx, dy, reach = x - obstacle.x, y - obstacle.y, radius + obstacle.radius + patch_distance
+            dx = x - obstacle.x
+            dy = y - obstacle.y
+            reach = radius + obstacle.radius + patch_distance
             if (
                 dx * dx + dy * dy < reach * reach
                 and footprint.patch_distance(patch, obstacle) < patch_distance
@@ -416,7 +427,8 @@ class Surface(NamedTuple):
     def allowed_area(self, area: Area, covered: Footprint, yaw: float, margin: float) -> Area:
         """Return the part of the area in which the origin of a body may keep `margin` from the edge; may be
         empty."""
-        at_origin, (low_x, low_y, high_x, high_y) = covered.at(0.0, 0.0, yaw), self.area
+        at_origin = covered.at(0.0, 0.0, yaw)
+        low_x, low_y, high_x, high_y = self.area
         reach_x, reach_y = (reach + margin for reach in at_origin.half_extents)
         x, y = at_origin.x, at_origin.y
         return intersection(
@@ -538,7 +550,8 @@ class Forms:
 
     def at_home(self, body: str) -> tuple[Patch, float]:
         """Return the patch and the top of an object at the pose of the world model."""
-        (x, y, z), rpy = self.things[body].pose.xyz, self.things[body].pose.rpy
+        x, y, z = self.things[body].pose.xyz
+        rpy = self.things[body].pose.rpy
         return self.footprint(body, rpy).at(x, y, rpy[2]), self.top(body, z, rpy)
 
 

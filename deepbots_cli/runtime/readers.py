@@ -59,7 +59,8 @@ def torques(site: Site) -> Instrument:
 
 def mounted_pose(site: Site) -> PoseReader:
     """Return a reader of position and orientation of the sensor, in the world frame."""
-    read, mount = site.engine.pose(site.robot, site.link), site.mount
+    read = site.engine.pose(site.robot, site.link)
+    mount = site.mount
     if mount == IDENTITY_FRAME:
         return read
 
@@ -87,7 +88,8 @@ def mounted_velocity(site: Site) -> VelocityReader:
 
 def mounted_motion(site: Site) -> MotionReader:
     """Return a reader of the pose and the velocity of the sensor, in the world frame."""
-    read, mount = site.engine.motion(site.robot, site.link), site.mount
+    read = site.engine.motion(site.robot, site.link)
+    mount = site.mount
 
     def of_mount() -> Motion:
         (position, rotation), (linear, angular) = read()
@@ -141,7 +143,8 @@ def compass(site: Site) -> Instrument:
 
 def gyro(site: Site) -> Instrument:
     """Measure the angular velocity about the axes of the sensor, in rad/s."""
-    read, back = site.engine.motion(site.robot, site.link), frames.inverse(site.mount[1])
+    read = site.engine.motion(site.robot, site.link)
+    back = frames.inverse(site.mount[1])
 
     def turning() -> Triple:
         (_, rotation), (_, angular) = read()
@@ -209,7 +212,9 @@ class Accelerometer:
         (_, rotation), (velocity, angular) = self._motion()
         if self._arm is not None:
             velocity = frames.add(velocity, frames.cross(angular, frames.rotate(rotation, self._arm)))
-        (vx, vy, vz), (bx, by, bz), (fx, fy, fz) = velocity, self._before, self._fall
+        vx, vy, vz = velocity
+        bx, by, bz = self._before
+        fx, fy, fz = self._fall
         (ax, ay, az, aw), (x, y, z, w) = self._turned, rotation
         if ax * x + ay * y + az * z + aw * w < 0.0:
             ax, ay, az, aw = -ax, -ay, -az, -aw
@@ -223,7 +228,8 @@ class Accelerometer:
             sy + dy + w * ty - z * tx + x * tz,
             sz + dz + w * tz - x * ty + y * tx,
         )
-        self._before, self._turned = velocity, rotation
+        self._before = velocity
+        self._turned = rotation
         self._ticks += 1
 
     def read(self) -> Triple:
@@ -233,7 +239,8 @@ class Accelerometer:
         else:
             self.follow()
             felt = frames.scaled(self._sum, 1.0 / (self._ticks * self._timestep))
-            self._sum, self._ticks = (0.0, 0.0, 0.0), 0
+            self._sum = (0.0, 0.0, 0.0)
+            self._ticks = 0
         return felt if self._back == IDENTITY_ROTATION else frames.rotate(self._back, felt)
 
 
@@ -260,14 +267,16 @@ def _part(name: str) -> Part:
 
 def reaction_force(site: Site) -> Instrument:
     """Measure the force of the joint that carries the link, along the axes of the sensor, in N."""
-    read, back = site.engine.joint_wrench((site.robot, site.link)), frames.inverse(site.mount[1])
+    read = site.engine.joint_wrench((site.robot, site.link))
+    back = frames.inverse(site.mount[1])
     return Instrument(lambda: frames.rotate(back, read()[0]))
 
 
 def reaction_torque(site: Site) -> Instrument:
     """Measure the torque of the joint that carries the link, about the origin of the sensor and along its
     axes, in N m."""
-    read, (arm, rotation) = site.engine.joint_wrench((site.robot, site.link)), site.mount
+    read = site.engine.joint_wrench((site.robot, site.link))
+    arm, rotation = site.mount
     back = frames.inverse(rotation)
 
     def torque() -> Triple:
@@ -279,11 +288,14 @@ def reaction_torque(site: Site) -> Instrument:
 
 # Rays
 
+_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
+
 
 def ranging(site: Site) -> Instrument:
     """Measure the free distance along each ray from its frame, or one value for all rays, in m; or the
     reading that the lookup table gives for it."""
-    beams, mount = site.sensor.beams or RayConfig((), 0.0), site.mount
+    beams = site.sensor.beams or RayConfig((), 0.0)
+    mount = site.mount
     start = ((-beams.behind, 0.0, 0.0), IDENTITY_ROTATION)
     rays = [frames.compose(frames.compose(mount, frames.frame(ray)), start) for ray in beams.rays]
     part = (site.robot, site.link)
@@ -347,16 +359,15 @@ def _slopes(distance: Values, column: Values) -> list[float]:
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 
 
-_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
-
-
 def reflectance(site: Site) -> Instrument:
     """Measure the reflectance of the plane z = 0 where -z of each ray's frame meets it; none where it looks
     level or up.
 
     Unpainted ground is 1. A reading is the mean over a spot, so that it goes gradually from ground to line.
     """
-    beams, mount, spot = site.sensor.beams or RayConfig((), 0.0), site.mount, site.parameters["spot"]
+    beams = site.sensor.beams or RayConfig((), 0.0)
+    mount = site.mount
+    spot = site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
     eyes = [(origin, frames.rotate(rotation, _DOWN_AXIS)) for origin, rotation in rays]
     read = site.engine.pose(site.robot, site.link)
@@ -396,7 +407,8 @@ def radar(site: Site) -> Instrument:
     spec = site.sensor.radar
     if spec is None:
         raise ValueError(f"the sensor {site.sensor.name} has no targets")
-    motion, measure = mounted_motion(site), spec.measure
+    motion = mounted_motion(site)
+    measure = spec.measure
     targets = [echo_reader(site, spec, target) for target in spec.targets]
     if measure == "seen":
 
@@ -450,7 +462,8 @@ _GRAY_WEIGHTS = np.array([0.299, 0.587, 0.114], np.float32)
 def camera(site: Site) -> Instrument:
     """Measure a picture, uint8 of the shape of the optics; after it comes the picture of the engine, for
     `sees`."""
-    optics, part = site.sensor.optics or CameraIntrinsics(1, 1, 1.0), (site.robot, site.link)
+    optics = site.sensor.optics or CameraIntrinsics(1, 1, 1.0)
+    part = (site.robot, site.link)
     read = site.engine.camera(part, site.mount, optics.width, optics.height, optics.fov)
     convert = _PICTURES[optics.channels]
 

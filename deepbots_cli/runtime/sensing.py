@@ -78,7 +78,8 @@ class SensorErrors:
 
     def __init__(self, spec: NoiseModel, width: int, unseen: float | None = None) -> None:
         """Create the faults; values that are NaN have no noise, and are read as `unseen`."""
-        self.spec, self.unseen = spec, unseen
+        self.spec = spec
+        self.unseen = unseen
         self.normals = Normals(width)
         self._zeros = (0.0,) * width
         faults = ("noise", "relative_noise", "bias", "relative_bias", "drift")
@@ -284,11 +285,13 @@ class Device:
     def __call__(self) -> None:
         self._tick = tick = self._tick + 1
         if self._followed is not None:
-            self.reading, self.sampled_at = self._followed(), tick
+            self.reading = self._followed()
+            self.sampled_at = tick
         elif self._period == 1 or tick % self._period == 0:
             reading = self._sampled()
             if not self.delay:
-                self.reading, self.sampled_at = reading, tick
+                self.reading = reading
+                self.sampled_at = tick
                 return
             self._under_way.append((tick + self.delay, tick, reading))
         else:

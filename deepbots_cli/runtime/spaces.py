@@ -60,7 +60,8 @@ def scaled_goal(goal: Goal, values: Sequence[float]) -> list[float]:
 def action_space(agent: Agent) -> gym.Space[Any]:
     """Return Discrete for one choice, MultiDiscrete for several, Box [-1, 1] for intervals; a Dict of
     `choices` and `ranges` for both."""
-    options, size = [len(part.options) for part in agent.choices], len(agent.range_names)
+    options = [len(part.options) for part in agent.choices]
+    size = len(agent.range_names)
     ranges = gym.spaces.Box(-1.0, 1.0, (size,), np.float32)
     if not options:
         return ranges
@@ -167,7 +168,7 @@ def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.
     return rows
 
 
-def by_part(function: Callable[..., Any], *values: Any) -> Any:
+def apply_to_parts(function: Callable[..., Any], *values: Any) -> Any:
     """Return the function of observations or actions, or of each of their parts where they are dictionaries
     of arrays."""
     if isinstance(values[0], dict):
@@ -177,7 +178,7 @@ def by_part(function: Callable[..., Any], *values: Any) -> Any:
 
 def joined(rows: Sequence[Any]) -> Any:
     """Return observations or actions, one of each world or agent, as one with a row for each."""
-    return by_part(lambda *parts: np.array(parts), *rows)
+    return apply_to_parts(lambda *parts: np.array(parts), *rows)
 
 
 def is_canonical(usual: Any, action: Any) -> bool:

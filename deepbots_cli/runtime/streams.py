@@ -33,6 +33,9 @@ _FLOAT32_ROUNDING = 1e-6
 """The share of the size of a limit by which a value may lie beyond it and is then the limit: 0.6 as a float32
 is 0.60000002."""
 
+_MAX_NAMES = 24
+"""The number of names that a message lists; find_and_avoid draws 94 values."""
+
 
 def derive_seed(root: int, *names: str | int) -> int:
     """Return a 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
@@ -63,7 +66,9 @@ class Streams:
 
     def begin(self, values: Mapping[str, Any]) -> None:
         """Begin an episode, whose draws give these `values`."""
-        self.drawn, self.chosen, self.member = {}, values, ""
+        self.drawn = {}
+        self.chosen = values
+        self.member = ""
 
     def key(self, name: str) -> str:
         """Return the key of a draw."""
@@ -266,10 +271,6 @@ def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -
     ]
 
 
-_MAX_NAMES = 24
-"""The number of names that a message lists; find_and_avoid draws 94 values."""
-
-
 def _why_not(name: str, scenario: Program, fixed: Collection[str]) -> str:
     if name in fixed:
         return (
@@ -315,7 +316,8 @@ def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
 
 def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
     """Return the number, moved to the limit that it lies beyond by rounding."""
-    full, options = entry.name, _options(entry.tree)
+    full = entry.name
+    options = _options(entry.tree)
     if isinstance(number, bool) and not any(isinstance(option, bool) for option in options):
         raise UsageError(f"reset cannot set {full!r} to {number}: it is a single number, in SI units")
     if not math.isfinite(number):

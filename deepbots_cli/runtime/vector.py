@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from deepbots_cli.errors import UsageError
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.messages import excerpt
-from deepbots_cli.runtime.spaces import by_part, fitting_rows
+from deepbots_cli.runtime.spaces import apply_to_parts, fitting_rows
 
 
 class BatchEnvironment(VectorEnv[Any, Any, Any]):
@@ -92,7 +92,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             raise UsageError("call reset() before step()")
         self._require_fitting(actions)
         outcome = self.batch.rows.step_by_world(
-            self.batch.step(self.batch.rows.by_row(by_part(np.asarray, actions)))
+            self.batch.step(self.batch.rows.by_row(apply_to_parts(np.asarray, actions)))
         )
         infos: dict[str, Any] = {}
         if len(outcome.done):
@@ -100,7 +100,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             ended[outcome.done] = True
             last = np.full(self.num_envs, None, object)
             for row, world in enumerate(outcome.done):
-                last[world] = by_part(itemgetter(row), outcome.final_observations)
+                last[world] = apply_to_parts(itemgetter(row), outcome.final_observations)
             final: dict[str, Any] = {}
             for world, info in zip(outcome.done, outcome.infos, strict=True):
                 final = self._add_info(final, info, int(world))
@@ -123,7 +123,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
             )
         if not fits.all():
             world = int(fits.argmin())
-            action = excerpt(by_part(itemgetter(world), actions))
+            action = excerpt(apply_to_parts(itemgetter(world), actions))
             raise UsageError(f"world {world}: action {action} does not fit {self.single_action_space}")
 
     def close_extras(self, **kwargs: Any) -> None:

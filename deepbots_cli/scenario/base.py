@@ -245,14 +245,14 @@ def _forms_of(annotation: Any) -> Forms:
 class Kinds:
     """A union of sections that is discriminated by the word under `key`.
 
-    `models_by_marker` has the models that have no such word and are recognized by another key, `remedies` the
+    `models_by_key` has the models that have no such word and are recognized by another key, `remedies` the
     texts to write instead of a key that belongs elsewhere. Without a word, a section is of the kind
     `default`, if there is one.
     """
 
     key: str
     models: Mapping[str, type[Section]]
-    models_by_marker: Mapping[str, type[Section]] = field(default_factory=dict)
+    models_by_key: Mapping[str, type[Section]] = field(default_factory=dict)
     remedies: Mapping[str, str] = field(default_factory=dict)
     default: str | None = None
 
@@ -263,7 +263,7 @@ class Kinds:
     @property
     def distinct_models(self) -> tuple[type[Section], ...]:
         """Each model once."""
-        return tuple(dict.fromkeys((*self.models.values(), *self.models_by_marker.values())))
+        return tuple(dict.fromkeys((*self.models.values(), *self.models_by_key.values())))
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self.validate)
@@ -278,7 +278,7 @@ class Kinds:
         if isinstance(word, str) and word in self.models:
             return self.models[word]
         return next(
-            (model for marker, model in self.models_by_marker.items() if word is None and marker in value),
+            (model for key, model in self.models_by_key.items() if word is None and key in value),
             None,
         )
 
@@ -300,10 +300,10 @@ class Kinds:
         if not isinstance(value, Mapping):
             raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
-            keys = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_marker))
+            keys = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_key))
             help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
-            help = next((remedy for marker, remedy in self.remedies.items() if marker in value), help)
-            raise error("DB102", f"missing key {keys}", help, missing=(self.key, *self.models_by_marker))
+            help = next((remedy for key, remedy in self.remedies.items() if key in value), help)
+            raise error("DB102", f"missing key {keys}", help, missing=(self.key, *self.models_by_key))
         word = value[self.key]
         if not isinstance(word, str):
             raise error_at(
@@ -385,7 +385,8 @@ def shape_of(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     Raises:
         TypeError: The annotation of a model has no shape.
     """
-    origin, arguments = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    arguments = get_args(annotation)
     if origin is Annotated:
         return shape_of(arguments[0], (*annotation.__metadata__, *metadata))
     for item in metadata:
@@ -481,13 +482,16 @@ def shape_at(shape: Shape, data: object, path: NodePath, *, choose: bool = True)
     for step in path:
         match chosen_shape(shape, data), data:
             case (ListOf(item=item), list()) if isinstance(step, int) and 0 <= step < len(data):
-                shape, data = item, data[step]
+                shape = item
+                data = data[step]
             case (MappingOf(value=value), dict()) if step in data:
-                shape, data = value, data[step]
+                shape = value
+                data = data[step]
             case (type() as section, dict()) if (
                 step in data and (below := section_fields(section).get(str(step))) is not None
             ):
-                shape, data = below, data[step]
+                shape = below
+                data = data[step]
             case _:
                 return None
     return chosen_shape(shape, data) if choose else shape
@@ -510,7 +514,7 @@ def walk_sections(
                 yield from walk_sections(option, path)
         case Kinds():
             yield path, shape, ""
-            for name, model in (*shape.models.items(), *shape.models_by_marker.items()):
+            for name, model in (*shape.models.items(), *shape.models_by_key.items()):
                 yield from walk_sections(model, path, shape.key if name in shape.models else "")
         case type():
             yield path, shape, kind_key

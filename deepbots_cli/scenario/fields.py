@@ -104,6 +104,13 @@ def counted_noun(number: int, noun: str) -> str:
 
 # Probable words
 
+_ENDS = (
+    rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:["
+    r" ]?[A-Za-z%][\w*/^%]*)?)\s*"
+)
+
+_SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
+
 
 def choices_help(word: str, words: Sequence[str]) -> str:
     """Return the help for an unknown word: the probable word, and all known words; a long list is left out
@@ -126,15 +133,6 @@ def word_replacement(word: str, words: Sequence[str]) -> Replacement | None:
         return None
     synonym = word_for(word, words)
     return Replacement(synonym, safe=False) if synonym else suggest_replacement(word, words, of_language=True)
-
-
-_ENDS = (
-    rf"\s*({_NUMBER})([ ]?[A-Za-z%][\w*/^%]*)?\s*(?:-|to|:|\u2013|\u2026)\s*({_NUMBER}(?:["
-    r" ]?[A-Za-z%][\w*/^%]*)?)\s*"
-)
-
-
-_SCALAR_RANGE = rf"\s*({_NUMBER})\s*\.\.\s*({_NUMBER})((?:\s*[A-Za-z%][\w*/^%]*)?)\s*"
 
 
 def _range_replacement(value: object) -> str | None:
@@ -488,6 +486,52 @@ MEASURES: Mapping[str, tuple[str, str, str]] = {
 """Noun, example and SI unit of each measure."""
 
 
+BUILT_IN_NAMES = frozenset(
+    {
+        "time",
+        "step",
+        "episode_return",
+        "previous_action",
+        "previous_reward",
+        "terminated",
+        "truncated",
+        "ended",
+        "goal_reached",
+    }
+    | {"ground", "arena", "pi", "true", "false"}
+)
+"""The names of values that every scenario has."""
+GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
+"""Keywords of expressions, and special values of fields."""
+NAME_PATTERN = r"[a-z_][a-z0-9_]*"
+MAX_NAME_LENGTH = 64
+
+RESERVED_NAMES: Mapping[str, Collection[str]] = {
+    "a unit": UNITS,
+    "built in": BUILT_IN_NAMES,
+    "a word of the language": GRAMMAR_WORDS,
+}
+"""Names that no shared name may have, by what they are."""
+
+COLORS = {
+    "black": (0.1, 0.1, 0.1),
+    "white": (0.95, 0.95, 0.95),
+    "gray": (0.6, 0.6, 0.6),
+    "red": (0.85, 0.2, 0.2),
+    "green": (0.25, 0.65, 0.3),
+    "blue": (0.2, 0.4, 0.8),
+    "yellow": (0.95, 0.85, 0.2),
+    "orange": (0.95, 0.55, 0.15),
+    "brown": (0.5, 0.35, 0.2),
+    "purple": (0.55, 0.3, 0.7),
+    "pink": (0.95, 0.6, 0.7),
+    "cyan": (0.2, 0.75, 0.8),
+    "magenta": (0.8, 0.2, 0.65),
+    "tan": (0.8, 0.7, 0.5),
+}
+"""Red, green and blue of each word, from 0 to 1."""
+
+
 @cache
 def measure_dimension(measure: str) -> Dimension | None:
     """Return the dimension of a measure; None where it is one of several."""
@@ -582,7 +626,8 @@ class Quantity(Parsed):
     def check(self, value: Any) -> None:
         if self.dimension == "number" and not self.components and (near := number_replacement(value)):
             raise mismatch(self.noun, _number_help(value), near, value=value)
-        count, expected = count_literal(value) if isinstance(value, str) else 1, self.components or 1
+        count = count_literal(value) if isinstance(value, str) else 1
+        expected = self.components or 1
         if count not in (None, expected):
             raise error(
                 "DB106",
@@ -601,7 +646,8 @@ class Quantity(Parsed):
 
     def _help_for_count(self, value: str, count: int | None) -> str | None:
         """Return an example in the unit of the literal, which may be one of several that the measure has."""
-        words, units = value.split(), MEASURES[self.dimension][2].split(" or ")
+        words = value.split()
+        units = MEASURES[self.dimension][2].split(" or ")
         unit = words[-1] if count and len(words) > count else ""
         if self.components or len(units) == 1 or not unit or _dimension(unit) not in map(_dimension, units):
             return self.help_for(None)
@@ -609,7 +655,8 @@ class Quantity(Parsed):
 
     def check_text(self, text: str) -> None:
         tree = self.tree(text)
-        unit, unit_names = getattr(tree, "unit", None), MEASURES[self.dimension][2].split(" or ")
+        unit = getattr(tree, "unit", None)
+        unit_names = MEASURES[self.dimension][2].split(" or ")
         if (
             unit is not None
             and not unit_names[0].startswith("of ")
@@ -683,7 +730,8 @@ class Range(Parsed):
             raise mismatch(self.noun, self.help_for(value), self.replacement_for(value), value=value)
 
     def help_for(self, value: object) -> str:
-        near, example = _range_replacement(value), self.example
+        near = _range_replacement(value)
+        example = self.example
         shown = f"write `{near}`" if near else f"write it like `{example}`"
         if self.vector and not near:
             shown += f" (a vector: `{example.replace('-1 .. 1', '-1 -2 .. 1 2')}`)"
@@ -894,35 +942,6 @@ class FilePath(FieldType):
         return f"the path of {with_article(self.kind)}"
 
 
-BUILT_IN_NAMES = frozenset(
-    {
-        "time",
-        "step",
-        "episode_return",
-        "previous_action",
-        "previous_reward",
-        "terminated",
-        "truncated",
-        "ended",
-        "goal_reached",
-    }
-    | {"ground", "arena", "pi", "true", "false"}
-)
-"""The names of values that every scenario has."""
-GRAMMAR_WORDS = frozenset(["and", "or", "not", "when", "if", "else", "every", "each", "auto", "any", "urdf"])
-"""Keywords of expressions, and special values of fields."""
-NAME_PATTERN = r"[a-z_][a-z0-9_]*"
-MAX_NAME_LENGTH = 64
-
-
-RESERVED_NAMES: Mapping[str, Collection[str]] = {
-    "a unit": UNITS,
-    "built in": BUILT_IN_NAMES,
-    "a word of the language": GRAMMAR_WORDS,
-}
-"""Names that no shared name may have, by what they are."""
-
-
 def suggested_name(text: str) -> str:
     """Return a text with the letters of a name, `polePosSensor` as `pole_pos_sensor`; it may begin with a
     digit, be empty or reserved."""
@@ -962,25 +981,6 @@ class Name(FieldType):
         return {"pattern": f"^{NAME_PATTERN}$", "title": "name", "patternErrorMessage": about}
 
 
-COLORS = {
-    "black": (0.1, 0.1, 0.1),
-    "white": (0.95, 0.95, 0.95),
-    "gray": (0.6, 0.6, 0.6),
-    "red": (0.85, 0.2, 0.2),
-    "green": (0.25, 0.65, 0.3),
-    "blue": (0.2, 0.4, 0.8),
-    "yellow": (0.95, 0.85, 0.2),
-    "orange": (0.95, 0.55, 0.15),
-    "brown": (0.5, 0.35, 0.2),
-    "purple": (0.55, 0.3, 0.7),
-    "pink": (0.95, 0.6, 0.7),
-    "cyan": (0.2, 0.75, 0.8),
-    "magenta": (0.8, 0.2, 0.65),
-    "tan": (0.8, 0.7, 0.5),
-}
-"""Red, green and blue of each word, from 0 to 1."""
-
-
 def color_options(text: str) -> list[str]:
     """Return the colors of a choice, or the single color."""
     drawn = re.fullmatch(r"choice\(([^()]*)\)", text.strip())
@@ -1013,6 +1013,14 @@ class ColorValue(FieldType):
 _PERCENT = rf"\s*({_NUMBER}\s*%)\s*"
 _SCHEDULE = rf"\s*({_NUMBER})\s*->\s*({_NUMBER})\s*"
 
+_MEAN = rf"(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))"
+_UNTIL = rf"\s*{_MEAN}\s+(?:over\s+([0-9]{{1,6}})\s+episodes?|in\s+evaluation)\s*"
+_STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
+
+MAX_SOLVED_EPISODES = 10_000
+"""The maximum number of episodes of `solved`: a confirmation plays at least as many new starts, and at most
+ten times as many."""
+
 
 def read_fraction(value: str | float) -> float:
     """Return the number that `0.8` or `80 %` is. Divided, since 57 * 0.01 is not 0.57."""
@@ -1033,11 +1041,6 @@ def read_schedule(value: object) -> tuple[float, float] | None:
     return (float(match[1]), float(match[2])) if match else None
 
 
-_MEAN = rf"(?:(success_rate)\s*>=\s*({_NUMBER}(?:\s*%)?)|(mean_return)\s*>=\s*({_NUMBER}))"
-_UNTIL = rf"\s*{_MEAN}\s+(?:over\s+([0-9]{{1,6}})\s+episodes?|in\s+evaluation)\s*"
-_STEPS = r"\s*([0-9]{1,3}(?:_[0-9]{3}){0,3}|[0-9]{1,12})\s+steps?\s*"
-
-
 def read_until(value: object) -> tuple[str, float, int | None] | None:
     """Return metric, threshold and episodes of `success_rate >= 0.7 over 40 episodes` or `50_000 steps`; None
     if it is neither.
@@ -1049,11 +1052,6 @@ def read_until(value: object) -> tuple[str, float, int | None] | None:
         return match[1] or match[3], read_fraction(match[2] or match[4]), int(match[5]) if match[5] else None
     match = re.fullmatch(_STEPS, text)
     return ("steps", float(match[1]), 1) if match else None
-
-
-MAX_SOLVED_EPISODES = 10_000
-"""The maximum number of episodes of `solved`: a confirmation plays at least as many new starts, and at most
-ten times as many."""
 
 
 class Until(FieldType):

@@ -78,9 +78,8 @@ def advice(data: Any) -> Iterator[Advice]:
             ("observation", groups[0]),
             tuple(("observation", name) for name in groups),
             f"`{groups[0]}` is a group of observations",
-            "list the entries of the policy directly under `observation`, as in"
-            " `observation: {v: -2 .. 2 m/s}`, and those of the group `critic` under `critic`, at the top"
-            " level",
+            "list the entries of the policy directly under `observation`, as in `observation:"
+            " {v: -2 .. 2 m/s}`, and those of the group `critic` under `critic`, at the top level",
         )
     for name, entry in _entries(data, "disturbances"):
         if "velocity" in entry and not {"force", "torque"} & entry.keys():
@@ -95,9 +94,10 @@ def advice(data: Any) -> Iterator[Advice]:
 
 def _entries(data: Any, section: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     entries = data.get(section) if isinstance(data, Mapping) else None
-    for name, entry in entries.items() if isinstance(entries, Mapping) else ():
-        if isinstance(entry, Mapping):
-            yield name, entry
+    if isinstance(entries, Mapping):
+        for name, entry in entries.items():
+            if isinstance(entry, Mapping):
+                yield name, entry
 
 
 def _for_reward(name: str, entry: Mapping[str, Any]) -> Advice:

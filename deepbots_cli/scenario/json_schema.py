@@ -64,6 +64,11 @@ Json = dict[str, Any]
 
 FILE_NAME = f"deepbots-{VERSION}.schema.json"
 INCLUDE: Json = {"$ref": "#/$defs/include"}
+_INCLUDE: Json = {
+    "type": "string",
+    "description": "A file with the value of this mapping; its other keys are merged over it.\n\nExample:"
+    " include: parts/arena.yaml",
+}
 
 
 # Names
@@ -136,11 +141,7 @@ def names_key_of(shape: Shape) -> str:
 def json_schema(known: ScenarioNames | None = None) -> Json:
     """Return the schema (draft 2020-12), in stable order; without names of a scenario it is the committed
     schema."""
-    sentence = (
-        "A file with the value of this mapping; its other keys are merged over it.\n\nExample:"
-        " include: parts/arena.yaml"
-    )
-    definitions: Json = {"include": {"type": "string", "description": sentence}}
+    definitions: Json = {"include": {**_INCLUDE}}
     _Writer(
         definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}
     ).reference(Scenario)
@@ -243,7 +244,8 @@ class _Writer:
         return {"$ref": f"#/$defs/{name}"}
 
     def _single(self, shape: FieldType) -> Json:
-        schema, offer = shape.json_schema(), self._names.get(names_key_of(shape))
+        schema = shape.json_schema()
+        offer = self._names.get(names_key_of(shape))
         if offer is None or not offer.names:
             return self._shared("name", schema) if isinstance(shape, Name) else schema
         if isinstance(shape, ColorValue):
@@ -313,7 +315,7 @@ class _Writer:
         return schema | (offers[0].added_to({}, noun_of(shape)) if offers else {})
 
     def _with_identifying_keys(self, form: Shape, other: Json) -> Json:
-        """Return the schema of the other forms, with the marks of this form as completions."""
+        """Return the schema of the other forms, with the identifying keys of this form as completions."""
         if not isinstance(form, type) or not form.identifying_keys:
             return other
         identifying_keys = {
@@ -333,9 +335,12 @@ class _Writer:
             }
             for name, model in shape.models.items()
         ]
-        for marker, model in shape.models_by_marker.items():
+        for identifying_key, model in shape.models_by_key.items():
             branches.append(
-                {"if": {"required": [marker], "not": {"required": [key]}}, "then": self.reference(model)}
+                {
+                    "if": {"required": [identifying_key], "not": {"required": [key]}},
+                    "then": self.reference(model),
+                }
             )
         kinds = {
             "enum": list(shape.models),
@@ -344,7 +349,8 @@ class _Writer:
         first = shape.models[shape.default or shape.names[0]]
         properties: Json = {key: kinds | {"description": _text(first, key, shape.names[0])}}
         properties |= {
-            marker: {"description": _text(model, marker)} for marker, model in shape.models_by_marker.items()
+            identifying_key: {"description": _text(model, identifying_key)}
+            for identifying_key, model in shape.models_by_key.items()
         }
         return {"type": "object", "properties": properties | {"include": INCLUDE}, "allOf": branches}
 
@@ -384,19 +390,15 @@ class _Writer:
     def _property(self, section: type[Section], key: str) -> Json:
         shape = section_fields(section)[key]
         schema = self.schema(shape)
-        first_name = (
-            next(iter(offer.names), "")
-            if (offer := self._names.get(names_key_of(shape))) and offer.is_complete
-            else ""
-        )
         # Entries have no description of their own, unless they are sections.
         for keyword in ("additionalProperties", "items"):
             entries = schema.get(keyword)
             if isinstance(entries, dict) and not entries.keys() & {"$ref", "allOf"}:
                 schema = schema | {keyword: entries | {"description": key_description(section, key)}}
-        schema = schema | {
-            "description": _text(section, key, first_name)
-        }  # `joint: left_wheel` is no example for an arm
+        # The example of the docstring may have a name that the scenario does not have, such as `left_wheel`.
+        offer = self._names.get(names_key_of(shape))
+        first_name = next(iter(offer.names), "") if offer and offer.is_complete else ""
+        schema = {**schema, "description": _text(section, key, first_name)}
         default = section.model_fields[key].default
         if isinstance(default, (str, int, float)) and default != "":
             schema["default"] = default
@@ -417,14 +419,16 @@ def definition_of(section: type[Section]) -> type[Section]:
         and "type" in getattr(base, "model_fields", ())
         and vars(section).get("__annotations__", {}).keys() == {"type"}
     ):
-        section, base = base, base.__base__
+        section = base
+        base = base.__base__
     return section
 
 
 def _text(section: type[Section], key: str, example: str = "") -> str:
     """Return the sentence about a key, its unit, default and example; `example` overrides the example of the
     key."""
-    unit, default = unit_of(section_fields(section)[key]), default_of(section, key)
+    unit = unit_of(section_fields(section)[key])
+    default = default_of(section, key)
     facts = [f"Unit: {'none, a plain number' if unit == '1' else unit}."] if unit else []
     if section.model_fields[key].is_required():
         facts.append("Required.")
@@ -457,7 +461,7 @@ def _form_of(shape: Shape) -> Json:
         case type() if shape.identifying_keys:
             return {
                 "type": "object",
-                "anyOf": [{"required": [marker]} for marker in sorted(shape.identifying_keys)],
+                "anyOf": [{"required": [key]} for key in sorted(shape.identifying_keys)],
             }
         case _:
             return {"type": "object"}

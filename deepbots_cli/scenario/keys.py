@@ -51,6 +51,8 @@ _MAX_HOMES = 6
 _MAX_HOLDERS = 3
 """The number of mappings one level down that can have a name; above this, a suggestion is useless."""
 
+_STEP = "  "  # one level of indentation
+
 
 class Suggestion(NamedTuple):
     """The advice for an unknown key: in words, and as the probable key; `is_fix` is true if the key alone can
@@ -69,7 +71,7 @@ def keys_of(shape: Shape | None) -> str | None:
     return f"allowed keys: {listed(shape.model_fields)}" if isinstance(shape, type) else None
 
 
-def about_key(data: object, path: NodePath) -> str | None:
+def sentence_about_key(data: object, path: NodePath) -> str | None:
     """Return the sentence about the innermost known key of a path."""
     steps = next((path[:depth] for depth in range(len(path), 0, -1) if isinstance(path[depth - 1], str)), ())
     section = shape_at(Scenario, data, steps[:-1]) if steps else None
@@ -101,7 +103,7 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     *_, key = map(str, path)
     section = shape_at(Scenario, data, path[:-1])
     if not isinstance(section, type):
-        return Suggestion(about_key(data, path))
+        return Suggestion(sentence_about_key(data, path))
     near = replacement_for(data, path)
     if renamed := key_instead_of(section, key):
         return _renamed(root, data, path, section, renamed)
@@ -144,12 +146,13 @@ def misspelled_key(
     what to write for it; None if no key is like them."""
     section = descend(root, path)[0]
     words = section.entries.keys() if isinstance(section, nodes.MappingNode) else set()
-    for word in words if words.isdisjoint(missing) else ():
-        near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
-        if near is not None:
-            key = (*path, word)
-            help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
-            return key, Suggestion(help, Replacement(near, safe=False))
+    if words.isdisjoint(missing):
+        for word in words:
+            near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
+            if near is not None:
+                key = (*path, word)
+                help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
+                return key, Suggestion(help, Replacement(near, safe=False))
     return None
 
 
@@ -173,7 +176,8 @@ def _renamed(
 ) -> Suggestion:
     """Return the line with the key that a synonym stands for, if the value fits it."""
     value = to_data(descend(root, path)[0])
-    shape, near = section_fields(section)[key], replacement_for(data, path)
+    shape = section_fields(section)[key]
+    near = replacement_for(data, path)
     written = str(path[-1])
     if isinstance(shape, Word) and isinstance(value, bool):  # as `fixed: true` for `base: fixed`
         word = next((word for word in shape.words if (word in written) is value), shape.words[0])
@@ -187,7 +191,9 @@ def _renamed(
     if replacement is not None:
         return Suggestion(f"write `{key}: {replacement.text}`", near, is_fix=False)
     if not fits(shape, value):
-        return Suggestion(f"write `{key}` instead. {about_key(data, (*path[:-1], key))}", near, is_fix=False)
+        return Suggestion(
+            f"write `{key}` instead. {sentence_about_key(data, (*path[:-1], key))}", near, is_fix=False
+        )
     return Suggestion(f"write `{_line(root, path, key)}`", near)
 
 
@@ -201,9 +207,6 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     if behind.startswith("="):  # an assignment of the command line
         return f"--set {text[: word.span.start]}{key}{behind}"
     return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
-
-
-_STEP = "  "  # one level of indentation
 
 
 def _indentation(word: nodes.ScalarNode) -> str:
@@ -245,7 +248,8 @@ def _further_in(
 ) -> str:
     """Return the line that is missing above an entry whose name the user chooses."""
     why = "a name that you choose stands one level further in"
-    section, (_, key, _) = descend(root, path[:-1])[0], descend(root, path)
+    section = descend(root, path[:-1])[0]
+    _, key, _ = descend(root, path)
     line = _line(root, path, str(path[-1]))
     names = tuple(section.entries) if isinstance(section, nodes.MappingNode) else ()
     present = [holder for holder in holders if holder in names]
@@ -299,8 +303,9 @@ def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
     """Return the paths of the sections that have each key; `*` is a name that the user chooses."""
     homes: dict[str, set[tuple[str, ...]]] = {}
     for home, section, _ in walk_sections(Scenario):
-        for key in section.model_fields if isinstance(section, type) else ():
-            homes.setdefault(key, set()).add(home)
+        if isinstance(section, type):
+            for key in section.model_fields:
+                homes.setdefault(key, set()).add(home)
     return {key: frozenset(places) for key, places in homes.items()}
 
 

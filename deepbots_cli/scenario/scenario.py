@@ -727,7 +727,8 @@ def _with_whole_training(root: MappingNode) -> MappingNode:
         return root
     sections = {}
     for name, entry in agents.entries.items():
-        section, train = entry.value, node_at(entry.value, "train")
+        section = entry.value
+        train = node_at(entry.value, "train")
         if isinstance(section, MappingNode) and isinstance(train, MappingNode):
             whole = replace(train, entries={**shared.entries, **train.entries})
             training = section.entries["train"]._replace(value=whole)

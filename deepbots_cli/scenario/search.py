@@ -91,7 +91,8 @@ def read_range(text: str) -> SearchSpace:
     Raises:
         PydanticCustomError: It is no range of numbers, or is empty.
     """
-    field, marked = SearchField(), _LOG.fullmatch(text)
+    field = SearchField()
+    marked = _LOG.fullmatch(text)
     tree = Parsed.tree(marked[1] if marked else text)
     if not (isinstance(tree, RangeTree) and isinstance(tree.low, Number) and isinstance(tree.high, Number)):
         raise mismatch(field.noun, field.help_for(text), value=text)

@@ -45,7 +45,8 @@ def key_for(word: str, keys: Iterable[str], models: Iterable[str] = ()) -> str |
 
     A word of British spelling is read as the American one.
     """
-    table, names = synonyms().keys, tuple(models)
+    table = synonyms().keys
+    names = tuple(models)
     american = word.replace("colour", "color")
     candidates = tuple(keys)
     if american != word and american in candidates:

@@ -39,6 +39,38 @@ StepsOrEpisodes = WholeNumber(
     example="1 episode",
 )
 
+WORD = Text(
+    "a word of a name",
+    r"[A-Za-z0-9](?:[A-Za-z0-9_]{0,62}[A-Za-z0-9])?",
+    "left",
+    refused="a word of a name",
+    help="write the part of the names by which the sides differ, such as `FL` of `FL_hip_joint`",
+)
+
+SET_ELSEWHERE_HELP: Mapping[str, str] = {
+    "seed": "set it on the command line: `deepbots train --seed 1`",
+    "verbose": "set it on the command line: `deepbots train --quiet`",
+    "tensorboard_log": "remove it: every run writes its TensorBoard log into its own directory",
+    "policy": "remove it: deepbots chooses the policy class; `network: {hidden: [64, 64]}` sets its layers",
+    "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
+    "net_arch": "write `network: {hidden: [64, 64]}`",
+    **dict.fromkeys(
+        ("hidden_dims", "actor_hidden_dims", "critic_hidden_dims"),
+        "write `network: {hidden: [512, 256, 128]}`",
+    ),
+    "max_iterations": "write `total_timesteps`: `max_iterations` * `environments` * the steps of each"
+    " environment",
+    "replay_buffer_class": "write `replay: her`",
+    "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
+    "lstm_hidden_size": "write `lstm: 64`",
+    **dict.fromkeys(
+        ("episodes", "n_episodes"),
+        "write the number of steps, for example `total_timesteps: 100_000`: deepbots counts the steps of a"
+        " training, not its episodes, and each episode has at most those of `truncation`",
+    ),
+}
+"""Hyperparameters of other tools, and where they are set here."""
+
 
 class ActionNoise(Section):
     """Noise on actions during training."""
@@ -106,15 +138,6 @@ class AdaptiveRate(Section):
     1e-5 to 1e-2."""
     start: Positive = 1e-3
     """Learning rate of the first update."""
-
-
-WORD = Text(
-    "a word of a name",
-    r"[A-Za-z0-9](?:[A-Za-z0-9_]{0,62}[A-Za-z0-9])?",
-    "left",
-    refused="a word of a name",
-    help="write the part of the names by which the sides differ, such as `FL` of `FL_hip_joint`",
-)
 
 
 class Symmetry(Section):
@@ -512,27 +535,3 @@ ALGORITHMS: PluginTable[type[Training]] = PluginTable(
     _read,
 )
 AnyTraining = Annotated[Training, Kinds("algorithm", ChainMap({AUTO: Auto}, ALGORITHMS), default=AUTO)]
-
-SET_ELSEWHERE_HELP: Mapping[str, str] = {
-    "seed": "set it on the command line: `deepbots train --seed 1`",
-    "verbose": "set it on the command line: `deepbots train --quiet`",
-    "tensorboard_log": "remove it: every run writes its TensorBoard log into its own directory",
-    "policy": "remove it: deepbots chooses the policy class; `network: {hidden: [64, 64]}` sets its layers",
-    "policy_kwargs": "write `network: {hidden: [64, 64], activation: tanh}`",
-    "net_arch": "write `network: {hidden: [64, 64]}`",
-    **dict.fromkeys(
-        ("hidden_dims", "actor_hidden_dims", "critic_hidden_dims"),
-        "write `network: {hidden: [512, 256, 128]}`",
-    ),
-    "max_iterations": "write `total_timesteps`: `max_iterations` * `environments` * the steps of each"
-    " environment",
-    "replay_buffer_class": "write `replay: her`",
-    "replay_buffer_kwargs": "write `replay: {type: her, n_sampled_goal: 4}`",
-    "lstm_hidden_size": "write `lstm: 64`",
-    **dict.fromkeys(
-        ("episodes", "n_episodes"),
-        "write the number of steps, for example `total_timesteps: 100_000`: deepbots counts the steps of a"
-        " training, not its episodes, and each episode has at most those of `truncation`",
-    ),
-}
-"""Hyperparameters of other tools, and where they are set here."""

@@ -35,10 +35,10 @@ from deepbots_cli.scenario.fields import FieldType, counted_noun, error, mismatc
 from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
-    about_key,
     keys_of,
     listed,
     misspelled_key,
+    sentence_about_key,
     suggestion_for,
 )
 from deepbots_cli.scenario.scenario import VERSION, Scenario
@@ -166,7 +166,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
             "DB102",
             _key_span(root, path),
             f"missing key `{key}` {_place(path)}",
-            about_key(data, (*path, key)),
+            sentence_about_key(data, (*path, key)),
         )
         return _Problem(path, finding, (str(key),))
     if kind == "extra_forbidden":
@@ -183,17 +183,24 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
         else _reworded(shape_at(Scenario, data, path), to_data(node), error["msg"])
     )
     kind = context.get("code", kind)
-    headline, help, near = context["headline"], context["help"], context["replacement"]
+    headline = context["headline"]
+    help = context["help"]
+    near = context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
         help = help or keys_of(shape_at(Scenario, data, path))
         if hint := _typing_hint(node, data, path, takes_mapping=expected == "a mapping"):
-            help, near = hint[0], near or hint[1]
+            help = hint[0]
+            near = near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
         help = ". ".join(
             filter(
-                None, (help, about_key(data, (*path, context["missing"][0])) if context["missing"] else None)
+                None,
+                (
+                    help,
+                    sentence_about_key(data, (*path, context["missing"][0])) if context["missing"] else None,
+                ),
             )
         )
     elif kind == "DB107":
@@ -206,7 +213,9 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     )
     fix = _fix(key_node if at_key else node, near)
     return _Problem(
-        path, Finding(kind, span, headline, help or about_key(data, path), fix=fix), context["missing"]
+        path,
+        Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix),
+        context["missing"],
     )
 
 
@@ -215,7 +224,13 @@ def _unknown_key(root: nodes.MappingNode, data: Any, path: NodePath, suggestion:
     fix = _fix(descend(root, path)[1], suggestion.replacement) if suggestion.is_fix else None
     return _Problem(
         path,
-        Finding("DB101", _key_span(root, path), headline, suggestion.help or about_key(data, path), fix=fix),
+        Finding(
+            "DB101",
+            _key_span(root, path),
+            headline,
+            suggestion.help or sentence_about_key(data, path),
+            fix=fix,
+        ),
         replacement=suggestion.replacement,
     )
 
@@ -282,7 +297,7 @@ def _typing_hint(
         case nodes.SequenceNode(items=items) if items and all(
             isinstance(item, nodes.MappingNode) for item in items
         ):
-            return ". ".join(filter(None, (_without_dashes(items[0]), about_key(data, path)))), None
+            return ". ".join(filter(None, (_without_dashes(items[0]), sentence_about_key(data, path)))), None
     return None
 
 
@@ -362,7 +377,8 @@ def _entries_directly_below(
 
 
 def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], finding: Finding) -> Finding:
-    source, first = owner.span.source, entries[0].key
+    source = owner.span.source
+    first = entries[0].key
     more = f" and {counted_noun(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     verb = "are" if more else "is"
     begin = source.text.rfind("\n", 0, first.span.start) + 1
@@ -440,14 +456,16 @@ def _advise(root: nodes.MappingNode, data: Any, findings: Findings) -> None:
         for finding in findings
         if finding.code == "DB107" and finding.help == GIVE_A_VALUE
     }
-    for path, node in walk(root) if vague else ():
-        for key in node.keys_without_value if isinstance(node, nodes.MappingNode) else ():
-            if finding := vague.get(key.span):
-                findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
+    if vague:
+        for path, node in walk(root):
+            if isinstance(node, nodes.MappingNode):
+                for key in node.keys_without_value:
+                    if finding := vague.get(key.span):
+                        findings.replace_help(finding, _help_for_missing_value(data, (*path, key.text)))
 
 
 def _help_for_missing_value(data: object, path: NodePath) -> str:
-    message = about_key(data, path)
+    message = sentence_about_key(data, path)
     if message is not None and message.startswith(f"`{path[-1]}`"):
         return message
     holder = shape_at(Scenario, data, path[:-1], choose=False)

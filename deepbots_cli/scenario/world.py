@@ -496,5 +496,5 @@ _ARTICULATED = (
 )
 AnyObject = Annotated[
     PlacedBody,
-    Kinds("shape", OBJECTS, models_by_marker={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED}),
+    Kinds("shape", OBJECTS, models_by_key={"one_of": VariedObject}, remedies={"urdf": _ARTICULATED}),
 ]

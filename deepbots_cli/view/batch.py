@@ -77,7 +77,9 @@ class BatchPlayer(Player):
         return self._read()
 
     def _turn_to(self, world: int) -> None:
-        self.world, self.env, self.seed = world, self.batch.singles[world], self._seeds[world]
+        self.world = world
+        self.env = self.batch.singles[world]
+        self.seed = self._seeds[world]
         self.reader = self._reader()
 
     def begin(self, seed: int, episode: int) -> WorldFrame:
@@ -105,7 +107,8 @@ class BatchPlayer(Player):
             self.action = self.driver.act(self.observation)
         acting = (~self._running.resting).repeat(self.batch.copies)
         outcome = self._running.step_all(self.action)
-        self._rewards[acting], self._terms[:, acting] = outcome.rewards[acting], outcome.terms[:, acting]
+        self._rewards[acting] = outcome.rewards[acting]
+        self._terms[:, acting] = outcome.terms[:, acting]
         self.observation = outcome.observations
         outcome = self.batch.rows.step_by_world(outcome)
         self._running.resting[outcome.done] = True

@@ -63,10 +63,13 @@ class Showing:
         source = Source.open(self.reference, self.permissions, *SHOWN_KINDS)
         if source.kind is SourceKind.RECORDING:
             return self._open_recording(source.path, is_log=is_robot_log(source.path))
-        run, showing, overrides = None, self, self.overrides
+        run = None
+        showing = self
+        overrides = self.overrides
         if source.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
             ref = ModelRef.open(source, model=self.model)
-            run, showing = ref.run, replace(self, model=ref.name)
+            run = ref.run
+            showing = replace(self, model=ref.name)
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
@@ -181,10 +184,14 @@ class RunDriver(Driver):
             raise RunError(
                 f"the policy of {run.path} does not fit the changed scenario:\n  " + "\n  ".join(differences)
             )
-        self._load, self._driver = evaluation.load_model, PolicyDriver
+        self._load = evaluation.load_model
+        self._driver = PolicyDriver
         self._steps_of = steps_of
-        self._run, self._env, self._batch = run, env, batch
-        self._model, self._deterministic = model, deterministic
+        self._run = run
+        self._env = env
+        self._batch = batch
+        self._model = model
+        self._deterministic = deterministic
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
         self.begin(Start())
@@ -203,7 +210,8 @@ class RunDriver(Driver):
         if name is not None and stamps[name] != self._stamp:
             model = self._load(self._run, name, self._env)
             acting = self._driver(model, self._env, batch=self._batch, deterministic=self._deterministic)
-            self._policy, self._stamp = acting, stamps[name]
+            self._policy = acting
+            self._stamp = stamps[name]
             self.note = (
                 f"policy after {self._steps_of(self._run.model(name)):,} steps{self._stage()}"
                 if running
@@ -309,7 +317,8 @@ class Player:
 
     def start(self, start: Start) -> WorldFrame:
         """Reset to an episode. Returns its first frame."""
-        self.seed, self.actions = start.seed or 0, []
+        self.seed = start.seed or 0
+        self.actions = []
         self.driver.begin(start)
         self._steps = steps(self.env, Driver(self._act), start)
         return self._next_frame()

@@ -42,6 +42,9 @@ LinkName = tuple[str, str]
 # Turns x to -z, the direction of a reflectance sensor.
 _DOWNWARD = frames.quaternion(0.0, np.pi / 2, 0.0)
 
+_ARC_STEP = np.radians(6.0)
+_REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach
+
 
 class PlottedField(NamedTuple):
     """A number that is plotted, with its range. `group` is the entry of the scenario that it belongs to;
@@ -101,7 +104,8 @@ class SensorRays(NamedTuple):
 
         Free rays are green, and rays that end near the sensor are red.
         """
-        free, (origin, turn) = np.array(frame.rays[key])[:, None], frame.links[self.part]
+        free = np.array(frame.rays[key])[:, None]
+        origin, turn = frame.links[self.part]
         turn = frames.yaw_only(turn) if self.upright else turn
         axes = np.array(
             [frames.rotate(turn, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
@@ -267,7 +271,10 @@ class MessageRecorder:
     """A wrapper of the `FieldCodec` of a channel that keeps the last received message."""
 
     def __init__(self, wire: FieldCodec, units: ShownUnits) -> None:
-        self._wire, self.layout, self.silence, self.encode = wire, wire.layout, wire.silence, wire.encode
+        self._wire = wire
+        self.layout = wire.layout
+        self.silence = wire.silence
+        self.encode = wire.encode
         self.fields = tuple(
             PlottedField(
                 name,
@@ -454,7 +461,8 @@ class FrameReader:
         return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
     def _agent(self, agent: Supervisor, seen: Any, action: Any, episode_return: float) -> AgentFrame:
-        vector, goal = seen, []
+        vector = seen
+        goal = []
         if isinstance(seen, dict):
             vector = seen.get("observation", np.zeros(0, np.float32))
             goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []
@@ -535,7 +543,3 @@ def _sector(mount: Pose, radar: RadarConfig) -> NDArray[np.float64]:
     inner, outer = (np.array(origin) + reach * directions for reach in (max(0.0, radar.near), radar.far))
     arcs = [np.stack([arc[:-1], arc[1:]], axis=1) for arc in (inner, outer)]
     return np.concatenate([*arcs, np.stack([inner, outer], axis=1)[[0, -1]]])
-
-
-_ARC_STEP = np.radians(6.0)
-_REFLECTANCE_REACH_M = 0.1  # a reflectance sensor has no reach

@@ -59,7 +59,8 @@ class LogPlayer(ReplayPlayer):
         Player.__init__(self, opened, ROBOT)
 
     def _reader(self) -> FrameReader:
-        reader, info = super()._reader(), self.log.info
+        reader = super()._reader()
+        info = self.log.info
         every = [step for episode in self.log.episodes for step in episode.steps]
         units = self.opened.checked().units
         self._inputs = list(_columns(info.inputs, [step.inputs for step in every], units))

@@ -157,7 +157,8 @@ def turns_left(player: Player, seed: int, episode: int) -> bool:
         return False
     yaws = []
     for value in (1.0, -1.0):
-        frame, player.manual_values = player.begin(seed, episode), {ranges[0]: 1.0, ranges[-1]: value}
+        frame = player.begin(seed, episode)
+        player.manual_values = {ranges[0]: 1.0, ranges[-1]: value}
         while frame.ended_by is None and frame.time < _STEERING_TIME:
             frame = player.step(by_hand=True)
         yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])

@@ -85,7 +85,9 @@ class Page:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
             MissingExtraError: viser is not installed.
         """
-        self._source, self._compare, self._watch = source, compare, watch
+        self._source = source
+        self._compare = compare
+        self._watch = watch
         self._output = output
         self.frame_rate = frame_rate
         self._embedded = embedded
@@ -157,7 +159,8 @@ class Page:
 
     def change_parameter(self, name: str, text: str) -> None:
         """Change a parameter of the scenario. The world begins anew once no further change arrives."""
-        self._changed[name], self._changed_at = text, time.monotonic()
+        self._changed[name] = text
+        self._changed_at = time.monotonic()
 
     @property
     def changed_parameters(self) -> Mapping[str, str]:
@@ -216,7 +219,8 @@ class Page:
 
     def _build(self, players: Sequence[Player]) -> None:
         """Show worlds side by side. The panel stays as it is if it fits."""
-        scene, playback, player = self.server.scene, self.playback, players[0]
+        scene, playback = self.server.scene, self.playback
+        player = players[0]
         self._written = {
             name: self._written.get(name, text) if name in self._changed else text
             for name, text in player.opened.parameters.items()
@@ -238,7 +242,8 @@ class Page:
         scene.reset()
         if controls != self._controls:
             self._clear()
-        boxes, right = extent(player.program), ZERO_VECTOR
+        boxes = extent(player.program)
+        right = ZERO_VECTOR
         for other_player in players[1:]:
             right = shift_beside(boxes, extent(other_player.program))
             boxes += [(add(low, right), add(high, right)) for low, high in extent(other_player.program)]
@@ -315,7 +320,9 @@ class Page:
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
         page."""
-        frame_count, due, checked = 0, time.perf_counter(), time.monotonic()
+        frame_count = 0
+        due = time.perf_counter()
+        checked = time.monotonic()
         while not until():
             period = 1 / self.frame_rate
             while not self._tasks.empty():
@@ -338,7 +345,8 @@ class Page:
                     )
                 )
                 self._draw(texts=frame_count % FRAMES_PER_TEXT == 0)
-            frame_count, due = frame_count + 1, max(due + period, time.perf_counter() - MAX_STEPPING_S)
+            frame_count = frame_count + 1
+            due = max(due + period, time.perf_counter() - MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 
     def _draw(self, *, texts: bool) -> None:

@@ -73,9 +73,12 @@ class Panel:
         """Add the controls. `queue` runs the work of a control in the thread of the page; `on_parameter`
         takes a name and its new value. The page around an embedded panel has the list of drivers itself
         (`chooses_driver`)."""
-        self._gui, self._playback, self._queue = gui, playback, queue
+        self._gui = gui
+        self._playback = playback
+        self._queue = queue
         self._chooses_driver = chooses_driver
-        worlds, player = playback.worlds, playback.worlds[0].player
+        worlds = playback.worlds
+        player = playback.worlds[0].player
         self._agents = {
             f"{world.title}: {name}" if world.title else name: ChosenAgent(number, name)
             for number, world in enumerate(worlds)
@@ -118,7 +121,9 @@ class Panel:
             self._camera_folder = gui.add_folder("Cameras")
 
     def _add_time(self, player: Player) -> None:
-        gui, playback, queue = self._gui, self._playback, self._queue
+        gui = self._gui
+        playback = self._playback
+        queue = self._queue
         acts = {
             "pause": lambda: playback.play(playback.paused),
             "step": playback.step_once,
@@ -196,7 +201,8 @@ class Panel:
         states = "".join(self._state(number) for number in range(len(playback.worlds)))
         self.banner.content = panel_html.notice(*playback.stopped, "#D55E00") if playback.stopped else states
         player = playback.worlds[agent.world].player
-        layout, frame = player.reader.layout, player.frame
+        layout = player.reader.layout
+        frame = player.frame
         other_agents = frame.agents.keys() - {agent.name}
         rows = [
             *panel_html.agent_rows(layout, frame.agents[agent.name]),
@@ -208,8 +214,10 @@ class Panel:
 
     def _state(self, number: int) -> str:
         """Return the notice with the state of a world."""
-        playback, world = self._playback, self._playback.worlds[number]
-        player, frame = world.player, world.player.frame
+        playback = self._playback
+        world = self._playback.worlds[number]
+        player = world.player
+        frame = world.player.frame
         agent = self._agent.of(frame)
         state = (frame.ending or ("press a key to begin" if playback.waiting else "running")) + (
             " (paused)" if playback.paused else ""
@@ -368,7 +376,8 @@ class TrainingTab:
     """The stages and evaluations of the training of a run."""
 
     def __init__(self, gui: viser.GuiApi, run: Run) -> None:
-        self.text, self._read_at = gui.add_html(""), -math.inf
+        self.text = gui.add_html("")
+        self._read_at = -math.inf
         self.read(run)
 
     def read(self, run: Run) -> None:
@@ -396,7 +405,8 @@ class ShowTab:
     """The parts that are drawn, and the settings of camera and time."""
 
     def __init__(self, gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
-        self._playback, first = playback, playback.worlds[0]
+        self._playback = playback
+        first = playback.worlds[0]
         useless = (
             set() if any(world.player.shortest_paths() for world in playback.worlds) else {"shortest path"}
         )
@@ -437,7 +447,8 @@ def add_parameters(
             box = gui.add_text(name, text)
             box.on_update(lambda event, n=name: on_change(n, event.target.value))
             continue
-        value, unit = float(number[1]), number[2] or number[3] or ""
+        value = float(number[1])
+        unit = number[2] or number[3] or ""
         low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
         slider = gui.add_slider(
             f"{name} ({unit})" if unit else name,
@@ -455,7 +466,8 @@ def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
     hand = playback.manual_input
 
     def command(name: str, value: float) -> None:
-        playback.manual_input.base_values[name], playback.waiting = float(value), False
+        playback.manual_input.base_values[name] = float(value)
+        playback.waiting = False
 
     gui.add_html(panel_html.hint(f"Keys: {hand.help()}. A gamepad works too."))
     if playback.by_hand and playback.driven is None:

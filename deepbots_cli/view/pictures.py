@@ -33,7 +33,10 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 SUFFIXES = (".mp4", ".gif", ".html")
-_GIF_FRAME_RATE, _MP4_FRAME_RATE, _PAGE_FRAME_RATE = 12.5, 30.0, 20.0  # pictures per second
+# Pictures per second.
+_GIF_FRAME_RATE = 12.5
+_MP4_FRAME_RATE = 30.0
+_PAGE_FRAME_RATE = 20.0
 _GIF_COLORS = 96
 _GIF_SHADE = 8  # of 256; shades that are closer are one color
 _SUPERSAMPLING = 2  # the factor by which pictures are drawn larger before they are reduced
@@ -43,7 +46,8 @@ _MIN_HALF_SIDE_M = 0.02  # half the side of the smallest view from above
 _MARGIN_ABOVE = 1.15  # the room around a path that is seen from above, as a factor
 _MIN_CLIMB = 0.5  # share of the longer side; a path that climbs more is shown from the side
 _MAX_OBJECT_SHARE = 3.0  # share of all other parts; a larger object is ground, which is shown in part
-_WHITE, _GOAL = (255, 255, 255, 255), (40, 40, 40, 255)
+_WHITE = (255, 255, 255, 255)
+_GOAL = (40, 40, 40, 255)
 
 Point = tuple[float, float]
 
@@ -148,7 +152,8 @@ def render_picture(
         samples=1,
     )
     image = Image.fromarray(player.render(view))
-    draw, project = ImageDraw.Draw(image, "RGBA"), projection(view)
+    draw = ImageDraw.Draw(image, "RGBA")
+    project = projection(view)
     if rays:
         for key, beams in player.reader.layout.sensor_rays.items():
             for start, end in beams.lines(player.frame, key).tolist():
@@ -218,7 +223,8 @@ class PaintedPath:
 
     @staticmethod
     def of(player: Player, path: Sequence[WorldFrame]) -> PaintedPath:
-        world, positions = player.env.world, trajectories.read_positions(player.reader.layout, path)
+        world = player.env.world
+        positions = trajectories.read_positions(player.reader.layout, path)
         moving = trajectories.find_moving(player.program, world, [positions])
         agents = [agent for body, agent in moving.targets if not body]
         goals = {f"goal of {agent}" if len(agents) > 1 else "goal": positions["", agent] for agent in agents}
@@ -511,7 +517,8 @@ def _write_page(player: Player, path: Path, world_frames: Iterator[WorldFrame], 
 
     page, _ = server.serve(access.LOOPBACK, 0, "deepbots", lambda keys, axes: None)
     try:
-        program, first = player.program, next(world_frames)
+        program = player.program
+        first = next(world_frames)
         size = aim_camera(page, overview(program))
         world = WorldScene(page.scene, player.env.world, player.reader.layout, size=size)
         world.set_frame(first, after_reset=True)

@@ -92,15 +92,23 @@ class Playback:
         `on_change` with other changes of the state."""
         self.worlds: list[ShownWorld] = []
         self.rival: Player | None = None
-        self.driver, self.by_hand = driver, by_hand
+        self.driver = driver
+        self.by_hand = by_hand
         self.manual_input = ManualInput(())
         self.driven: DrivenEpisodes | None = None
-        self.seed, self.episode, self.batch_world = seed, episode, batch_world
-        self.paused, self.waiting, self.speed = False, by_hand, 1.0
+        self.seed = seed
+        self.episode = episode
+        self.batch_world = batch_world
+        self.paused = False
+        self.waiting = by_hand
+        self.speed = 1.0
         self.stopped: tuple[str, str] | None = None
         self.ended_at = 0.0
-        self.played, self.successes, self.best_return = 0, 0, -math.inf
-        self._on_begin, self._on_change = on_begin, on_change
+        self.played = 0
+        self.successes = 0
+        self.best_return = -math.inf
+        self._on_begin = on_begin
+        self._on_change = on_change
         self._recorded = 0
 
     @property
@@ -115,7 +123,8 @@ class Playback:
     def close_players(self) -> None:
         for player in self._players:
             player.close()
-        self.worlds, self.rival = [], None
+        self.worlds = []
+        self.rival = None
 
     # Episodes
 
@@ -131,7 +140,8 @@ class Playback:
 
     def show_first_frame(self) -> None:
         """Show the beginning of an episode that the players have begun."""
-        self.ended_at, self.stopped = 0.0, None
+        self.ended_at = 0.0
+        self.stopped = None
         self.waiting = self.by_hand or (self.player is not None and self.player.driver_name == HAND)
         for world in self.worlds:
             world.show_newest(after_reset=True)
@@ -141,7 +151,8 @@ class Playback:
         self._on_begin()
 
     def set_seed(self, seed: int) -> None:
-        self.seed, self.episode = seed, 0
+        self.seed = seed
+        self.episode = 0
         self.begin()
 
     def set_driver(self, name: str) -> None:
@@ -171,7 +182,8 @@ class Playback:
         self._recorded += 1
         opened, actions = self.player.opened, self.player.actions
         with closing(open_player(opened, ZERO)) as again:
-            again.driver, again.driver_name = sequence_driver(actions), HAND
+            again.driver = sequence_driver(actions)
+            again.driver_name = HAND
             name = f"{Path(opened.shown.reference).stem}-{self.seed}-{self.episode}-played"
             numbered = (Path(f"{name}{number or ''}{RECORDING_SUFFIX}") for number in count())
             path = next(path for path in numbered if not path.exists())
@@ -182,13 +194,15 @@ class Playback:
 
     def play(self, playing: bool) -> None:
         """Continue, or pause."""
-        self.paused, self.waiting = not playing, False
+        self.paused = not playing
+        self.waiting = False
         if self.worlds:
             self._on_change()
 
     def stop(self, title: str, text: str) -> None:
         """Pause with an error (`text` is HTML), until an episode begins."""
-        self.paused, self.stopped = True, (title, text)
+        self.paused = True
+        self.stopped = (title, text)
 
     def step_once(self) -> None:
         """Pause, and make one step."""
@@ -202,7 +216,8 @@ class Playback:
 
     def seek(self, index: int) -> None:
         """Pause at a frame of a recording."""
-        self.paused, self.ended_at = True, 0.0
+        self.paused = True
+        self.ended_at = 0.0
         for world in self.worlds:
             if isinstance(world.player, ReplayPlayer):
                 world.player.seek(index)

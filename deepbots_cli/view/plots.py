@@ -42,9 +42,15 @@ _MAX_COLORED_ENDINGS = 20  # endings with their own color
 _MAX_STAGES = 100  # stages with a mark
 _LINE_STYLES = ("-", "--", "-.", ":")
 _MARKS = ("o", "s", "^", "v", "P", "X")
-_PANEL_WIDTH, _LETTER_WIDTH = 4.3, 0.068  # the width of a panel, and of a letter in its legend, in inches
+_PANEL_WIDTH = 4.3
+"""The width of a panel, in inches."""
+_LETTER_WIDTH = 0.068
+"""The width of a letter in the legend of a panel, in inches."""
 _ROW_HEIGHT = 9  # the height of the names of stages above a panel, in points
-_MAX_LINE, _MAX_TITLE_LINE = 58, 64  # the length of a name below a panel, and of its title, in letters
+_MAX_LINE = 58
+"""The length of a name below a panel, in letters."""
+_MAX_TITLE_LINE = 64
+"""The length of the title of a panel, in letters."""
 THEMES = {"light": ("#ffffff", "#202428", "#d5d8dc"), "dark": ("#16181c", "#e4e6ea", "#3c4046")}
 """The colors of background, text and grid."""
 _EPISODE_COLUMNS = [
@@ -52,12 +58,15 @@ _EPISODE_COLUMNS = [
     *((name, object) for name in ("endings", "stages", "drawn")),
 ]
 # The limits of the kept drawn values, in episodes and in letters.
-_MAX_DRAWN, _MAX_DRAWN_LETTERS = (
-    2_500,
-    1 << 23,
-)
+_MAX_DRAWN = 2_500
+_MAX_DRAWN_LETTERS = 1 << 23
 Curve = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Timesteps and values."""
+
+_AGENT_RETURNS = "/rollout/ep_rew_mean"
+"""The end of the tags of the returns of several agents, whose names come before it."""
+
+DECLINE_COLOR = "#c0392b"
 
 
 class StageStart(NamedTuple):
@@ -138,17 +147,18 @@ def read_logs(paths: Sequence[str | Path], window: int = 100, *, by_agent: bool 
         log.name = f"{name} ({log.settings})" if log.settings and len(first) > 1 else name
     if not by_agent:
         return logs
-    return [agent_log for log in logs for agent_log in _by_agent(log, window, is_only=len(first) == 1)]
+    return [agent_log for log in logs for agent_log in _agent_logs(log, window, is_only=len(first) == 1)]
 
 
-def _by_agent(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[TrainingLog]:
+def _agent_logs(log: TrainingLog, window: int, *, is_only: bool) -> Iterator[TrainingLog]:
     """Yield the log of each of several agents of a run, or the log of a run with one agent."""
     if not log.agents:
         yield log
         return
     for agent, member in Run.open(log.path).program.members.items():
         agent_log = _read_run(log.path, window, member)
-        agent_log.agent, agent_log.name = agent, agent if is_only else f"{log.name}: {agent}"
+        agent_log.agent = agent
+        agent_log.name = agent if is_only else f"{log.name}: {agent}"
         yield agent_log
 
 
@@ -195,7 +205,8 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
         means, rates = (
             np.array([fmean(line[name]) for line in evaluations]) for name in ("returns", "successes")
         )
-        log.evaluations, log.evaluated_successes = (at, means), (at, rates)
+        log.evaluations = (at, means)
+        log.evaluated_successes = (at, rates)
         log.evaluation_stages = [line["stage"] for line in evaluations]
     log.decline = decline_of(path, record) if member is None else None
     scalars = scalars_of(path / "tensorboard")
@@ -220,10 +231,6 @@ def _read_run(path: Path, window: int, member: Member | None = None) -> Training
             tag.removeprefix("teacher/"): curve for tag, curve in curves.items() if tag.startswith("teacher/")
         }
     return log
-
-
-_AGENT_RETURNS = "/rollout/ep_rew_mean"
-"""The end of the tags of the returns of several agents, whose names come before it."""
 
 
 def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
@@ -279,7 +286,9 @@ def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
         RunError: A file is no regular file, too large, or damaged.
     """
     path = run / "monitor.csv"
-    names, newest, letters = KeptNames(path), deque[str](), 0
+    names = KeptNames(path)
+    newest = deque[str]()
+    letters = 0
 
     def episodes() -> Iterator[tuple[Any, ...]]:
         nonlocal letters
@@ -430,8 +439,10 @@ def plot(logs: Sequence[TrainingLog], *, theme: str = "light") -> Figure:
         heights.append(style_panel(panel, f"{name}teacher {members[0].teacher}", theme, stages=[members]))
     if len(taught) % 2:
         _remove_right(axes[below - 1])
-    styles, endings = term_styles(logs), ending_colors(logs)
-    with_endings, is_one_task = set[str](), len({group for group, _ in groups}) == 1
+    styles = term_styles(logs)
+    endings = ending_colors(logs)
+    with_endings: set[str] = set()
+    is_one_task = len({group for group, _ in groups}) == 1
     for row, members in zip(axes[below:], detailed, strict=True):
         left, right = row
         name = f"{members[0].name}: " if len(groups) > 1 else ""
@@ -452,7 +463,8 @@ def _plot_group(
 ) -> None:
     """Plot returns and success rates of the trainings of a scenario, which is the only one or has this
     number."""
-    name, color = members[0].name, COLORS[number]
+    name = members[0].name
+    color = COLORS[number]
     label = name if len(members) == 1 else f"{name} ({len(members)} seeds)"
     style: dict[str, Any] = {
         "color": color,
@@ -582,9 +594,6 @@ def plot_evaluation(returns: Axes | None, successes: Axes | None, log: TrainingL
             )
 
 
-DECLINE_COLOR = "#c0392b"
-
-
 def plot_decline(returns: Axes | None, successes: Axes | None, log: TrainingLog) -> None:
     """Plot a line at the fall of a training, and its size, in the panel of the measure of the task."""
     fall = log.decline
@@ -645,7 +654,8 @@ def plot_endings(panel: Axes, logs: Sequence[TrainingLog], colors: Mapping[str, 
     curves = [curve for log in logs for curve in log.endings.values()]
     if not curves:
         return
-    at, members = _common_steps(curves), [log.endings for log in logs if log.endings]
+    at = _common_steps(curves)
+    members = [log.endings for log in logs if log.endings]
     counts = {
         name: np.mean(
             [np.interp(at, *endings[name]) if name in endings else np.zeros(len(at)) for endings in members],
@@ -671,8 +681,10 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
 
     Each group of trainings has a row of names. Returns the number of rows, and the meaning of the numbers.
     """
-    (low, high), width = panel.get_xlim(), _PANEL_WIDTH
-    rows, key = 0, list[str]()
+    low, high = panel.get_xlim()
+    width = _PANEL_WIDTH
+    rows = 0
+    key: list[str] = []
     for number, members in enumerate(groups):
         color = THEMES[theme][1] if len(groups) == 1 else COLORS[number]
         starts: dict[str, list[float]] = {}
@@ -680,8 +692,9 @@ def mark_stages(panel: Axes, groups: Sequence[Sequence[TrainingLog]], theme: str
             starts.setdefault(start.name, []).append(start.steps)
         first = sorted((min(steps), name) for name, steps in starts.items())
         for index, (begin, name) in enumerate(first):
-            for steps in starts[name] if index else ():
-                panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
+            if index:
+                for steps in starts[name]:
+                    panel.axvline(steps, color=color, linestyle=(0, (4, 3)), linewidth=0.9, alpha=0.8)
             end = first[index + 1][0] if index + 1 < len(first) else high
             fits = (len(name) + 1) * _LETTER_WIDTH < (end - max(begin, low)) / (high - low) * width
             text = name if fits else str(index + 1)

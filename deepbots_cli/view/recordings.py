@@ -121,7 +121,9 @@ class TopicEncoder:
     def encode(self, time: int, number: int, seed: int) -> dict[str, bytes]:
         """Return the topics of the newest frame, encoded; `time` in ns."""
         player = self._player
-        frame, layout, stamp = player.frame, player.reader.layout, _stamp(time)
+        frame = player.frame
+        layout = player.reader.layout
+        stamp = _stamp(time)
         topics: dict[str, Any] = {} if frame.step else {"/episode": {"episode": number, "seed": seed}}
         topics["/tf"] = {
             "transforms": [
@@ -207,7 +209,8 @@ def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
     starts, ways = beams.starts, beams.directions
     if len(ways) < 3 or not np.allclose(starts, starts[0]):
         return None
-    step, normal = float(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0))), np.cross(ways[0], ways[1])
+    step = float(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0)))
+    normal = np.cross(ways[0], ways[1])
     if step < 1e-6 or np.linalg.norm(normal) < 1e-9:
         return None
     normal = normal / np.linalg.norm(normal)
@@ -300,8 +303,10 @@ class RecordingWriter:
         except ModuleNotFoundError as error:
             raise MissingExtraError("sim", "a recording") from error
         compiled = player.opened.checked()
-        self._player, self._encoder = player, TopicEncoder(player)
-        self._begun, self._channels = 0, dict[str, int]()
+        self._player = player
+        self._encoder = TopicEncoder(player)
+        self._begun = 0
+        self._channels: dict[str, int] = {}
         self.mcap: Any = Writer(stream)
         self.mcap.start("", f"deepbots {deepbots_cli.__version__}")
         self.mcap.add_metadata("deepbots", _metadata(player, seed, compiled.digest))
@@ -373,13 +378,16 @@ class DrivenEpisodes:
         Raises:
             MissingExtraError: mcap is not installed.
         """
-        self.player, self.path = player, path
+        self.player = player
+        self.path = path
         self.ends: list[WorldFrame] = []
         self.is_full = False
         self._stream = io.BytesIO()
         self._writer = RecordingWriter(self._stream, player, seed)
         self._steps: list[RecordedStep] = []
-        self._bytes, self._kept_bytes, self._has_unsaved = 0, 0, False
+        self._bytes = 0
+        self._kept_bytes = 0
+        self._has_unsaved = False
 
     def begin(self) -> None:
         """Leave out the episode under way, and begin another one with its first frame, if the person
@@ -402,7 +410,8 @@ class DrivenEpisodes:
             self._writer.write(self._steps)
             self._steps.clear()
             self.ends.append(self.player.frame)
-            self._kept_bytes, self._has_unsaved = self._bytes, True
+            self._kept_bytes = self._bytes
+            self._has_unsaved = True
             self.save()
 
     def _add(self) -> None:

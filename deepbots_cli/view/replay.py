@@ -105,6 +105,9 @@ class ReplayPlayer(Player):
 
 # What is verified
 
+_EXACT_PARTS = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
+"""Parts of topics that are compared to the bit or not at all."""
+
 
 class Divergence(NamedTuple):
     """The first difference of a replay. `recorded` and `now` are texts, and empty if only hashes are
@@ -142,7 +145,8 @@ def verify(
     Raises:
         RecordingError: A step cannot be read.
     """
-    describer, time = TopicEncoder(player), 0
+    describer = TopicEncoder(player)
+    time = 0
     for count, recorded in enumerate(recording.episodes, start=1):
         player.driver = sequence_driver(actions(recording, recorded, player.env.action_space))
         begun = time
@@ -201,10 +205,6 @@ def _topic_rank(topic: str) -> int:
     cause."""
     kind = "/to_robot" if topic.endswith("/to_robot") else topic.split("/")[1]
     return ("episode", "/to_robot", "world", "tf", "scan", "message", "agent", "step", "image").index(kind)
-
-
-_EXACT_PARTS = {"/step": ("hash", "velocities", "observation", "images", "random"), "/world": ("forces",)}
-"""Parts of topics that are compared to the bit or not at all."""
 
 
 def _difference(where: str, recorded: Any, now: Any, tolerance: float) -> tuple[str, str, str] | None:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames, geometry
-from deepbots_cli.engines import objects
+from deepbots_cli.engines import masses, objects
 from deepbots_cli.errors import EngineError
 from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
@@ -68,7 +68,8 @@ def triangles(mesh: Mesh) -> Any:
     """
     import trimesh
 
-    data, kind = read_verified(mesh), Path(mesh.path).suffix[1:].lower()
+    data = read_verified(mesh)
+    kind = Path(mesh.path).suffix[1:].lower()
     try:
         loaded = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True).to_mesh()
     except Exception as error:  # the readers of trimesh raise many kinds of exceptions
@@ -91,13 +92,14 @@ def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
     in the frame of this first link."""
     held = {joint.child for joint in model.joints if joint.type == "fixed"}
     heads = [link.name for link in model.links if link.name not in held]
-    return {link: (head, pose) for head in heads for link, pose in objects.rigid_group(model, head).items()}
+    return {link: (head, pose) for head in heads for link, pose in masses.rigid_group(model, head).items()}
 
 
 def stroke_triangles(line: Line, height: float) -> tuple[Points, NDArray[np.int32]]:
     """Return a painted line as triangles just above the ground: a rectangle for each piece, longer by half a
     width at both ends."""
-    corners, half = [], line.width / 2
+    corners = []
+    half = line.width / 2
     for (x, y), (x_end, y_end) in line.pieces:
         length = math.hypot(x_end - x, y_end - y) or 1.0
         ax, ay = (x_end - x) / length * half, (y_end - y) / length * half
@@ -143,8 +145,11 @@ def _rgb(color: Color) -> tuple[int, int, int]:
 def aim_camera(server: viser.ViserServer, view: View) -> float:
     """Light the scene, and look at it from a view until a person moves the camera. Returns the distance in
     m."""
-    camera, size = server.initial_camera, math.dist(view.eye, view.target)
-    camera.position, camera.look_at, camera.fov = view.eye, view.target, view.fov
+    camera = server.initial_camera
+    size = math.dist(view.eye, view.target)
+    camera.position = view.eye
+    camera.look_at = view.target
+    camera.fov = view.fov
     camera.near, camera.far = max(0.002, size / 200), 60 * size
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)
@@ -222,7 +227,8 @@ class SceneCameras:
         if not self._boxes or min(size) < 1 or moved or (framed and next(reversed(framed)) == size):
             return
         view = view_around(self._boxes, *size)
-        camera.position, camera.look_at = view.eye, view.target
+        camera.position = view.eye
+        camera.look_at = view.target
         framed.pop(size, None)
         framed[size] = view.eye
 
@@ -243,7 +249,11 @@ class WorldScene:
     ) -> None:
         """Create the nodes of a world. `size` is the distance (m) from which the world is seen, which
         determines the size of marks. `origin` is the position (m) of its origin."""
-        self._scene, self._layout, self._root, self._size, self._origin = scene, layout, root, size, origin
+        self._scene = scene
+        self._layout = layout
+        self._root = root
+        self._size = size
+        self._origin = origin
         self._anchor = scene.add_frame(root, show_axes=False, position=origin)
         self.follows = False
         """Whether the robot stays in view, as the world moves below it."""
@@ -290,12 +300,14 @@ class WorldScene:
     # Made once
 
     def _build_surroundings(self, world: WorldModel) -> None:
-        scene, root, light = self._scene, self._root, min(1.0, world.light)
+        scene = self._scene
+        root = self._root
+        light = min(1.0, world.light)
         if world.terrain is not None:
             relief = geometry.height_grid(world.terrain.shape)
             if relief is not None:
-                surface = relief.with_at_most(MAX_CELLS).triangles()
-                contour = _contour(relief.with_at_most(MAX_CELLS), 0.001 * self._size)
+                surface = relief.coarsened(MAX_CELLS).triangles()
+                contour = _contour(relief.coarsened(MAX_CELLS), 0.001 * self._size)
                 # A smooth relief of one color is hard to see.
                 self._add_lines(f"{root}/contour", contour, 110, thickness=1.0)
             else:
@@ -335,12 +347,13 @@ class WorldScene:
                 side="double",
                 cast_shadow=False,
             )
-        for wall in objects.arena_walls(world.arena) if world.arena else ():
-            self._add(
-                f"{root}/arena/{wall.name.replace(' ', '_')}",
-                Geometry(wall.shape, wall.pose, wall.color),
-                frames.IDENTITY_FRAME,
-            )
+        if world.arena:
+            for wall in objects.arena_walls(world.arena):
+                self._add(
+                    f"{root}/arena/{wall.name.replace(' ', '_')}",
+                    Geometry(wall.shape, wall.pose, wall.color),
+                    frames.IDENTITY_FRAME,
+                )
 
     def _build_robot(self, name: str, model: RobotModel) -> None:
         groups = rigid_groups(model)
@@ -432,19 +445,23 @@ class WorldScene:
         for row, part in enumerate(self._parts):
             pose = frame.links.get(part)
             if pose is not None:
-                rows[row, :3], rows[row, 3:] = pose[0], frames.wxyz(pose[1])
+                rows[row, :3] = pose[0]
+                rows[row, 3:] = frames.wxyz(pose[1])
         self._rays_before = self._rays_now
         if self._layout.sensor_rays:
             self._rays_now = np.concatenate(
                 [beams.lines(frame, key) for key, beams in self._layout.sensor_rays.items()]
             )
         if after_reset or self._frame is None:
-            self._before, self._trail, self._rays_before = rows, [], self._rays_now
+            self._before = rows
+            self._trail = []
+            self._rays_before = self._rays_now
         else:
             self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
             opposite = (self._before[:, 3:] * rows[:, 3:]).sum(axis=1) < 0.0
             self._before[opposite, 3:] *= -1.0
-        self._now, self._frame = rows, frame
+        self._now = rows
+        self._frame = frame
         for (body, form), node in self._variants.items():
             node.visible = (body, body) in frame.links and frame.variants.get(body, form) == form
         if self._followed is not None and self._traced is not None:
@@ -460,17 +477,16 @@ class WorldScene:
         changed = np.flatnonzero((rows != self._sent).any(axis=1) & ~np.isnan(rows[:, 0]))
         for row in changed:
             node = self._nodes[self._parts[row]]
-            node.position, node.wxyz = rows[row, :3], rows[row, 3:]
+            node.position = rows[row, :3]
+            node.wxyz = rows[row, 3:]
         self._sent = rows
         # In the world frame, and not in that of the link: a busy browser shows new lines late, and then rays
         # would reach through walls.
         rays = self._rays_before + share * (self._rays_now - self._rays_before)
         if self._rays.visible and not np.array_equal(rays, self._rays_sent):
-            self._rays.points, self._rays.colors, self._rays_sent = (
-                rays[..., :3],
-                rays[..., 3:].astype(np.uint8),
-                rays,
-            )
+            self._rays.points = rays[..., :3]
+            self._rays.colors = rays[..., 3:].astype(np.uint8)
+            self._rays_sent = rays
         if self._followed is not None:
             x, y, _ = rows[self._parts.index(self._followed), :3] - self._start
             shift = frames.add(self._origin, (-x, -y, 0.0)) if self.follows else self._origin
@@ -494,7 +510,8 @@ class WorldScene:
         self._mark_goal(frame)
         force = next(iter(frame.pushes), None)
         if force is not None:
-            (part, push), strength = force, max(1e-9, float(np.linalg.norm(force[1])))
+            part, push = force
+            strength = max(1e-9, float(np.linalg.norm(force[1])))
             at = np.array(frame.links.get(part, (ZERO_VECTOR,))[0])
             self._arrows.points = np.array(
                 [[at - np.array(push) / strength * 0.3 * self._size, at]], np.float32
@@ -517,7 +534,8 @@ class WorldScene:
                 dot = self._goals[name, word] = self._scene.add_icosphere(
                     path, radius * self._size, color, opacity=0.6
                 )
-            dot.position, dot.visible = point, self.visible_parts["goal"]
+            dot.position = point
+            dot.visible = self.visible_parts["goal"]
 
     def _mark_contacts(self, frame: WorldFrame) -> None:
         touching = set(frame.forces) if self.visible_parts["contacts"] else set()

@@ -38,8 +38,7 @@ _MAX_NUMBER, _MAX_TEXT = 2**53, 1_000
 
 _CONTENT_SECURITY_POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:; connect-src 'self' ws:"
-    " data: blob:; "
-    "frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
+    " data: blob:; frame-ancestors 'none'; form-action 'none'; base-uri 'none'"
 )
 # Goes into viser's page: keys that are held, the newest first, and gamepads, which viser lacks. It takes keys
 # before viser does, whose camera would move. NAME returns what is sent for a key, null for a key of the page.

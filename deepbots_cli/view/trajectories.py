@@ -148,11 +148,12 @@ def _subjects(program: Program, analysis: Analysis) -> list[_Subject]:
 def _read_by(analysis: Analysis, value: Expression) -> Iterator[tuple[str, str]]:
     """Yield the bodies that an expression reads, each with its link or joint (empty for the body as a
     whole)."""
-    for tree in () if value.foreign else analysis.scalars(value):
-        for node in analysis.walk_definitions(tree):
-            for full_name in _full_names(analysis, node):
-                body, _, part = full_name.partition(".")
-                yield body.partition("#")[0], part
+    if not value.foreign:
+        for tree in analysis.scalars(value):
+            for node in analysis.walk_definitions(tree):
+                for full_name in _full_names(analysis, node):
+                    body, _, part = full_name.partition(".")
+                    yield body.partition("#")[0], part
 
 
 def _full_names(analysis: Analysis, node: Scalar) -> Iterator[str]:

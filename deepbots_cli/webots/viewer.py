@@ -197,7 +197,7 @@ class Viewer:
                 add_triangles(scene, name, trimesh.Trimesh(*flat, process=False), color, frame)
             case "grid":
                 heights = np.array(shape.heights).reshape(-1, shape.columns)
-                points, faces = HeightGrid(heights, (size[0], size[1])).with_at_most(MAX_CELLS).triangles()
+                points, faces = HeightGrid(heights, (size[0], size[1])).coarsened(MAX_CELLS).triangles()
                 solid = shaded_mesh(points + np.array([size[0] / 2, size[1] / 2, 0.0]), faces, color)
                 scene.add_mesh_trimesh(name, solid, position=frame[0], wxyz=frames.wxyz(frame[1]))
 

@@ -19,7 +19,7 @@ from deepbots_cli.learning.run import Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from tests.agents.test_agents import SEVERAL
-from tests.agents.test_joint_training import SHARED, write_scenario
+from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.few import every, few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")

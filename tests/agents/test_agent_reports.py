@@ -22,7 +22,7 @@ from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.players import open_player
 from deepbots_cli.view.replay import ReplayPlayer
-from tests.agents.test_joint_training import SHARED, write_scenario
+from tests.agents.test_multi_agent_training import SHARED, write_scenario
 
 HOPELESS = SHARED.replace("right_fell: {when: tilt(right.pole) > 30 deg", "late: {when: step > 13")
 """The right agent has failed after 14 steps, whatever it does."""

@@ -17,7 +17,7 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
 from deepbots_cli.errors import UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import named_driver
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from tests.agents.carts import CARTS, OF_ONE, OF_TWO
 
 
@@ -92,7 +92,7 @@ def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
         for _ in range(60):
             left, right = generator.uniform(-1, 1, (2, 1)).astype(np.float32)
             observed, _, ended, cut, info = world.step(
-                joint_action(world, seats, {"left": left, "right": right})
+                combined_action(world, seats, {"left": left, "right": right})
             )
             joint_observation, reward, other_ended, other_cut, other_info = same.step(
                 np.concatenate([left, right])
@@ -116,7 +116,7 @@ def test_an_ending_is_a_success_for_one_agent_and_a_failure_for_the_other(severa
         ended = False
         while not ended:
             actions = {"left": np.ones(1, np.float32), "right": np.zeros(1, np.float32)}
-            _, _, ended, cut, info = world.step(joint_action(world, seats, actions))
+            _, _, ended, cut, info = world.step(combined_action(world, seats, actions))
             assert not cut
     assert info["ended_by"] == "left_fell"
     assert not seats["left"].info(info)["is_success"]
@@ -133,7 +133,7 @@ def test_the_environment_of_a_role_is_the_world_with_the_others_driven(several: 
         for _ in range(10):
             action = environment.script("lean")
             actions = {"left": action, "right": np.zeros(1, np.float32)}
-            observed, _, _, _, info = world.step(joint_action(world, seats, actions))
+            observed, _, _, _, info = world.step(combined_action(world, seats, actions))
             seen, reward, _, _, own = environment.step(action)
             assert seen.tolist() == seats["left"].observation(observed).tolist()
             assert reward == seats["left"].reward(info)
@@ -241,7 +241,7 @@ def test_a_driver_lets_each_agent_act_by_its_script_of_this_name(several: Path) 
         for _ in range(5):
             expected = {name: seat.script("lean") for name, seat in seats_of(world).items()}
             action = driver.act(observed)
-            assert action.tolist() == joint_action(world, seats_of(world), expected).tolist()
+            assert action.tolist() == combined_action(world, seats_of(world), expected).tolist()
             observed, *_ = world.step(action)
         with pytest.raises(UsageError, match="the drivers are lean, random, zero"):
             named_driver(world, "nothing")

@@ -18,7 +18,7 @@ from deepbots_cli.errors import BatchError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import AgentsDriver
 from deepbots_cli.rollout.episode import own_episode, result_of, steps
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from tests.agents.carts import CARTS
 
 ALONE = (
@@ -44,7 +44,7 @@ def _course(file: Path, **options: Any) -> list[dict[str, Any]]:
         world.reset(seed=3)
         ended = cut = False
         while not (ended or cut):
-            _, _, ended, cut, info = world.step(joint_action(world, seats, PUSH))
+            _, _, ended, cut, info = world.step(combined_action(world, seats, PUSH))
             rows.append(
                 {
                     "info": info,
@@ -98,7 +98,7 @@ def test_the_robots_of_an_agent_that_has_ended_stop(carts: Path) -> None:
         speeds = []
         ended = False
         while not ended:
-            observed, _, ended, cut, _ = world.step(joint_action(world, seats, PUSH))
+            observed, _, ended, cut, _ = world.step(combined_action(world, seats, PUSH))
             ended = ended or cut
             speeds.append(float(seats["left"].observation(observed)[1]))
     assert max(speeds) > 0.03

@@ -13,7 +13,7 @@ import pytest
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from tests.agents.carts import CARTS
 
 HEARING = (
@@ -38,7 +38,7 @@ def _observed(file: Path, steps: int = 12, engine: str | None = None) -> list[di
     with closing(api.make(file, engine=engine)) as world:
         seats = seats_of(world)
         seen = [world.reset(seed=3)[0]]
-        seen += [world.step(joint_action(world, seats, PUSH))[0] for _ in range(steps)]
+        seen += [world.step(combined_action(world, seats, PUSH))[0] for _ in range(steps)]
         return [{name: seat.observation(each).tolist() for name, seat in seats.items()} for each in seen]
 
 

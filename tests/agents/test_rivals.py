@@ -23,7 +23,7 @@ from deepbots_cli.runtime.forward_pass import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.plots import plot, read_logs
-from tests.agents.test_joint_training import SHARED, write_scenario
+from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.worlds import RAIL
 
 
@@ -95,13 +95,13 @@ def test_a_policy_with_other_layers_is_refused_with_the_reason(trained: Path, tm
 def test_an_agent_of_a_run_is_evaluated_against_a_driver(trained: Path) -> None:
     result = evaluate(trained, scenario=scenario_with_rival(trained, "random"), episodes=3, seed=2)
     assert set(result.term_means) == {"upright", "calm"}  # of the left agent alone
-    joint = load_model(Run.open(trained), "best").learners["left"]
+    policy = load_model(Run.open(trained), "best").learners["left"]
     with closing(api.build(scenario_with_rival(trained, "random").program)) as world:
         observed, _ = world.reset(seed=derive_seed(2, "evaluation", 0))
         total = 0.0
         ended = False
         while not ended:
-            action, _ = joint.predict(observed[None], deterministic=True)
+            action, _ = policy.predict(observed[None], deterministic=True)
             observed, reward, terminated, truncated, _ = world.step(action[0])
             total = total + float(reward)
             ended = terminated or truncated
@@ -244,8 +244,8 @@ def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> 
     assert main(["export", str(trained), "--agent", "right", "-o", str(folder)]) == 0
     described = json.loads((folder / "bundle.json").read_text())
     assert [part["name"] for part in described["action"]] == ["drive"]
-    joint = json.loads((trained / "evaluations" / "0001.json").read_text())
-    assert described["evaluation"]["mean_return"] == joint["agents"]["right"]["mean_return"]
+    evaluated = json.loads((trained / "evaluations" / "0001.json").read_text())
+    assert described["evaluation"]["mean_return"] == evaluated["agents"]["right"]["mean_return"]
     assert main(["export", str(folder), "--check", str(folder / "scenario.yaml")]) == 0
 
 

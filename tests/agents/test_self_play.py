@@ -21,7 +21,7 @@ from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollect
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
 from deepbots_cli.runtime.agents import SeatLayout
-from tests.agents.test_joint_training import SHARED, write_scenario
+from tests.agents.test_multi_agent_training import SHARED, write_scenario
 from tests.learning.interruption import At, outcome
 
 PLAYED = SHARED.replace(

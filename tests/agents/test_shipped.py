@@ -11,7 +11,7 @@ import pytest
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.runtime.agents import joint_action, seats_of
+from deepbots_cli.runtime.agents import combined_action, seats_of
 from tests.few import few
 
 pytest.importorskip("deepbots_cli.engines.mujoco")
@@ -33,7 +33,7 @@ def play(scenario: str, seed: int, **drivers: str | list[float]) -> tuple[Infos,
                 name: seats[name].script(driver) if isinstance(driver, str) else np.array(driver, np.float32)
                 for name, driver in drivers.items()
             }
-            _, _, terminated, truncated, info = world.step(joint_action(world, seats, actions))
+            _, _, terminated, truncated, info = world.step(combined_action(world, seats, actions))
             for name, seat in seats.items():
                 returns[name] += seat.reward(info)
             is_over = terminated or truncated

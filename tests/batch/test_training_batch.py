@@ -22,7 +22,7 @@ from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import LocalCollector
-from deepbots_cli.rollout.policies import in_order, play_batch, play_episodes
+from deepbots_cli.rollout.policies import ordered_episodes, play_batch, play_episodes
 from deepbots_cli.rollout.worlds import BatchWorlds, Worlds, observation_digest
 from deepbots_cli.runtime import Supervisor
 
@@ -181,7 +181,7 @@ def evaluated(
             learner.Setup(program.agent.training, many.observation_space, many.action_space)
         )
         apart = play_episodes(policy, singles, seeds, deterministic=True, numbers=numbers)
-        return in_order(play_batch(policy, many, seeds), numbers), in_order(apart, numbers)
+        return ordered_episodes(play_batch(policy, many, seeds), numbers), ordered_episodes(apart, numbers)
 
 
 @pytest.mark.parametrize(

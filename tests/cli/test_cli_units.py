@@ -11,7 +11,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document.parse import parse
-from deepbots_cli.learning.draws import by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import draw_labels, drawn_effects
 from deepbots_cli.program.members import ZERO
 from deepbots_cli.rollout import Episode
 from deepbots_cli.view import panel_html
@@ -60,7 +60,7 @@ def test_a_yaw_that_is_any_is_shown_in_degrees_and_not_from_minus_3_12_to_minus_
     done = [
         Episode(0.0, 1, bool(yaw > 0.0), None, drawn={"reset.place.cart.yaw": float(yaw)}) for yaw in yaws
     ]
-    (value,) = by_drawn_value(done, labels).effective
+    (value,) = drawn_effects(done, labels).effective
     assert value.label.range_text(value.parts[0]).startswith("-178.8 .. -")
     assert value.label.range_text(value.parts[0]).endswith(" deg")
     assert labels["reset.place.cart.x"].unit.text == "cm"

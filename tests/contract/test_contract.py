@@ -302,7 +302,7 @@ def test_a_closed_environment_refuses_to_go_on(make: Make) -> None:
             use()
 
 
-BAD_ACTIONS = [
+BAD_FOR_ALL = [
     None,
     float("nan"),
     "forward",
@@ -314,8 +314,8 @@ BAD_ACTIONS = [
     [[1], [1, 2]],
     1 + 2j,
 ]
-NO_CHOICE = [-1, 98, 99, 1.5, np.int64(-1), np.array(98), np.array([0])]
-NO_INTERVAL = [
+BAD_FOR_DISCRETE = [-1, 98, 99, 1.5, np.int64(-1), np.array(98), np.array([0])]
+BAD_FOR_BOX = [
     np.array([np.nan], np.float32),
     np.array([[0.5]]),
     np.full(99, 0.5),
@@ -324,16 +324,25 @@ NO_INTERVAL = [
     [float("inf")],
     np.array([1j]),
 ]
-NO_CHOICES = [np.array([0]), np.array([0, 0, 0]), [0, 2], [-1, 0], [0.5, 0], np.array(0), 0, [0, [1]]]
+BAD_FOR_MULTI_DISCRETE = [
+    np.array([0]),
+    np.array([0, 0, 0]),
+    [0, 2],
+    [-1, 0],
+    [0.5, 0],
+    np.array(0),
+    0,
+    [0, [1]],
+]
 
 
 def test_a_bad_action_is_refused_in_words_and_changes_nothing(environment: Supervisor) -> None:
-    extra = {"Discrete": NO_CHOICE, "Box": NO_INTERVAL, "MultiDiscrete": NO_CHOICES}[
+    extra = {"Discrete": BAD_FOR_DISCRETE, "Box": BAD_FOR_BOX, "MultiDiscrete": BAD_FOR_MULTI_DISCRETE}[
         type(environment.action_space).__name__
     ]
     expected = record(environment, 8, steps=10)
     environment.reset(seed=8)
-    for bad in (*BAD_ACTIONS, *extra):
+    for bad in (*BAD_FOR_ALL, *extra):
         with pytest.raises(UsageError, match=r"^action .* does not fit "):
             environment.step(bad)
     transitions = [

@@ -227,7 +227,7 @@ def test_a_mistake_is_marked_in_its_place_once(
     assert typed(old, new).messages == [expected]
 
 
-def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> None:
+def test_an_unknown_kind_is_marked_with_the_known_kinds(typed: Type) -> None:
     ((place, message),) = typed("velocity_motor", "velocty_motor").messages
     assert place == "velocty_motor"
     assert '"velocity_motor", "position_motor", "torque_motor"' in message
@@ -238,7 +238,7 @@ def test_an_unknown_kind_is_marked_with_those_that_there_are(typed: Type) -> Non
     [("joint: pole_hinge", "joint: pole_hing", "pole_hing"), ("[wheel_*]", "[wheel_*, pole]", "pole")],
     ids=["an unknown joint", "a link in a list of joints"],
 )
-def test_a_joint_that_the_robot_has_not_is_marked_with_those_that_it_has(
+def test_an_unknown_joint_is_marked_with_the_known_joints(
     typed_for: Type, old: str, new: str, place: str
 ) -> None:
     ((marked, message),) = typed_for(old, new).messages

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from deepbots_cli.learning.confirmation import (
+from deepbots_cli.learning.confirmation_rule import (
     COST_SHARE,
     FALSE_STOPS,
     MARGIN,

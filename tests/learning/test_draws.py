@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import compile
-from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, by_drawn_value, draw_labels
+from deepbots_cli.learning.draws import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.learning.episodes import Summary
 from deepbots_cli.rollout import Episode
 
@@ -43,7 +43,7 @@ def _evaluation(seed: int, low: float, high: float, episodes: int = 500, draws: 
         )
         for number, (success, row) in enumerate(zip(succeeds, drawn, strict=True))
     ]
-    return by_drawn_value(done, RISE)
+    return drawn_effects(done, RISE)
 
 
 def _named(effects: DrawnEffects) -> list[str]:
@@ -51,7 +51,7 @@ def _named(effects: DrawnEffects) -> list[str]:
 
 
 def _from(values: list[float | str], successes: list[bool], name: str = "value") -> DrawnEffects:
-    return by_drawn_value(
+    return drawn_effects(
         [
             Episode(0.0, 1, success, None, drawn={name: value})
             for value, success in zip(values, successes, strict=True)
@@ -105,8 +105,8 @@ def test_parameters_of_the_scenario_come_before_other_values_with_an_effect() ->
         )
         for number in range(100)
     ]
-    assert _named(by_drawn_value(done, RISE)) == ["rise", "robots.dog.links.trunk.mass"]
-    assert _named(by_drawn_value(done)) == ["robots.dog.links.trunk.mass", "rise"]
+    assert _named(drawn_effects(done, RISE)) == ["rise", "robots.dog.links.trunk.mass"]
+    assert _named(drawn_effects(done)) == ["robots.dog.links.trunk.mass", "rise"]
 
 
 def test_a_value_that_is_best_in_its_middle_has_no_trend() -> None:
@@ -129,13 +129,13 @@ def test_words_have_an_effect_without_an_order() -> None:
 
 def test_the_return_counts_where_all_episodes_succeed() -> None:
     done = [Episode(float(number), 1, True, None, drawn={"near": number / 50}) for number in range(50)]
-    effects = by_drawn_value(done)
+    effects = drawn_effects(done)
     assert effects.outcome == "return"
     assert _named(effects) == ["near"]
 
 
 def test_episodes_with_one_outcome_are_not_called_too_few() -> None:
-    effects = by_drawn_value(
+    effects = drawn_effects(
         [Episode(200.0, 1, True, None, drawn={"near": number / 50}) for number in range(50)]
     )
     assert (
@@ -148,8 +148,8 @@ def test_episodes_of_several_policies_from_one_start_count_once() -> None:
     done = [
         Episode(0.0, 1, start % 3 == 0, None, seed=start, drawn={"near": float(start)}) for start in range(12)
     ]
-    assert by_drawn_value(done * 5).starts == 12
-    assert by_drawn_value(done * 5).values["near"].chance == by_drawn_value(done).values["near"].chance
+    assert drawn_effects(done * 5).starts == 12
+    assert drawn_effects(done * 5).values["near"].chance == drawn_effects(done).values["near"].chance
 
 
 def test_the_parts_of_a_value_count_every_episode_once() -> None:
@@ -157,7 +157,7 @@ def test_the_parts_of_a_value_count_every_episode_once() -> None:
         Episode(0.0, 1, k >= 50, None, seed=k, drawn={"mass": k / 100, "which": "ab"[k % 2]})
         for k in range(100)
     ]
-    values = by_drawn_value(done).values
+    values = drawn_effects(done).values
     assert list(values) == ["mass", "which"]
     assert [(part.low, part.high, part.episodes, part.success_rate) for part in values["mass"].parts] == [
         (0.0, 0.24, 25, 0.0),
@@ -180,7 +180,7 @@ def test_single_copies_of_a_group_are_left_out_of_the_drawn_values() -> None:
     done = [
         Episode(float(k), 1, k >= 50, None, seed=k, drawn=dict.fromkeys(drawn, k / 100)) for k in range(100)
     ]
-    assert sorted(by_drawn_value(done).values) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
+    assert sorted(drawn_effects(done).values) == ["cart#1.reset.place.cart.x", "robots.dog.force#1.x"]
 
 
 def test_a_draw_that_is_no_number_in_a_damaged_log_is_left_out() -> None:
@@ -188,7 +188,7 @@ def test_a_draw_that_is_no_number_in_a_damaged_log_is_left_out() -> None:
         Episode(0.0, 1, k >= 5, None, drawn={"mixed": ["a", 1.0][k % 2], "nan": float("nan"), "x": float(k)})
         for k in range(10)
     ]
-    assert list(by_drawn_value(done).values) == ["x"]
+    assert list(drawn_effects(done).values) == ["x"]
 
 
 def test_values_have_the_units_of_the_scenario_and_a_drawn_factor_is_called_one() -> None:
@@ -199,5 +199,5 @@ def test_values_have_the_units_of_the_scenario_and_a_drawn_factor_is_called_one(
     assert hinge.is_parameter is False
     assert _labels("panda_push")["mark.x"].is_parameter
     done = [Episode(0.0, 1, k >= 5, None, drawn={"hinge": np.radians(k)}) for k in range(5)]
-    part = by_drawn_value(done, {"hinge": hinge}).values["hinge"].parts[3]
+    part = drawn_effects(done, {"hinge": hinge}).values["hinge"].parts[3]
     assert hinge.range_text(part) == "3 deg"

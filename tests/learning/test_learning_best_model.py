@@ -23,7 +23,7 @@ from deepbots_cli.learning import (
     train,
     training_evaluations,
 )
-from deepbots_cli.learning.confirmation import COST_SHARE
+from deepbots_cli.learning.confirmation_rule import COST_SHARE
 from deepbots_cli.learning.held_out import EVALUATION_EPISODES, Evaluator, confirmation_root, evaluation_seeds
 from deepbots_cli.learning.records import PATIENCE, RunRecord
 from deepbots_cli.learning.report import Reporter

@@ -23,7 +23,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def client(project: Path) -> Iterator[Client]:
-    """Ends with the server leaving of its own, without a word on standard error."""
+    """The server ends by itself, and writes nothing to standard error."""
     with Client(project) as started:
         yield started
     assert started.code == 0

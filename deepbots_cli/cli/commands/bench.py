@@ -70,8 +70,7 @@ def command(
         option(
             "--engine NAME[,NAME]",
             "Physics engine; by default that of the scenario. Several, with commas between, are compared."
-            " `batch` steps many"
-            " worlds in MuJoCo.",
+            " `batch` steps many worlds in MuJoCo.",
         ),
     ] = None,
     shards: Annotated[
@@ -156,7 +155,8 @@ def _show_one(
     as_json: bool,
 ) -> None:
     """Show the speed of one engine, with the ratio of a step to its physics."""
-    only, ratios = speed.medians(rounds), sorted(measured.ratio for measured in rounds)
+    only = speed.medians(rounds)
+    ratios = sorted(measured.ratio for measured in rounds)
     figures = {
         "scenario": program.name,
         "engine": only.engine,

@@ -26,6 +26,11 @@ if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning.comparison import Comparison, GroupResult
 
+_BETTER = {
+    "success_rate": "a success where the first run has none",
+    "mean_return": "a higher return than in the first run",
+}
+
 
 def command(
     runs: Annotated[
@@ -153,12 +158,6 @@ def _rivals(runs: Sequence[Path], model: ModelName) -> list[ModelRef]:
     if not (program.has_rivals or (others_compete and world.has_rivals)):
         return []
     return [ref if ref.is_named else ModelRef(ref.run, model) for ref in refs]
-
-
-_BETTER = {
-    "success_rate": "a success where the first run has none",
-    "mean_return": "a higher return than in the first run",
-}
 
 
 def _lines(comparison: Comparison) -> Iterator[str]:

@@ -29,6 +29,12 @@ if TYPE_CHECKING:
 
 FAILED_EPISODES = "failed"
 
+_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
+"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
+success."""
+MAX_SHOWN = 10
+"""The number of failed episodes of which `eval --episodes failed` prints the margin."""
+
 
 def episodes_or_failed(text: str, minimum: int = 1, maximum: int | None = None) -> int | str:
     """Parse a number, or `failed`."""
@@ -41,8 +47,7 @@ def command(
         typer.Argument(
             metavar="RUN|MODEL|GROUP|RECORDING|FAILURE",
             help="A run directory, with --episode also a model in it, the folder of a group, a recording"
-            " (.mcap), or the file of an"
-            " episode that raised an error, in `failures` of a run.",
+            " (.mcap), or the file of an episode that raised an error, in `failures` of a run.",
         ),
     ],
     episode: Annotated[
@@ -132,8 +137,9 @@ def _explain_episode(
 
         trace = _trace(source, episode, seed, last=last, permissions=permissions, agent=agent)
         statements = explain(trace)
-    for note in () if as_json else trace.notes:
-        terminal.note(f"note: {note}")
+    if not as_json:
+        for note in trace.notes:
+            terminal.note(f"note: {note}")
     terminal.show(
         explanation_json(trace, statements), *(statement.text for statement in statements), as_json=as_json
     )
@@ -223,7 +229,8 @@ def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int],
     if agent is not None:
         member = ref.run.member(agent)
         outcomes = [own_episode(member, outcome) for outcome in record.outcomes]
-        record, program = record.model_copy(update={"outcomes": outcomes}), member.program
+        record = record.model_copy(update={"outcomes": outcomes})
+        program = member.program
     failed = record.failed(program)
     if not failed:
         raise UsageError(
@@ -235,7 +242,8 @@ def failed_episodes(ref: ModelRef, agent: str | None = None) -> tuple[list[int],
 def _outcome(training: TrainingEvidence) -> str:
     """Return the verdict as text: `; solved (mean return >= 195 over 100 episodes); mean return 199 (95 %
     interval ...), over 100 ...`."""
-    criterion, verdict = training.run.program.agent.solved, training.verdict
+    criterion = training.run.program.agent.solved
+    verdict = training.verdict
     states = {True: "solved", False: "not solved", None: "not known whether it is solved"}
     state = "" if criterion is None else f"; {states[verdict.solved]} ({criterion.description})"
     return state + (
@@ -243,13 +251,6 @@ def _outcome(training: TrainingEvidence) -> str:
         if verdict.evaluation is not None
         else "; not evaluated since the end of the training"
     )
-
-
-_ENDS = ("margin", "truth_ending", "truncation_limit", "nearest")
-"""The statements of an explanation about the end of an episode: the passed limit, or the distance to a
-success."""
-MAX_SHOWN = 10
-"""The number of failed episodes of which `eval --episodes failed` prints the margin."""
 
 
 def repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) -> None:
@@ -295,7 +296,8 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    count, subject = len(causes), f"{folder}, {training.agent}" if training.agent else f"{folder}"
+    count = len(causes)
+    subject = f"{folder}, {training.agent}" if training.agent else f"{folder}"
     runs = "; it still runs" if training.is_running else ""
     if causes:
         head = f"{subject}: {counted(count, 'cause')}, the most likely first{runs}"

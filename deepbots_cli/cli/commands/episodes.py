@@ -70,9 +70,8 @@ def command(
         option(
             "--driver NAME",
             "Who acts: `random`, `zero` (the middle of each range and the first option of each choice), a"
-            " script of the scenario, or"
-            " actions to repeat. By default `random`; with --robot there is no default for a scenario, and a"
-            " run acts with its policy.",
+            " script of the scenario, or actions to repeat. By default `random`; with --robot there is no"
+            " default for a scenario, and a run acts with its policy.",
         ),
     ] = None,
     episodes: Annotated[

@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from deepbots_cli.program import Program
     from deepbots_cli.rollout.policies import StopCondition
 
+_REQUIREMENTS = "Requirements"
+
 
 def _engines(names: list[str] | None) -> list[str] | None:
     """Return the names between commas, each of which is a known and installed engine."""
@@ -60,9 +62,6 @@ def _engines(names: list[str] | None) -> list[str] | None:
     if len(set(engines)) < len(engines):
         raise typer.BadParameter("an engine is named twice")
     return engines or None
-
-
-_REQUIREMENTS = "Requirements"
 
 
 def command(
@@ -289,7 +288,10 @@ def _evaluate_run(
     details: bool,
 ) -> None:
     """Evaluate a model of a run in each engine; `kept_model` is the choice of that model."""
-    run, gates, case, stage = ref.run, request.gates, request.case, request.stage
+    run = ref.run
+    gates = request.gates
+    case = request.case
+    stage = request.stage
     scenarios = request.scenarios(run.record.engine)
     programs = [run.program if compiled is None else compiled.program for compiled in scenarios]
     for program in programs:
@@ -354,7 +356,9 @@ def _evaluate_in_engine(
 ) -> _EngineEvaluations:
     """Evaluate a model of a run, and the models that it is compared with; `further_options` are options of
     `evaluate`. An interruption ends it, and is raised if nothing is finished."""
-    case, stage, engine = request.case, request.stage, further_options["engine"]
+    case = request.case
+    stage = request.stage
+    engine = further_options["engine"]
     judged = further_options["scenario"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     options = {**request.options, **further_options}
@@ -522,8 +526,10 @@ def _check_files(csv: Path | None, junit: Path | None, gates: Gates, *, force: b
 
 def _evaluate_group(request: _Request, **further_options: Any) -> None:
     """Evaluate a group in each engine; `further_options` are options of `evaluate_group`."""
-    group, gates = Group.open(request.source), request.gates
-    scenarios, ready = request.scenarios(group.record.engine), group.runs_with_model
+    group = Group.open(request.source)
+    gates = request.gates
+    scenarios = request.scenarios(group.record.engine)
+    ready = group.runs_with_model
     reason = f"{request.run} contains {len(ready)} trained run{'' if len(ready) == 1 else 's'}"
     processes.check_dividable(request.workers, request.address, len(ready), reason)
     options = {**request.options, **further_options, "case": request.case, "stage": request.stage}

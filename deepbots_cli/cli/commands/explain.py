@@ -43,6 +43,15 @@ from deepbots_cli.scenario.scenario import Scenario
 _CODE = re.compile(r"db\d", re.IGNORECASE)
 """The form of the codes of findings."""
 
+_MIN_MISSPELLED = 5
+"""The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
+away from `tests`."""
+_MIN_BEGINNING = 3
+
+GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
+_MAX_SHOWN = 8
+"""The largest number of listed places, because a name such as `range` is a key of many sections."""
+
 
 def command(
     words: Annotated[
@@ -148,15 +157,6 @@ def _width() -> int:
     return min(terminal.width(), 100)
 
 
-_MIN_MISSPELLED = 5
-"""The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
-away from `tests`."""
-_MIN_BEGINNING = 3
-
-GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
-_MAX_SHOWN = 8
-"""The largest number of listed places, because a name such as `range` is a key of many sections."""
-
 Lines = tuple[str, ...]
 """The kind of a word, such as `key`, and the lines that explain it."""
 
@@ -216,9 +216,9 @@ def explain_word(word: str) -> Explained:
     matching = [topic for topic in topics() if plain == _plain(topic.name)]
     if not matching and word not in _words():
         matching = [topic for topic in topics() if plain in map(_plain, topic.names)]
-    blocks = [*map(_of_topic, matching), *blocks]
+    blocks = [*map(_topic_lines, matching), *blocks]
     if not blocks and word in isaac_lab.terms():
-        blocks = [_of_isaac_lab(word, isaac_lab.terms()[word])]
+        blocks = [_isaac_lab_lines(word, isaac_lab.terms()[word])]
     unit = None if blocks else suggest_unit(plain)
     if unit is not None and unit.safe:  # a unit that is written out, such as `radian`
         blocks = list(_blocks(unit.text))
@@ -253,7 +253,7 @@ def _blocks(word: str) -> list[list[str]]:
             sections_by_lines.setdefault(lines, {}).setdefault(section, {}).update(
                 {kind: None} if kind else {}
             )
-    blocks = [block for block in (list(_of_function(word)), list(_of_unit(word))) if block]
+    blocks = [block for block in (list(_function_lines(word)), list(_unit_lines(word))) if block]
     for (noun, *text), paths in list(sections_by_lines.items())[:_MAX_SHOWN]:
         more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
         listed = [
@@ -264,7 +264,7 @@ def _blocks(word: str) -> list[list[str]]:
     return blocks
 
 
-def _of_topic(topic: Topic) -> list[str]:
+def _topic_lines(topic: Topic) -> list[str]:
     return [
         f"{topic.name}: a concept",
         " ".join(topic.about.split()),
@@ -273,7 +273,7 @@ def _of_topic(topic: Topic) -> list[str]:
     ]
 
 
-def _of_isaac_lab(name: str, term: isaac_lab.Term) -> list[str]:
+def _isaac_lab_lines(name: str, term: isaac_lab.Term) -> list[str]:
     """Return the lines of a scenario for a term of Isaac Lab, each below its section."""
     lines: list[str] = []
     for line in term.lines:
@@ -375,7 +375,7 @@ def _beginning_of(word: str) -> str | None:
     )
 
 
-def _of_function(word: str) -> Iterator[str]:
+def _function_lines(word: str) -> Iterator[str]:
     function = FUNCTIONS.get(word.removesuffix("("))
     if function is not None:
         yield f"{function.signature}: a function"
@@ -384,7 +384,7 @@ def _of_function(word: str) -> Iterator[str]:
             yield f"For example: {function.example}"
 
 
-def _of_unit(word: str) -> Iterator[str]:
+def _unit_lines(word: str) -> Iterator[str]:
     unit = UNITS.get(word)
     if unit is not None:
         yield f"{word}: a unit"
@@ -400,15 +400,15 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
     kind."""
     if not isinstance(part, Kinds):
         if word in section_fields(part) and word != mark:
-            yield "key", *_of_key(part, word)
+            yield "key", *_key_lines(part, word)
         return
     if part.key == word:
         yield "key", f"The kind, one of {', '.join(part.names)}."
     if word in part.names:
-        yield part.key, *_of_kind(part, word)
+        yield part.key, *_kind_lines(part, word)
 
 
-def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
+def _kind_lines(kinds: Kinds, name: str) -> Iterator[str]:
     yield section_description(kinds.models[name])
     model = kinds.models[name]
     keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
@@ -421,9 +421,10 @@ def _of_kind(kinds: Kinds, name: str) -> Iterator[str]:
         yield f"Optional keys: {', '.join(optional_keys)}."
 
 
-def _of_key(part: type[Section], key: str) -> Iterator[str]:
+def _key_lines(part: type[Section], key: str) -> Iterator[str]:
     yield key_description(part, key)
-    spec, default = section_fields(part)[key], default_of(part, key)
+    spec = section_fields(part)[key]
+    default = default_of(part, key)
     unit = unit_of(spec)
     measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
     required = "; required" if part.model_fields[key].is_required() else ""

@@ -37,8 +37,8 @@ def command(
         Path | None,
         typer.Argument(
             metavar="RUN|MODEL|BUNDLE|SCENARIO",
-            help="A run directory, a model in it, with --check a folder that `export` wrote, or with --to webots"
-            " a scenario.",
+            help="A run directory, a model in it, with --check a folder that `export` wrote, or with --to"
+            " webots a scenario.",
             show_default=False,
         ),
     ] = None,
@@ -163,8 +163,9 @@ def _write_webots(
         webots.note_training(prepared, run.program)
     else:
         prepared = webots.prepare(opened, overrides)
-    for sentence in () if as_json else prepared.gaps.differs:
-        terminal.note(f"differs in Webots: {sentence}")
+    if not as_json:
+        for sentence in prepared.gaps.differs:
+            terminal.note(f"differs in Webots: {sentence}")
     if is_run:
         policy = webots.policy_of_run(run, ref.name)
     files = webots.project_files(prepared, policy)
@@ -278,7 +279,8 @@ def _check(
         "remarks": remarks,
     }
     terminal.show(data, verdict, *(f"  {line}" for line in differ), as_json=as_json)
-    for remark in () if as_json else remarks:
-        terminal.note(f"note: {remark}")
+    if not as_json:
+        for remark in remarks:
+            terminal.note(f"note: {remark}")
     if differ:
         raise typer.Exit(FAILED)

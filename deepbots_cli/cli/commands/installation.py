@@ -25,20 +25,6 @@ from deepbots_cli.errors import DeepbotsError, install_hint
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import random_driver
 
-
-def scenarios(as_json: Json = False) -> None:
-    """List the scenarios that come with deepbots."""
-    rows: list[Row] = []
-    for name in shipped.scenario_names():
-        path = shipped.scenario_path(name)
-        root = load(path).root if path else None
-        summary = root.get("summary") if root else None
-        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
-    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)
-
-
-State = Literal["ok", "missing", "broken"]
-
 _EXTRAS = {
     "sim": "simulation",
     "train": "training",
@@ -56,6 +42,20 @@ _EXTRAS = {
     "sign": "signatures of exported policies",
 }
 """The purpose of each extra. The metadata of the installation name its packages."""
+
+
+def scenarios(as_json: Json = False) -> None:
+    """List the scenarios that come with deepbots."""
+    rows: list[Row] = []
+    for name in shipped.scenario_names():
+        path = shipped.scenario_path(name)
+        root = load(path).root if path else None
+        summary = root.get("summary") if root else None
+        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
+    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)
+
+
+State = Literal["ok", "missing", "broken"]
 
 
 class Check(NamedTuple):

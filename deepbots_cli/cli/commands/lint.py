@@ -35,6 +35,14 @@ from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
 
+_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
+    "error": ("error",),
+    "warning": ("error", "warning"),
+    "never": (),
+}
+
+_WATCH_INTERVAL_S = 0.3
+
 
 class Format(StrEnum):
     full = "full"
@@ -50,12 +58,6 @@ class FailOn(StrEnum):
     warning = "warning"
     never = "never"
 
-
-_FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
-    "error": ("error",),
-    "warning": ("error", "warning"),
-    "never": (),
-}
 
 Codes = list[str] | None
 _RULES = "Rules"
@@ -89,9 +91,8 @@ def lint(
         option(
             "--ignore CODES",
             "Do not report these findings. If --select also matches a finding, the longer code decides:"
-            " `--select DB603 --ignore DB6`"
-            " reports DB603. If both are equally long, the finding is ignored. A name, such as"
-            " term-dominates, counts as its code, DB702.",
+            " `--select DB603 --ignore DB6` reports DB603. If both are equally long, the finding is ignored."
+            " A name, such as term-dominates, counts as its code, DB702.",
             _RULES,
         ),
     ] = None,
@@ -120,8 +121,7 @@ def lint(
         option(
             "--exploits",
             "Also search for exploits of the reward: episodes without success that pay more than a success."
-            " Recordings of them are kept in"
-            " ./exploits.",
+            " Recordings of them are kept in ./exploits.",
         ),
     ] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
@@ -195,9 +195,6 @@ def lint(
         raise typer.Exit(INTERNAL_ERROR)
     if any(finding.severity in failing for finding in (*selected, *hidden)) or (diff and changes):
         raise typer.Exit(FAILED)
-
-
-_WATCH_INTERVAL_S = 0.3
 
 
 def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]], look: LintOptions) -> None:
@@ -329,7 +326,8 @@ def _fixed(
             f" {_change(edit)}"
         )
     if fixer.fixed:
-        verb, files = "would be fixed" if show else "fixed", len(rewrites)
+        verb = "would be fixed" if show else "fixed"
+        files = len(rewrites)
         terminal.note(f"{len(fixer.fixed)} {verb} in {counted(files, 'file')}")
     return fixer.remaining_findings, bool(rewrites)
 

@@ -62,6 +62,9 @@ _PROJECT = {
 """The files of a project beside its scenario and `deepbots.schema.json`. The second setting leaves out keys
 that repeat a default."""
 
+_TEMPLATES = Path(starters.__file__).parent
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
+
 
 class Template(StrEnum):
     cartpole = "cartpole"
@@ -231,10 +234,6 @@ def _name_faster_engine(program: Program) -> None:
     throughput.note_faster_engine(program)
 
 
-_TEMPLATES = Path(starters.__file__).parent
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,63}")
-
-
 def validated_name(name: str) -> str:
     """Return the name of a new scenario without the suffix .yaml.
 
@@ -375,7 +374,8 @@ def _moved(file: Path) -> tuple[bytes, list[Path]]:
 
 
 def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
-    text, needed = file.read_text(encoding="utf-8"), []
+    text = file.read_text(encoding="utf-8")
+    needed = []
     for scalar, path in reversed(list(_references(file, text))):
         needed.append(path)
         relative = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")

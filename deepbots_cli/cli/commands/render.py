@@ -127,10 +127,8 @@ def command(
         option(
             "--episodes N|failed",
             "Make N episodes, from --episode on; `failed`: the failed episodes of the last evaluation of a"
-            " run. A .mcap contains all"
-            " of them. Videos and pages are one file per episode, FILE-K.mp4 for episode K; with `failed`,"
-            " for the first 10 failed episodes"
-            " only.",
+            " run. A .mcap contains all of them. Videos and pages are one file per episode, FILE-K.mp4 for"
+            " episode K; with `failed`, for the first 10 failed episodes only.",
             EPISODES,
             parser=partial(episodes_or_failed, maximum=MAX_EPISODES),
         ),

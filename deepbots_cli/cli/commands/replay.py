@@ -71,7 +71,8 @@ def command(
     opened = Showing(
         recording.removesuffix(RECORDING_SUFFIX) + RECORDING_SUFFIX, permissions=permissions
     ).open()
-    opened_recording, notes = opened.recording, version_changes(opened.recording)
+    opened_recording = opened.recording
+    notes = version_changes(opened.recording)
     if not to_verify and (tolerance or scenario):
         raise UsageError("--tolerance and --scenario need --verify")
     if overrides and not scenario:

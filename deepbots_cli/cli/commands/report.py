@@ -72,7 +72,8 @@ def command(
     if isinstance(report, of_runs.Report):
         if figures is not None and figures.is_dir():
             check_output(*(figures / f"{name}.png" for name in report.figure_names), force=force)
-        selection, permissions = report.choose_episodes(episodes), Permissions(code=allow_code)
+        selection = report.choose_episodes(episodes)
+        permissions = Permissions(code=allow_code)
         with terminal.progress("episodes") as show:
             report.repeat_episodes(selection, show, clips=clips, permissions=permissions)
         with terminal.transient_line("looking for the causes ..."):
@@ -88,7 +89,7 @@ def command(
         "report": target,
         "result": report.result,
         "causes": [],
-        **(_of_run(report) if isinstance(report, of_runs.Report) else {}),
+        **(_run_data(report) if isinstance(report, of_runs.Report) else {}),
         "figures": figure_paths,
         "notes": report.notes,
     }
@@ -100,7 +101,7 @@ def command(
     )
 
 
-def _of_run(report: Report) -> dict[str, object]:
+def _run_data(report: Report) -> dict[str, object]:
     """Return the causes in a run, and the results of each of several agents."""
     of_agents = {
         agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}

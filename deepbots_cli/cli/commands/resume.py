@@ -160,7 +160,8 @@ def apply(
 
     source = Source.open(varied, permissions, SourceKind.GROUP, SourceKind.STUDY)
     campaign = Group.open(source) if source.kind is SourceKind.GROUP else _open_study(varied, quiet=False)
-    best, path = campaign.best, quote(str(campaign.path))
+    best = campaign.best
+    path = quote(str(campaign.path))
     if best is None:
         if isinstance(campaign, Group):
             raise UsageError(

@@ -42,7 +42,8 @@ def fmt(
     diff: Annotated[bool, option("--diff", "Like --check, and show the changes.")] = False,
 ) -> None:
     """Format scenario files in the canonical layout."""
-    rewrites, refused = [], False
+    rewrites = []
+    refused = False
     for path in _scenario_files(paths or [Path(".")]):
         rewrite = _tidied(path)
         refused = refused or rewrite is None
@@ -72,7 +73,8 @@ def _scenario_files(paths: Sequence[Path]) -> Iterator[Path]:
 
 def _tidied(path: Path) -> Rewrite | None:
     """Return the file in the canonical layout; None after an error message if it cannot be formatted."""
-    data, findings = _read(path), Findings()
+    data = _read(path)
+    findings = Findings()
     source, readable = files.decode(data, str(path), findings)
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
@@ -163,7 +165,8 @@ def write_values(name: str, values: Mapping[str, str], comment: str, permissions
     expected = opened.document(overrides=[f"{path}={text}" for path, text in values.items()], tests=True)
     for path, text in values.items():
         document = opened.document(drafts={file: after})
-        root, source = document.root, document.files[file]
+        root = document.root
+        source = document.files[file]
         changed = (
             None if root is None else assigned_text(root, source, setting_path(root, path), text, comment)
         )

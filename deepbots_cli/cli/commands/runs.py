@@ -172,7 +172,8 @@ def _seeds(seeds: tuple[int, ...]) -> str:
 
 def _show_run(folder: Path, *, as_json: bool) -> None:
     """Show a run, and its evaluations."""
-    run, entries = read_listed(folder), evaluations(folder)
+    run = read_listed(folder)
+    entries = evaluations(folder)
     data = [
         {"number": number, **({"problem": entry} if isinstance(entry, str) else entry.model_dump())}
         for number, entry in entries
@@ -183,8 +184,9 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     notes = list(_own_notes(run))
     notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
     notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
-    for note in () if as_json else notes:
-        terminal.note(note)
+    if not as_json:
+        for note in notes:
+            terminal.note(note)
 
 
 def _evaluation(folder: Path, number: int, record: EvaluationRecord) -> Row:

@@ -69,7 +69,8 @@ def command(
     """Run the tests of scenarios."""
     if junit is not None:
         check_output(junit, force=force)
-    began, names = time.perf_counter(), scenario_names(scenarios or ["."], settings())
+    began = time.perf_counter()
+    names = scenario_names(scenarios or ["."], settings())
     options: dict[str, Any] = {
         "overrides": with_engine(overrides, engine),
         "permissions": permissions,
@@ -149,11 +150,11 @@ def _show(tested: _ScenarioResults, options: Sequence[str]) -> None:
         for result in tested.results:
             if not result.passed:
                 terminal.print_result(f"\n  FAILED {result.test.name} ({result.test.span.location})")
-            for miss in result.misses:
+            for unmet in result.unmet:
                 terminal.print_result(
-                    f"    expected  {miss.expected} ({miss.where})\n    measured  {miss.measured}"
+                    f"    expected  {unmet.expected} ({unmet.where})\n    measured  {unmet.measured}"
                 )
-                terminal.print_result(f"    show it   {_command(tested.scenario, result, miss, options)}")
+                terminal.print_result(f"    show it   {_command(tested.scenario, result, unmet, options)}")
         terminal.print_result()
 
 
@@ -162,9 +163,10 @@ def _row(result: TestResult) -> Row:
     return {"test": result.test.name, "result": "passed" if result.passed else "FAILED", **numbers}
 
 
-def _command(scenario: str, result: TestResult, miss: UnmetExpectation, options: Sequence[str]) -> str:
-    """Return the command that shows the episode of a miss, with the options of this one."""
-    test, episode = result.test, miss.episode
+def _command(scenario: str, result: TestResult, unmet: UnmetExpectation, options: Sequence[str]) -> str:
+    """Return the command that shows the episode of an unmet expectation, with the options of this one."""
+    test = result.test
+    episode = unmet.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
     where = " ".join([quote(scenario), *settings, *options, *_acting_options(test)])
     if isinstance(test.driver, str):
@@ -208,7 +210,7 @@ def _junit(tested: _ScenarioResults) -> Iterator[Case]:
         for finding in tested.findings[:1]
     )
     for result in tested.results:
-        reason = "; ".join(f"{miss.expected} ({miss.where}): {miss.measured}" for miss in result.misses)
+        reason = "; ".join(f"{unmet.expected} ({unmet.where}): {unmet.measured}" for unmet in result.unmet)
         fault = "" if result.passed else f"not met: {result.test.name} ({reason})"
         yield Case(result.test.name, reason, fault, attributes={"time": f"{result.seconds:.3f}"})
 
@@ -221,8 +223,8 @@ def _data(tested: _ScenarioResults, options: Sequence[str]) -> dict[str, Any]:
             **{key: getattr(result.test, key) for key in ("case", "stage", "seed")},
             **{key: getattr(result, key) for key in ("passed", "episodes", "steps", "seconds")},
             "misses": [
-                asdict(miss) | {"command": _command(tested.scenario, result, miss, options)}
-                for miss in result.misses
+                asdict(unmet) | {"command": _command(tested.scenario, result, unmet, options)}
+                for unmet in result.unmet
             ],
         }
         for result in tested.results

@@ -45,8 +45,10 @@ WIDTH = 110
 """The width of wrapped lines."""
 EXPLAINS_WHOLE = 0.9
 """The share from which a change explains the whole difference, apart from the growth of a small rest."""
-DEFAULT_EPISODES, QUICK_STEPS = 50, 2_000
-"""The episodes of each evaluation, and the steps after which those of `--quick` end."""
+DEFAULT_EPISODES = 50
+"""The episodes of each evaluation."""
+QUICK_STEPS = 2_000
+"""The steps after which the evaluations of `--quick` end."""
 
 
 def command(
@@ -94,8 +96,7 @@ def command(
         option(
             "--quick",
             "Leave out the evaluations with noise, delays, other masses and weaker motors. Without"
-            " --episodes, the two others end after"
-            f" {QUICK_STEPS:,} steps, but not before 8 episodes.",
+            f" --episodes, the two others end after {QUICK_STEPS:,} steps, but not before 8 episodes.",
         ),
     ] = False,
     log: Annotated[

@@ -49,8 +49,7 @@ def command(
         option(
             "--param PATH=VALUES",
             "Values to try, such as train.learning_rate=1e-4..1e-2:log, parameters.pole_length=0.5..1.5m or"
-            " train.batch_size='64 | 128';"
-            " may be repeated. By default those of `tune.search`.",
+            " train.batch_size='64 | 128'; may be repeated. By default those of `tune.search`.",
         ),
     ] = None,
     overrides: Overrides = None,

@@ -54,8 +54,7 @@ Host = Annotated[
     option(
         "--host ADDRESS",
         "Address to serve on. With an address that other machines can reach, such as 0.0.0.0, the page opens"
-        " only with the token in the"
-        " printed address.",
+        " only with the token in the printed address.",
         ADVANCED,
     ),
 ]

@@ -30,8 +30,10 @@ Positions = Mapping[str, float]
 """Joint positions by name, in rad or m; joints that are not named are at 0."""
 
 _ROTOR = re.compile(r"prop|rotor", re.IGNORECASE)
-_MAX_LEVEL_Z, _MIN_UPRIGHT_Z = 0.3, 0.7
-"""The largest z component of a level unit axis, and the smallest of an upright one."""
+_MAX_LEVEL_Z = 0.3
+"""The largest z component of a level unit axis."""
+_MIN_UPRIGHT_Z = 0.7
+"""The smallest z component of an upright unit axis."""
 _WHEEL_TOLERANCE = 0.15
 """The tolerance of a wheel's roundness and of its height above the ground, as a fraction of its radius."""
 _MAX_ITERATIONS = 80
@@ -79,7 +81,8 @@ class Limb:
 
     def frames(self, positions: Positions) -> dict[str, Frame]:
         """Return the frame of the link behind each joint."""
-        frame, frames = self.base, {}
+        frame = self.base
+        frames = {}
         for joint in self.path:
             frames[joint.name] = frame = child_frame(joint, frame, positions.get(joint.name, 0.0))
         return frames
@@ -105,7 +108,8 @@ class Limb:
             before = missing
             for joint in reversed(used):
                 poses = self.frames(positions)
-                (pivot, turn), tip = poses[joint.name], poses[self.path[-1].name][0]
+                pivot, turn = poses[joint.name]
+                tip = poses[self.path[-1].name][0]
                 axis = frames.rotate(turn, joint.axis)
                 if joint.type == "prismatic":
                     change = frames.dot(frames.subtract(target, tip), axis)
@@ -252,7 +256,8 @@ class Build:
         ]
 
     def _center_of_mass(self, link: str) -> Triple:
-        inertial, (origin, turn) = self.model.link(link).inertial, self.frames[link]
+        inertial = self.model.link(link).inertial
+        origin, turn = self.frames[link]
         return frames.add(origin, frames.rotate(turn, inertial.origin.xyz)) if inertial else origin
 
     @cached_property
@@ -345,9 +350,11 @@ class Build:
         return [joint for joint in self.model.joints if joint.moves and joint.parent in links]
 
     def _limb(self, first: Joint) -> Limb:
-        joint, links = first, self.rigid(first.child)
+        joint = first
+        links = self.rigid(first.child)
         while len(further := self._joints_on(links)) == 1:
-            joint, links = further[0], self.rigid(further[0].child)
+            joint = further[0]
+            links = self.rigid(further[0].child)
         tip = max(links, key=lambda name: dist(self.frames[name][0], self.frames[joint.child][0]))
         above = {joint.child: joint for joint in self.model.joints}
         path = [above[tip]]

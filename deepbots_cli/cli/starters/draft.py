@@ -84,7 +84,7 @@ class Draft:
 
     def hold(self, joints: Sequence[Joint]) -> None:
         """Add motors that keep joints where they start."""
-        for kind, _, unit_joints in by_unit(joints):
+        for kind, _, unit_joints in grouped_by_unit(joints):
             group = self.group(f"held_{kind}", unit_joints)
             pose = self.start(
                 group, f"rest_{kind}", {joint.name: neutral(joint) for joint in unit_joints}, unit_joints
@@ -106,7 +106,7 @@ class Draft:
         return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
 
 
-def by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
+def grouped_by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:
     """Return joints that turn apart from joints that slide, which never share a group: their name, their
     unit, the joints."""
     hinges, slides = (

@@ -58,7 +58,8 @@ def _suited(build: Build) -> list[Callable[[Draft], dict[str, object] | None]]:
 
 def _found(draft: Draft) -> list[str]:
     """Return the parts that were found in the robot file, for the head of the scenario."""
-    build, model = draft.build, draft.build.model
+    build = draft.build
+    model = draft.build.model
     counts = {
         "of them carry wheels": len(build.wheels),
         "steer": len(build.steering),
@@ -79,8 +80,8 @@ def _found(draft: Draft) -> list[str]:
         f"{build.model.mass:.3g} kg, {build.size:.3g} m long at most; its base is {base}. The values below were"
         " chosen from these: change them.",
         *(
-            f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to its"
-            " link."
+            f"`{link}` has no collision shape: other bodies and rays pass through it. Add a <collision> to"
+            " its link."
             for link in build.intangible
         ),
     ]

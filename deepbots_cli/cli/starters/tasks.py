@@ -9,7 +9,7 @@ from math import atan2, cos, degrees, hypot, inf, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.cli.starters.build import Build, Limb, Wheel, neutral, range_of
-from deepbots_cli.cli.starters.draft import GRAVITY, Draft, by_unit
+from deepbots_cli.cli.starters.draft import GRAVITY, Draft, grouped_by_unit
 from deepbots_cli.cli.starters.text import short_number
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.frames import Quaternion, Triple, quaternion
@@ -40,11 +40,16 @@ _LARGEST_PUSH = 5.0
 _LIMITED_PUSH = 1.0
 """How much the wheels push if the robot file allows more than `_LARGEST_PUSH`, in weights of the robot."""
 
+_FRONT = re.compile(r"(?<![A-Za-z])(?:FL|FR|LF|RF)(?![a-z])|front|fore", re.ASCII)
+_REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind|back", re.ASCII)
+"""The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
+
 
 def drive(draft: Draft) -> dict[str, object]:
     """Drive to a mark that lies somewhere around the robot."""
     build = draft.build
-    speed, steered = _wheel_speed(build, build.size), bool(build.steering)
+    speed = _wheel_speed(build, build.size)
+    steered = bool(build.steering)
     wheels = _drive_wheels(
         draft, {"left": "clamp(gas - turn, -1 .. 1)", "right": "clamp(gas + turn, -1 .. 1)"}, "gas"
     )
@@ -78,7 +83,7 @@ def balance(draft: Draft) -> dict[str, object]:
         if tilts:
             values["place"] = draft.raised | {"pitch" if along_x else "roll": "uniform(-2 .. 2 deg)"}
     else:
-        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in by_unit(build.driven)]
+        values["pushed"] = [_add_joint_motor(draft, *entry) for entry in grouped_by_unit(build.driven)]
     if not tilts:
         values["poles"] = draft.group("poles", build.poles)
         draft.starts[str(values["poles"])] = "uniform(-1 .. 1 deg)"
@@ -209,11 +214,6 @@ def walk(draft: Draft) -> dict[str, object]:
     }
 
 
-_FRONT = re.compile(r"(?<![A-Za-z])(?:FL|FR|LF|RF)(?![a-z])|front|fore", re.ASCII)
-_REAR = re.compile(r"(?<![A-Za-z])(?:RL|RR|HL|HR|LH|RH|BL|BR)(?![a-z])|rear|hind|back", re.ASCII)
-"""The words for legs in names of links and joints: `FR_hip`, `RL`, `LF_HAA`, `motor_front_leftR`."""
-
-
 def _front(build: Build, positions: Sequence[float]) -> int:
     """Return 1 if the front of the robot is at the larger `positions` of its limbs, -1 if at the smaller
     ones; 0 if the names of the limbs do not say which are in front."""
@@ -276,8 +276,9 @@ def _gait(build: Build, tilt: Quaternion) -> tuple[list[str], list[str]]:
 
 def roam(draft: Draft) -> dict[str, object]:
     """Get away from the start, by any joints of the robot."""
-    build, actions = draft.build, {}
-    for kind, unit, joints in by_unit(build.driven):
+    build = draft.build
+    actions = {}
+    for kind, unit, joints in grouped_by_unit(build.driven):
         endless = [joint for joint in joints if joint.type == "continuous" or joint.limit.lower is None]
         if endless:
             actions[f"spin_{kind}"] = group = draft.group(f"turning_{kind}", endless)
@@ -305,7 +306,7 @@ def roam(draft: Draft) -> dict[str, object]:
 def posture(draft: Draft) -> dict[str, object]:
     """Bring the joints of a mechanism to a drawn posture."""
     moved = []
-    for kind, unit, joints in by_unit(draft.build.driven):
+    for kind, unit, joints in grouped_by_unit(draft.build.driven):
         group = draft.group(f"moved_{kind}", joints)
         rest_name, swing = _middle(draft, group, f"rest_{kind}", joints)
         draft.motor(
@@ -375,7 +376,8 @@ def _limit_push(draft: Draft) -> None:
     Such a robot drives up walls and tips over: the racecar of pybullet_data (14 times) in 10 of 30 episodes of
     random driving between walls, also with 2 times its weight, and in none with its weight.
     """
-    wheels, weight = draft.build.wheels, draft.build.model.mass * GRAVITY
+    wheels = draft.build.wheels
+    weight = draft.build.model.mass * GRAVITY
     push = sum((wheel.joint.limit.effort or 0.0) / wheel.radius for wheel in wheels)
     if push <= _LARGEST_PUSH * weight:
         return
@@ -430,7 +432,8 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     """
     bending = [limb.joints[0], *(joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.3)]
     shoulder = next((joint for joint in limb.joints if abs(build.axis(joint)[2]) < 0.7), limb.joints[0])
-    far, tolerance = limb.reach, _TIP_TOLERANCE * limb.reach
+    far = limb.reach
+    tolerance = _TIP_TOLERANCE * limb.reach
     across = next(
         (axis for axis in range(3) if all(abs(build.axis(joint)[axis]) > _PARALLEL for joint in limb.joints)),
         None,
@@ -439,7 +442,10 @@ def _reachable_box(build: Build, limb: Limb) -> tuple[Triple, Triple, dict[str, 
     for half, (x, y), rise in product((0.2, 0.12, 0.06), sides, (0.1, 0.3, 0.0)):
         away = (0.5 if across is None else 0.65) * far
         middle = frames.add(build.frames[shoulder.child][0], (away * x, away * y, rise * far))
-        starts, orders, inner, sizes = [middle], [bending, None], [], [half * far] * 3
+        starts = [middle]
+        orders = [bending, None]
+        inner = []
+        sizes = [half * far] * 3
         if across is not None:
             middle, sizes[across] = (
                 _moved(middle, across, build.frames[limb.tip][0][across] - middle[across]),

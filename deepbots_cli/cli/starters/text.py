@@ -10,7 +10,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepbots_cli.document.layout import plain_or_quoted
 
-_COLUMN, _WIDTH = 40, 110
+_COLUMN = 40
+_WIDTH = 110
 _PATH = re.compile(r"(?:package://|(?:\.\./)+)[A-Za-z_][A-Za-z0-9_./-]*")
 
 

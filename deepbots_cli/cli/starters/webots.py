@@ -74,6 +74,9 @@ def _robot_file(name: str, robot: DraftRobot) -> str:
 
 # A valid text
 
+_REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
+"""Keys without which no scenario is left."""
+
 
 def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> list[str]:
     """Return the lines with those commented out that make an error: a value may lack a form in the language
@@ -95,7 +98,7 @@ def _settled(lines: list[str], files: dict[PurePosixPath, bytes], name: str) -> 
             numbers = {number for number in numbers if _is_entry(lines, number)}
             if not numbers:
                 break
-            lines = _without(lines, numbers)
+            lines = _with_placeholders(lines, numbers)
     raise UsageError(f"no valid scenario came out: {errors[0].headline}")
 
 
@@ -106,11 +109,7 @@ def _is_entry(lines: Sequence[str], number: int) -> bool:
     return ": " in line and not line.startswith((*_REQUIRED, "#"))
 
 
-_REQUIRED = ("deepbots:", "name:", "urdf:", "timestep:")
-"""Keys without which no scenario is left."""
-
-
-def _without(lines: list[str], numbers: set[int]) -> list[str]:
+def _with_placeholders(lines: list[str], numbers: set[int]) -> list[str]:
     result = []
     for number, line in enumerate(lines, start=1):
         if number in numbers:

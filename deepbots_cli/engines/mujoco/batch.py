@@ -61,8 +61,10 @@ class BatchMember(EngineProxy):
     """One world of a batch. Reads and changes use the shared engine; steps and motors use the batch."""
 
     def __init__(self, batch: MuJoCoBatch, index: int) -> None:
-        self._batch, self._index = batch, index
-        self.name, self.capabilities = batch.name, batch.capabilities
+        self._batch = batch
+        self._index = index
+        self.name = batch.name
+        self.capabilities = batch.capabilities
         self.substep_callbacks: list[Callable[[], object]] = []
         self._pushers = 0
 
@@ -71,7 +73,8 @@ class BatchMember(EngineProxy):
         return self._batch.attach(self._index)
 
     def bound(self, read: Callable[P, R]) -> Callable[P, R]:
-        attach, index = self._batch.attach, self._index
+        attach = self._batch.attach
+        index = self._index
 
         def read_attached(*args: P.args, **kwargs: P.kwargs) -> R:
             attach(index)
@@ -98,7 +101,9 @@ class BatchMember(EngineProxy):
         """Read the pose of a free body from its row of the batch, unless the shared engine has this world: 1
         us instead of 8."""
         read_attached: PoseReader = super().pose(body, link)
-        batch, index, form_and_link = self._batch, self._index, self._batch.form_and_link(body, link)
+        batch = self._batch
+        index = self._index
+        form_and_link = self._batch.form_and_link(body, link)
         if (
             form_and_link is None
             or form_and_link[1] != form_and_link[0].root_id
@@ -139,7 +144,8 @@ class BatchMember(EngineProxy):
         return push
 
     def _of_columns(self, method: str, *args: Any, **options: Any) -> Callable[[], Any]:
-        read, index = getattr(self._batch, method)(*args, **options), self._index
+        read = getattr(self._batch, method)(*args, **options)
+        index = self._index
         return lambda: read()[..., index].tolist()
 
     contact = partialmethod(_of_columns, "contact")
@@ -225,7 +231,8 @@ class MuJoCoBatch:
         self._batch = Batch(
             model_with_sensors(self._builder, self.nominal, self._sensors), self.count, self._threads
         )
-        self.state, model = self._batch.state, self._batch.model
+        self.state = self._batch.state
+        model = self._batch.model
         self.ctrl, self.qpos, self.qvel = (self._batch.bind(name) for name in ("ctrl", "qpos", "qvel"))
         self.rows = {name: self._batch.expand(name) for name in fields}
         if before is None:
@@ -344,7 +351,8 @@ class MuJoCoBatch:
         """Begin an episode of a world in the shared engine."""
         self._release()
         self.single.reset()
-        self.attached, self._has_changes = index, True
+        self.attached = index
+        self._has_changes = True
         for name, rows in self.rows.items():
             rows[index] = _field(self.nominal, name)
         if self._armature is not None:
@@ -411,7 +419,8 @@ class MuJoCoBatch:
 
     def _take_armature(self, index: int) -> None:
         """Copy the armature that an episode has set to its world."""
-        usual, nominal = self._world.armature, self.nominal.dof_armature
+        usual = self._world.armature
+        nominal = self.nominal.dof_armature
         if self._armature is None and not np.array_equal(usual, nominal):
             self._armature = np.tile(nominal, (self.count, 1))
         if self._armature is not None:
@@ -524,7 +533,8 @@ class MuJoCoBatch:
             return self._read_each(lambda member: member.velocity(body, link))
         form, number = form_and_link
         if number == form.root_id and form.position_index >= 0:
-            pose, at = self.pose(body, link), form.velocity_index
+            pose = self.pose(body, link)
+            at = form.velocity_index
 
             def read_free() -> Any:
                 numbers = self._state("qvel")[at : at + 6]
@@ -561,7 +571,8 @@ class MuJoCoBatch:
         return read
 
     def motion(self, body: str, link: str | None = None) -> Callable[[], Any]:
-        pose, velocity = self.pose(body, link), self.velocity(body, link)
+        pose = self.pose(body, link)
+        velocity = self.velocity(body, link)
         return lambda: (pose(), velocity())
 
     def contact(

@@ -42,24 +42,26 @@ class Pushes:
     their order; see `motors.pusher`."""
 
     def __init__(self, count: int, frame: Literal["world", "link"]) -> None:
-        self.waits, self.links, self._values = (
-            np.zeros(count, bool),
-            np.zeros(count, int),
-            np.zeros((count, 6)),
-        )
+        self.waits = np.zeros(count, bool)
+        self.links = np.zeros(count, int)
+        self._values = np.zeros((count, 6))
         self._frame = frame
 
     def begin(self, world: int) -> None:
-        self.waits[world], self._values[world] = False, 0.0
+        self.waits[world] = False
+        self._values[world] = 0.0
 
     def give(self, world: int, link: int, force: Triple, torque: Triple) -> None:
-        self.waits[world], self.links[world] = True, link
+        self.waits[world] = True
+        self.links[world] = link
         self._values[world] += (*force, *torque)
 
     def take(self, worlds: Column, turned: Column, center: Column) -> Column:
         """Return force and torque at the center of mass in the axes of the world, a row per world."""
-        values, turn = self._values[worlds].T, tuple(turned)
-        self.waits[worlds], self._values[worlds] = False, 0.0
+        values = self._values[worlds].T
+        turn = tuple(turned)
+        self.waits[worlds] = False
+        self._values[worlds] = 0.0
         force, torque = tuple(values[:3]), tuple(values[3:])
         if self._frame == "link":
             force, torque = frames.rotate(turn, force), frames.rotate(turn, torque)
@@ -75,7 +77,8 @@ class BatchMotor:
     is_soft = False
 
     def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
-        self._batch, self._model = batch, batch.nominal
+        self._batch = batch
+        self._model = batch.nominal
         self.joints = tuple(joints)
         count = batch.count
         self.rivals: list[BatchMotor] = []
@@ -149,18 +152,19 @@ class BatchMotor:
 
     def _activate(self, worlds: Column) -> None:
         """Drive the joints in these worlds; see `motors.Motor`."""
-        rows, limits, joints = self._batch.rows, self._limits[worlds], cells(worlds, self._joint_index)
+        rows = self._batch.rows
+        limits = self._limits[worlds]
+        joints = cells(worlds, self._joint_index)
         acts, dofs = cells(worlds, self._acts), cells(worlds, self._dofs)
         bias = rows["actuator_biasprm"]
         bias[acts] = 0.0
         if self._is_spring:
-            bias[..., 1][acts], bias[..., 2][acts] = -self._stiffness[worlds], -self._damping[worlds]
+            bias[..., 1][acts] = -self._stiffness[worlds]
+            bias[..., 2][acts] = -self._damping[worlds]
         rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
         rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
-        rows["actuator_forcelimited"][acts], rows["jnt_actfrclimited"][joints] = (
-            not self.is_soft,
-            self.is_soft,
-        )
+        rows["actuator_forcelimited"][acts] = not self.is_soft
+        rows["jnt_actfrclimited"][joints] = self.is_soft
         rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack(
             [-limits, limits], axis=-1
         )
@@ -182,7 +186,8 @@ class CurvedMotor(BatchMotor):
 
     def __init__(self, batch: MuJoCoBatch, joints: Sequence[int]) -> None:
         super().__init__(batch, joints)
-        self._stall, self._fastest = np.zeros(self._targets.shape), np.ones(self._targets.shape)
+        self._stall = np.zeros(self._targets.shape)
+        self._fastest = np.ones(self._targets.shape)
 
     def bind_curve(self, worlds: slice, curve: TorqueCurve) -> None:
         """Set the curve of some worlds."""
@@ -196,7 +201,8 @@ class CurvedMotor(BatchMotor):
         worlds = np.flatnonzero(self.waits & goes)
         if not len(worlds):
             return
-        stall, limits = self._stall[worlds], self._limits[worlds]
+        stall = self._stall[worlds]
+        limits = self._limits[worlds]
         share = self._batch.qvel[cells(worlds, self._dofs)] / self._fastest[worlds]
         low, high = (
             np.minimum(np.maximum(end, 0.0), limits) for end in (stall * (1.0 + share), stall * (1.0 - share))
@@ -212,7 +218,9 @@ class TrackingMotor(BatchMotor):
 
     def __init__(self, batch: MuJoCoBatch, joints: Sequence[int], rate: float) -> None:
         super().__init__(batch, joints)
-        model, self._rate, self._step = self._model, rate, self._model.opt.timestep
+        model = self._model
+        self._rate = rate
+        self._step = self._model.opt.timestep
         self._position_columns = motors.array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
         self._moved = 1.0 / model.dof_invweight0[self._dofs]
@@ -235,7 +243,9 @@ class TrackingMotor(BatchMotor):
 
     def _aim(self, worlds: Any) -> Column:
         """Return the gains, which are renewed."""
-        batch, targets, limits = self._batch, self._targets[worlds], self._limits[worlds]
+        batch = self._batch
+        targets = self._targets[worlds]
+        limits = self._limits[worlds]
         target_velocities = (
             (targets - batch.qpos[cells(worlds, self._position_columns)]) * self._rate
             if self._rate
@@ -251,8 +261,10 @@ class TrackingMotor(BatchMotor):
         aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
-            worlds, gains = np.arange(batch.count)[worlds][renewed], gains[renewed]
-        added, bias = gains * self._step, batch.rows["actuator_biasprm"]
+            worlds = np.arange(batch.count)[worlds][renewed]
+            gains = gains[renewed]
+        added = gains * self._step
+        bias = batch.rows["actuator_biasprm"]
         self._gains[worlds] = gains
         bias[..., 2][cells(worlds, self._acts)] = -gains
         if self._rate:

@@ -26,6 +26,18 @@ FORCE_SLOTS = 32
 """Contacts of a link whose forces a batch adds up."""
 SEEN_GROUPS = [number != HIDDEN_GROUP for number in range(int(mj.mjNGROUP))]
 
+_FOUND = mj.mjtConDataField.mjCONDATA_FOUND
+_FORCE = mj.mjtConDataField.mjCONDATA_FORCE
+_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
+    "touch": ((_FOUND,), 0, 1),
+    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
+    "force": ((_FORCE,), 3, 1),
+}
+"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
+world frame), and the number of contacts."""
+
+_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
+
 
 class Sensor(NamedTuple):
     """A sensor that a batch adds to its model: whether `one` touches `other` (None: anything), the normal
@@ -41,23 +53,12 @@ class Sensor(NamedTuple):
     measures: Literal["touch", "forces", "force", "joint_force", "joint_torque", "distance"] = "touch"
 
 
-_FOUND, _FORCE = mj.mjtConDataField.mjCONDATA_FOUND, mj.mjtConDataField.mjCONDATA_FORCE
-_CONTACT_SENSORS: dict[str, tuple[tuple[Any, ...], int, int]] = {
-    "touch": ((_FOUND,), 0, 1),
-    "forces": ((_FOUND, _FORCE), 0, FORCE_SLOTS),
-    "force": ((_FORCE,), 3, 1),
-}
-"""The fields of MuJoCo's contact sensors, whether their contacts are reduced (3: to the net force in the
-world frame), and the number of contacts."""
-
-_SITE_SENSORS = {"joint_force": mj.mjtSensor.mjSENS_FORCE, "joint_torque": mj.mjtSensor.mjSENS_TORQUE}
-
-
 def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Sensor]) -> Any:
     """Return a copy of the compiled model with sensors."""
     if not sensors:
         return copy(model)
-    spec, kinds = builder._spec.copy(), mj.mjtObj
+    spec = builder._spec.copy()
+    kinds = mj.mjtObj
     for index, sensor in enumerate(sensors):
         subjects = {}
         for (kind, name), part_name in zip(
@@ -79,11 +80,9 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
             added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
     compiled = spec.compile()
-    compiled.opt.disableflags, compiled.opt.jacobian, compiled.stat.meaninertia = (
-        model.opt.disableflags,
-        model.opt.jacobian,
-        model.stat.meaninertia,
-    )
+    compiled.opt.disableflags = model.opt.disableflags
+    compiled.opt.jacobian = model.opt.jacobian
+    compiled.stat.meaninertia = model.stat.meaninertia
     for name in ("dof_simplenum", "body_sameframe", "geom_sameframe", *VARIED_ARRAYS):
         getattr(compiled, name)[:] = getattr(model, name)
     return compiled
@@ -94,9 +93,11 @@ class Observer:
     and motors."""
 
     def __init__(self, batch: MuJoCoBatch, threads: int) -> None:
-        self._batch, self._threads = batch, threads
+        self._batch = batch
+        self._threads = threads
         self._distances: dict[Sensor, int] = {}
-        self._stage, self._built = int(mj.mjtStage.mjSTAGE_POS), -1
+        self._stage = int(mj.mjtStage.mjSTAGE_POS)
+        self._built = -1
         self._bound: set[str] = set()
         self.is_current = False
 
@@ -109,9 +110,11 @@ class Observer:
         """Return an array of MuJoCo's data, with a row per world."""
         batch = self._batch
         if self._built != len(self._distances):
-            model, off = model_with_sensors(batch._builder, batch.nominal, self._distances), mj.mjtDisableBit
+            model = model_with_sensors(batch._builder, batch.nominal, self._distances)
+            off = mj.mjtDisableBit
             model.opt.disableflags |= off.mjDSBL_CONTACT | off.mjDSBL_CONSTRAINT | off.mjDSBL_ACTUATION
-            self._views, self._built = Batch(model, batch.count, self._threads), len(self._distances)
+            self._views = Batch(model, batch.count, self._threads)
+            self._built = len(self._distances)
             self._bound.clear()
         bound: Column = self._views.bind(name)
         stage = int(mj.mjtStage.mjSTAGE_VEL) if name == "cvel" else self._stage

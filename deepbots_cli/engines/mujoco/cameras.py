@@ -86,7 +86,8 @@ class WorldRenderer:
     """Draws one world; nothing is built before the first picture."""
 
     def __init__(self, world: WorldModel, state: MujocoWorld) -> None:
-        self._world, self._state = world, state
+        self._world = world
+        self._state = state
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
         _OPEN_RENDERERS.add(self)
@@ -102,7 +103,9 @@ class WorldRenderer:
         left = np.cross((0.0, 0.0, 1.0), ahead)
         length = np.linalg.norm(left)
         left = left / length if length > 1e-9 else np.array((0.0, 1.0, 0.0))
-        width, height, samples = view.width * view.samples, view.height * view.samples, view.samples
+        width = view.width * view.samples
+        height = view.height * view.samples
+        samples = view.samples
         renderer = self._renderer_of_size(width, height)
         self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
         self._cast_shadows(renderer, view)
@@ -123,10 +126,11 @@ class WorldRenderer:
     def _lay_tiles(self, renderer: Any) -> None:
         """Show the tiles of a terrain."""
         material = mj.mj_name2id(self._model, mj.mjtObj.mjOBJ_MATERIAL, TERRAIN_TILES)
-        for geom in renderer.scene.geoms[: renderer.scene.ngeom] if material >= 0 else ():
-            if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
-                geom.matid = material
-                geom.rgba = (1.0, 1.0, 1.0, 1.0)
+        if material >= 0:
+            for geom in renderer.scene.geoms[: renderer.scene.ngeom]:
+                if geom.type == mj.mjtGeom.mjGEOM_HFIELD:
+                    geom.matid = material
+                    geom.rgba = (1.0, 1.0, 1.0, 1.0)
 
     def render_camera(
         self, pose: PoseReader, mount: Frame, width: int, height: int, fov: float
@@ -166,7 +170,9 @@ class WorldRenderer:
             raise EngineError(UNAVAILABLE_MESSAGE)
         if self._model is None:
             self._build()
-        model, data, now = self._model, self._data, self._state.data
+        model = self._model
+        data = self._data
+        now = self._state.data
         for name in ("qpos", "mocap_pos", "mocap_quat"):
             getattr(data, name)[:] = getattr(now, name)
         model.geom_rgba[:] = self._nominal
@@ -208,7 +214,9 @@ class WorldRenderer:
 
     def _aim(self, renderer: Any, eye: Triple, ahead: Any, up: Any, fov: float) -> None:
         for camera in renderer.scene.camera:
-            camera.pos, camera.forward, camera.up = eye, ahead, up
+            camera.pos = eye
+            camera.forward = ahead
+            camera.up = up
             camera.frustum_center = 0.0
             camera.frustum_top = NEAR_CLIP_M * tan(fov / 2)
             camera.frustum_bottom = -camera.frustum_top

@@ -8,13 +8,13 @@ from math import inf
 from typing import TYPE_CHECKING, Literal
 
 from deepbots_cli import frames
+from deepbots_cli.engines.bodies import Pool, named
 from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import inverse_kinematics
 from deepbots_cli.engines.mujoco import cameras, motors, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
 from deepbots_cli.engines.mujoco.state import LinkMotions, MujocoWorld, WorldSnapshot
-from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
 from deepbots_cli.program.world import GROUND
@@ -148,11 +148,13 @@ class MuJoCoEngine:
         velocity: Triple = ZERO_VECTOR,
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        data, form = self._world.data, self._pool(body).activate()
+        data = self._world.data
+        form = self._pool(body).activate()
         self._world.show(form)
         rotation = x, y, z, w = frames.normalized(orientation)
         if form.mocap_index >= 0:
-            data.mocap_pos[form.mocap_index], data.mocap_quat[form.mocap_index] = position, (w, x, y, z)
+            data.mocap_pos[form.mocap_index] = position
+            data.mocap_quat[form.mocap_index] = (w, x, y, z)
         elif form.position_index >= 0:
             data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
             data.qvel[form.velocity_index : form.velocity_index + 6] = (
@@ -162,15 +164,15 @@ class MuJoCoEngine:
         self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        model, data, (number,) = self._world.model, self._world.data, self._joints(robot, (joint,))
+        model = self._world.model
+        data = self._world.data
+        (number,) = self._joints(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
         body = self._pool(robot).current
         for follower, mimic in body.model.followers_of(joint).items():
             number = body.joints[follower]
-            data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = (
-                mimic.position(position),
-                mimic.multiplier * velocity,
-            )
+            data.qpos[model.jnt_qposadr[number]] = mimic.position(position)
+            data.qvel[model.jnt_dofadr[number]] = mimic.multiplier * velocity
         self._world.invalidate()
 
     def choose(self, body: str, variant: str) -> None:
@@ -220,7 +222,9 @@ class MuJoCoEngine:
     # Readers of motion
 
     def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
-        model, data, numbers = self._world.model, self._world.data, list(self._joints(robot, joints))
+        model = self._world.model
+        data = self._world.data
+        numbers = list(self._joints(robot, joints))
         if not numbers:
             return lambda: ()
         if len(numbers) == 1:  # takes half the time of two slices
@@ -248,8 +252,11 @@ class MuJoCoEngine:
         return self._pool(body).bind_current(lambda form: self._velocity(form, _link(form, link)))
 
     def angular_momentum(self, robot: str) -> VectorReader:
-        world, body = self._world, self._pool(robot).current
-        model, data, links = world.model, world.data, list(body.links.values())
+        world = self._world
+        body = self._pool(robot).current
+        model = world.model
+        data = world.data
+        links = list(body.links.values())
 
         def read() -> Triple:
             world.update_velocities()
@@ -267,7 +274,8 @@ class MuJoCoEngine:
         return read
 
     def motion(self, body: str, link: str | None = None) -> MotionReader:
-        pose, velocity = self.pose(body, link), self.velocity(body, link)
+        pose = self.pose(body, link)
+        velocity = self.velocity(body, link)
 
         def read() -> Motion:
             return pose(), velocity()
@@ -277,7 +285,8 @@ class MuJoCoEngine:
     def _pose(self, body: Body, link: int) -> PoseReader:
         """Return a reader of the pose of a root link from the state, of another link from positions that are
         computed on demand."""
-        world, data = self._world, self._world.data
+        world = self._world
+        data = self._world.data
         if link == body.root_id and body.position_index >= 0:
             numbers = data.qpos[body.position_index : body.position_index + 7]
 
@@ -302,7 +311,9 @@ class MuJoCoEngine:
         return read
 
     def _velocity(self, body: Body, link: int) -> VelocityReader:
-        world, model, data = self._world, self._world.model, self._world.data
+        world = self._world
+        model = self._world.model
+        data = self._world.data
         if link == body.root_id and body.position_index >= 0:
             rotation = data.qpos[body.position_index + 3 : body.position_index + 7]
             numbers = data.qvel[body.velocity_index : body.velocity_index + 6]
@@ -315,11 +326,9 @@ class MuJoCoEngine:
             return read_free
         # `cvel` is the velocity of the link at the center of mass of its tree; `mj_objectVelocity` begins
         # with it too, at three times the cost.
-        of_center, center, origin = (
-            data.cvel[link],
-            data.subtree_com[model.body_rootid[link]],
-            data.xpos[link],
-        )
+        of_center = data.cvel[link]
+        center = data.subtree_com[model.body_rootid[link]]
+        origin = data.xpos[link]
 
         def read() -> tuple[Triple, Triple]:
             if not world.has_velocities:
@@ -424,11 +433,11 @@ class MuJoCoEngine:
     # Names
 
     def _pool(self, name: str) -> Pool[Body]:
-        return find(self._world.require_open().pools, name, "the world has no body")
+        return named(self._world.require_open().pools, name, "the world has no body")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, ...]:
         body = self._pool(robot).current
-        return tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
+        return tuple(named(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> motors.Motor:
         return motors.Motor(self._motors, self._joints(robot, joints), max_torque)
@@ -442,4 +451,4 @@ class MuJoCoEngine:
 
 
 def _link(body: Body, link: str | None) -> int:
-    return body.root_id if link is None else find(body.links, link, f"'{body.name}' has no link")
+    return body.root_id if link is None else named(body.links, link, f"'{body.name}' has no link")

@@ -14,19 +14,15 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.objects import (
-    LINK_COLORS,
+from deepbots_cli.engines.bodies import Pool
+from deepbots_cli.engines.masses import (
     ROOT_MASS_FRACTION,
-    Pool,
-    arena_walls,
-    as_robot,
-    forms_of,
-    is_movable,
     rigid_group,
     self_collision_pairs,
     with_explicit_masses,
 )
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.objects import LINK_COLORS, arena_walls, as_robot, forms_of, is_movable
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
@@ -53,7 +49,9 @@ MjObject = Any
 PARKING_SPACING_M = 1000.0  # m between bodies that are absent
 GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
 # Groups of geoms: those that rays meet, those that rays do not meet, and those that are only drawn.
-SOLID_GROUP, HIDDEN_GROUP, VISUAL_GROUP = (0, 5, 1)
+SOLID_GROUP = 0
+HIDDEN_GROUP = 5
+VISUAL_GROUP = 1
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
@@ -135,7 +133,8 @@ class ModelBuilder:
     with their visible shapes as geoms."""
 
     def __init__(self, world: WorldModel, for_rendering: bool = False) -> None:
-        self._world, self._for_rendering = world, for_rendering
+        self._world = world
+        self._for_rendering = for_rendering
         self._spec = spec = mj.MjSpec()
         step = world.timestep / world.substeps
         spec.option.timestep = step
@@ -240,7 +239,8 @@ class ModelBuilder:
                 "hfieldname": GROUND,
                 "pos": (0.0, 0.0, float(relief.heights.min())),
             }
-            friction, color = Friction(lateral=world.terrain.friction), world.terrain.color or TERRAIN_COLOR
+            friction = Friction(lateral=world.terrain.friction)
+            color = world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
             shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
             friction = Friction(lateral=world.ground.friction, restitution=world.ground.restitution)
@@ -261,8 +261,9 @@ class ModelBuilder:
         geom = self._geom(self._spec.worldbody, **shape)
         self._made.append((body, {GROUND: self._spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
-        for line in world.lines if self._for_rendering else ():
-            self._paint(line)
+        if self._for_rendering:
+            for line in world.lines:
+                self._paint(line)
 
     def _relief(self, terrain: Terrain) -> HeightGrid:
         relief = height_grid(terrain.shape)
@@ -287,7 +288,8 @@ class ModelBuilder:
         of view."""
         spec = self._spec
         spec.visual.quality.offsamples = 0  # each pixel is sampled at its center
-        gradient, sky = mj.mjtBuiltin.mjBUILTIN_GRADIENT, mj.mjtTexture.mjTEXTURE_SKYBOX
+        gradient = mj.mjtBuiltin.mjBUILTIN_GRADIENT
+        sky = mj.mjtTexture.mjTEXTURE_SKYBOX
         spec.add_texture(
             name="sky",
             type=sky,
@@ -318,9 +320,11 @@ class ModelBuilder:
 
     def _paint(self, line: Line) -> None:
         """Add a box for each piece, and a disc at each of its ends."""
-        half, thin = line.width / 2, 1e-3
+        half = line.width / 2
+        thin = 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
-            long, yaw = float(np.hypot(x1 - x0, y1 - y0)) / 2, float(np.arctan2(y1 - y0, x1 - x0))
+            long = float(np.hypot(x1 - x0, y1 - y0)) / 2
+            yaw = float(np.arctan2(y1 - y0, x1 - x0))
             rotation = frames.wxyz(frames.quaternion(0.0, 0.0, yaw))
             if long > 0.0:
                 middle, size = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0), (long, half, thin)
@@ -368,7 +372,8 @@ class ModelBuilder:
         geoms: dict[str, list[MjObject]] = {}
         order = [model.root]
         for index, name in enumerate(order):
-            link, above = model.link(name), joint_of.get(name)
+            link = model.link(name)
+            above = joint_of.get(name)
             position, rotation = body.initial_pose if above is None else frames.frame(above.origin)
             parent = self._spec.worldbody if above is None else links[above.parent]
             self._elements += 1
@@ -394,8 +399,9 @@ class ModelBuilder:
             if self._flat and above is not None:
                 geoms[name] += self._add_tires(body_element, link, above, geoms[name])
             order += children.get(name, ())
-        for follower, mimic in model.followers.items() if not self._for_rendering else ():
-            self._follow(joints[follower], joints[mimic.joint], mimic)
+        if not self._for_rendering:
+            for follower, mimic in model.followers.items():
+                self._follow(joints[follower], joints[mimic.joint], mimic)
         self._made.append((body, links, joints, geoms))
         return body
 
@@ -409,7 +415,9 @@ class ModelBuilder:
         inertial = link.inertial
         mass = inertial.mass if inertial else 0.0
         if inertial is None or mass <= 0.0:
-            mass, tensor, at = trace, frames.diagonal((trace, trace, trace)), (0.0, 0.0, 0.0)
+            mass = trace
+            tensor = frames.diagonal((trace, trace, trace))
+            at = (0.0, 0.0, 0.0)
         else:
             tensor = frames.rotate_tensor(inertial.matrix, frames.rotation_matrix(inertial.origin.rpy))
             at = inertial.origin.xyz
@@ -423,7 +431,8 @@ class ModelBuilder:
                 tensor = _without_excess(tensor)
         element.explicitinertial = True
         element.simple = not link.center_varies
-        element.mass, element.ipos = mass, at
+        element.mass = mass
+        element.ipos = at
         if mass > 0.0:
             element.fullinertia = (
                 tensor[0][0],
@@ -529,8 +538,10 @@ class ModelBuilder:
         tires = []
         for piece, cylinder in zip(link.collisions, cylinders, strict=True):
             if isinstance(piece.shape, Cylinder) and _is_wheel(piece.shape, frames.frame(piece.origin), axle):
-                radius, half = piece.shape.radius, piece.shape.length / 2
-                kind, size = mj.mjtGeom.mjGEOM_ELLIPSOID, (radius, radius, half)
+                radius = piece.shape.radius
+                half = piece.shape.length / 2
+                kind = mj.mjtGeom.mjGEOM_ELLIPSOID
+                size = (radius, radius, half)
                 tire = self._geom(
                     element, HIDDEN_GROUP, type=kind, size=size, pos=cylinder.pos, quat=cylinder.quat
                 )
@@ -576,13 +587,14 @@ class ModelBuilder:
         """
         staying: list[tuple[MjObject, Frame]] = []
         for body, _, _, geoms in self._made:
-            for link, elements in geoms.items() if body.name != GROUND else ():
-                if body.fixed and link == body.model.root:
-                    staying += [
-                        (geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in elements
-                    ]
-                else:
-                    _part([(geom, _frame_of(geom)) for geom in elements])
+            if body.name != GROUND:
+                for link, elements in geoms.items():
+                    if body.fixed and link == body.model.root:
+                        staying += [
+                            (geom, frames.compose(body.initial_pose, _frame_of(geom))) for geom in elements
+                        ]
+                    else:
+                        _part([(geom, _frame_of(geom)) for geom in elements])
         _part(staying)
 
     # Pairs
@@ -597,9 +609,10 @@ class ModelBuilder:
                     if not (stays and stays_too):
                         self._add_pair(first, second)
         for body, _, _, geoms in self._made:
-            for link, other_link in self_collision_pairs(body.model) if body.self_collision else ():
-                for first, second in product(geoms[link], geoms[other_link]):
-                    self._add_pair(first, second)
+            if body.self_collision:
+                for link, other_link in self_collision_pairs(body.model):
+                    for first, second in product(geoms[link], geoms[other_link]):
+                        self._add_pair(first, second)
 
     def _add_pair(self, first: MjObject, second: MjObject) -> None:
         if self._meet(first, second) and self._meet(second, first):
@@ -653,11 +666,13 @@ def _faces(geom: MjObject, frame: Frame) -> Iterator[tuple[tuple[int, ...], Trip
     half = [float(size) for size in geom.size]
     normals: Sequence[Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     if geom.type == mj.mjtGeom.mjGEOM_CYLINDER:
-        half, normals = [half[0], half[0], half[1]], normals[2:]
+        half = [half[0], half[0], half[1]]
+        normals = normals[2:]
     elif geom.type != mj.mjtGeom.mjGEOM_BOX:
         return
     for along, sign in product(normals, (1.0, -1.0)):
-        axis, normal = along.index(1.0), frames.scaled(frames.rotate(frame[1], along), sign)
+        axis = along.index(1.0)
+        normal = frames.scaled(frames.rotate(frame[1], along), sign)
         middle = frames.add(frame[0], frames.scaled(normal, half[axis]))
         across = [half[index] for index in range(3) if index != axis]
         rounded = (

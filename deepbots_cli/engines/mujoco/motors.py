@@ -72,7 +72,8 @@ class Motors:
     def torques(self, joints: Sequence[int]) -> TorqueReader:
         """Return a reader of the torques of motors in the last engine step: without the part that went into
         the inertia that velocity motors add."""
-        world, model = self.world, self.world.model
+        world = self.world
+        model = self.world.model
         dofs = model.jnt_dofadr[list(joints)]
         exerted = world.data.qfrc_actuator
         armature = model.dof_armature
@@ -114,7 +115,8 @@ class WrenchMonitor:
             self._wrenches[index] = frames.rotate_back(rotation, force), frames.rotate_back(rotation, torque)
 
     def reader(self, link: int) -> WrenchReader:
-        index, wrenches = len(self._links), self._wrenches
+        index = len(self._links)
+        wrenches = self._wrenches
         self._links.append(link)
         wrenches.append((ZERO_VECTOR, ZERO_VECTOR))
         return lambda: wrenches[index]
@@ -133,7 +135,8 @@ class Motor:
         self.is_active = False
         self.gains: list[float] = []
         self.targets: tuple[float, ...] = ()
-        self._motors, self._world = motors, world
+        self._motors = motors
+        self._world = world
         self._limits = [finite_limit(limit) for limit in max_torque]
         self._actuators = array_index([motors.actuators[joint] for joint in joints])
         self._dof_index = array_index(model.jnt_dofadr[list(joints)].tolist())
@@ -158,7 +161,9 @@ class Motor:
         """Bound the torques by the speed before each engine step, if there is a curve."""
         if curve is None:
             return
-        ranges, acts, limits = self._world.model.actuator_forcerange, self._actuators, self._limits
+        ranges = self._world.model.actuator_forcerange
+        acts = self._actuators
+        limits = self._limits
         velocity = array_reader(self._world.data.qvel, self._dof_index)
 
         def renew() -> None:
@@ -167,7 +172,9 @@ class Motor:
         self._motors.gain_updates[self] = renew
 
     def torque_writer(self, curve: TorqueCurve | None = None) -> MotorWriter:
-        ctrl, acts, limits = self._world.data.ctrl, self._actuators, self._limits
+        ctrl = self._world.data.ctrl
+        acts = self._actuators
+        limits = self._limits
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
@@ -187,7 +194,9 @@ class Motor:
     ) -> MotorWriter:
         """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
         * velocity`."""
-        ctrl, acts, bias = self._world.data.ctrl, self._actuators, self._world.model.actuator_biasprm
+        ctrl = self._world.data.ctrl
+        acts = self._actuators
+        bias = self._world.model.actuator_biasprm
         stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
 
         def write(targets: Sequence[float]) -> None:
@@ -212,7 +221,8 @@ class Motor:
         swing.
         """
         data, model = self._world.data, self._world.model
-        step, renewed = model.opt.timestep, self._motors.gain_updates
+        step = model.opt.timestep
+        renewed = self._motors.gain_updates
         velocity = array_reader(data.qvel, self._dof_index)
         position = array_reader(data.qpos, self._position_index)
         usual: list[float] = []
@@ -284,7 +294,8 @@ def velocity_gains(
     this gain exerts the limit."""
     gains = []
     for target, now, (stiffest, limit, error_at_limit) in zip(targets, velocities, bounds, strict=True):
-        off, least = abs(target - now), MIN_ERROR_SHARE * abs(target)
+        off = abs(target - now)
+        least = MIN_ERROR_SHARE * abs(target)
         if least > off:
             off = least
         gains.append(limit / off if off > error_at_limit else stiffest)
@@ -294,7 +305,8 @@ def velocity_gains(
 def array_index(numbers: Sequence[int]) -> Any:
     """Return an index of these places: a slice where they follow each other, which numpy reads in half the
     time."""
-    first, count = numbers[0], len(numbers)
+    first = numbers[0]
+    count = len(numbers)
     return (
         slice(first, first + count)
         if list(numbers) == list(range(first, first + count))
@@ -315,8 +327,10 @@ def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pu
     """Return a function that pushes a link; MuJoCo's forces act at the center of mass, in the axes of the
     world."""
     model, data = world.model, world.data
-    applied, rotation = data.xfrc_applied[link], data.xquat[link]
-    varies, position = link in world.varying_centers, model.body_ipos[link]
+    applied = data.xfrc_applied[link]
+    rotation = data.xquat[link]
+    varies = link in world.varying_centers
+    position = model.body_ipos[link]
     center = tuple(position.tolist())
     centered = center == ZERO_VECTOR and not varies
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli.engines.bodies import Pool, named
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body
-from deepbots_cli.engines.objects import Pool, find
 from deepbots_cli.errors import EngineError
 
 if TYPE_CHECKING:
@@ -84,7 +84,9 @@ class MujocoWorld:
     links are those of the state."""
 
     def __init__(self, model: Any, world: WorldModel, pools: Sequence[Pool[Body]]) -> None:
-        self.model, self.data, self.scratch_data = model, mj.MjData(model), mj.MjData(model)
+        self.model = model
+        self.data = mj.MjData(model)
+        self.scratch_data = mj.MjData(model)
         self.pools = {pool.name: pool for pool in pools}
         self.closed = self.has_positions = self.has_velocities = self.has_pushes = False
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
@@ -150,7 +152,8 @@ class MujocoWorld:
         joints, positions, orientations = self._initial_positions
         position, (x, y, z, w) = body.initial_pose
         if body.mocap_index >= 0:
-            positions[body.mocap_index], orientations[body.mocap_index] = position, (w, x, y, z)
+            positions[body.mocap_index] = position
+            orientations[body.mocap_index] = (w, x, y, z)
         elif body.position_index >= 0:
             joints[body.position_index : body.position_index + 7] = (*position, w, x, y, z)
         for follower, mimic in body.model.followers.items():
@@ -183,7 +186,8 @@ class MujocoWorld:
     def forces(self) -> Sequence[ContactForce]:
         """The contacts of the last engine step."""
         if self._forces is None:
-            contact, exerted = self.data.contact, self.data.efc_force.tolist()
+            contact = self.data.contact
+            exerted = self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
             self._forces = [
                 (first, second, exerted[address] if address >= 0 else 0.0)
@@ -260,7 +264,8 @@ class MujocoWorld:
             write(memory)
         self.remember(snapshot.memory[:3])
         self.invalidate()
-        self._forces, self.force_vectors = snapshot.forces, snapshot.force_vectors
+        self._forces = snapshot.forces
+        self.force_vectors = snapshot.force_vectors
         self.has_pushes = bool(self.data.xfrc_applied.any())
 
     def memory(self) -> tuple[Any, ...]:
@@ -276,7 +281,8 @@ class MujocoWorld:
         pools, colors, self.light = memory
         self.colors = dict(colors)
         for pool, (present, current) in zip(self.pools.values(), pools, strict=True):
-            pool.present, pool.current = present, current
+            pool.present = present
+            pool.current = current
 
     def _copy_values(self) -> tuple[list[Any], float]:
         return [np.array(values) for values in self._varied_arrays], self.model.stat.meaninertia
@@ -310,7 +316,7 @@ class MujocoWorld:
             case _:
                 body = self.body(owner[0])
                 link = owner[1] or body.model.root
-                number = find(body.links, link, f"'{owner[0]}' has no link")
+                number = named(body.links, link, f"'{owner[0]}' has no link")
                 if parameter == "color":
                     self.colors[owner[0], link] = values
                 elif parameter == "mass":
@@ -322,7 +328,7 @@ class MujocoWorld:
                     self._friction_changed = True
 
     def body(self, name: str) -> Body:
-        return find(self.require_open().pools, name, "the world has no body").current
+        return named(self.require_open().pools, name, "the world has no body").current
 
     def _set_joint(
         self,
@@ -331,8 +337,9 @@ class MujocoWorld:
         joint: str,
         value: float,
     ) -> None:
-        body, model = self.body(robot), self.model
-        dof = model.jnt_dofadr[find(body.joints, joint, f"'{robot}' has no joint")]
+        body = self.body(robot)
+        model = self.model
+        dof = model.jnt_dofadr[named(body.joints, joint, f"'{robot}' has no joint")]
         if parameter == "joint_damping":
             model.dof_damping[dof] = value
         elif parameter == "joint_friction":
@@ -430,10 +437,8 @@ class MujocoWorld:
         robots_first = reversed(self.pools.values())
         for body in (pool.current for pool in robots_first):
             joints = list(body.joints.values())
-            position_addresses, velocity_addresses = (
-                self.model.jnt_qposadr[joints],
-                self.model.jnt_dofadr[joints],
-            )
+            position_addresses = self.model.jnt_qposadr[joints]
+            velocity_addresses = self.model.jnt_dofadr[joints]
             states: Iterable[tuple[str, FloatArray]] = (
                 ("joints", data.qpos[position_addresses]),
                 ("joints", data.qvel[velocity_addresses]),
@@ -450,7 +455,8 @@ class MujocoWorld:
 def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
     """Return the forces of contacts in the last engine step, with friction."""
     if world.force_vectors is None:
-        contact, force = world.data.contact, np.zeros(6)
+        contact = world.data.contact
+        force = np.zeros(6)
         world.force_vectors = vectors = []
         pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
         for index, ((first, second), axes) in enumerate(pairs):
@@ -476,7 +482,8 @@ class LinkMotions(NamedTuple):
 
     def angular_momentum(self) -> FloatArray:
         """Return the angular momentum about the center of mass of all links, of shape (worlds, 3)."""
-        masses, turning = self.masses[..., None], self.velocities[..., :3]
+        masses = self.masses[..., None]
+        turning = self.velocities[..., :3]
         axes = self.axes.reshape(*self.places.shape, 3)
         speeds = self.velocities[..., 3:] + np.cross(turning, self.places - self.origins[:, None])
         arms = self.places - self.places[:, :1]

@@ -45,7 +45,8 @@ class ContactMonitor:
 
     def __init__(self, world: MujocoWorld) -> None:
         # Both objects stay the same; MuJoCo updates their contents in each engine step.
-        self._data, self._contacts = (world.data, world.data.contact)
+        self._data = world.data
+        self._contacts = world.data.contact
         self._readers_by_pair: dict[tuple[int, int], list[int]] = {}
         self._touched: list[bool] = []
         self._all_false: list[bool] = []
@@ -74,7 +75,9 @@ class ContactMonitor:
                 self._ignored_pairs = pairs if not met else []
 
     def reader(self, own_geoms: Iterable[int], other_geoms: Iterable[int]) -> ContactReader:
-        index, touched, other_geoms = len(self._touched), self._touched, tuple(other_geoms)
+        index = len(self._touched)
+        touched = self._touched
+        other_geoms = tuple(other_geoms)
         self._ignored_pairs = []
         for geom in own_geoms:
             for other_geom in other_geoms:
@@ -134,7 +137,9 @@ def clearance(world: MujocoWorld, first_geoms: Sequence[int], second_geoms: Sequ
 def penetrations(world: MujocoWorld) -> Iterable[tuple[int, int, float]]:
     """Yield geoms within each other and their depth (m) in the present state; a state of its own is used, so
     that nothing changes."""
-    model, data, spare = world.model, world.data, world.scratch_data
+    model = world.model
+    data = world.data
+    spare = world.scratch_data
     for name in ("qpos", "mocap_pos", "mocap_quat"):
         getattr(spare, name)[:] = getattr(data, name)
     mj.mj_kinematics(model, spare)
@@ -182,7 +187,9 @@ def level_axes(xx: Any, yx: Any) -> FloatArray:
     cosine, sine = np.where(is_vertical, 1.0, xx / length), np.where(is_vertical, 0.0, yx / length)
     axes = np.zeros((*np.shape(cosine), 3, 3))
     axes[..., 0, 0] = axes[..., 1, 1] = cosine
-    axes[..., 1, 0], axes[..., 0, 1], axes[..., 2, 2] = sine, -sine, 1.0
+    axes[..., 1, 0] = sine
+    axes[..., 0, 1] = -sine
+    axes[..., 2, 2] = 1.0
     return axes
 
 
@@ -197,7 +204,8 @@ def rays(
 ) -> RayReader:
     """Return a reader of rays. Rays whose lines meet in a point are cast from there in one call, which costs
     a quarter of a call for each."""
-    geoms, groups = body.geoms_of(None), world.model.geom_group
+    geoms = body.geoms_of(None)
+    groups = world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in ray_frames])
     own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
@@ -207,7 +215,10 @@ def rays(
 
 
 def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
-    model, data, ray, seen_groups = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    model = world.model
+    data = world.data
+    ray = mj.mj_ray
+    seen_groups = SEEN_GROUPS
     link, groups, starts, directions, reach, _ = rays
     position = data.xpos[link]
     origins, ways = np.empty_like(starts), np.empty_like(directions)
@@ -233,19 +244,26 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
 
 def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> RayReader:
     """Return a reader of rays from one point; `center` is in the frame of the link."""
-    model, data, ray, seen_groups = world.model, world.data, mj.mj_ray, SEEN_GROUPS
+    model = world.model
+    data = world.data
+    ray = mj.mj_ray
+    seen_groups = SEEN_GROUPS
     link, groups, starts, directions, reach, _ = rays
     position = data.xpos[link]
     aside = np.ascontiguousarray(directions.T)
-    count, ahead = len(starts), np.einsum("ij,ij->i", starts - center, directions).tolist()
-    far, geoms, met = reach + max(ahead), np.zeros(count, np.int32), np.zeros(count)
+    count = len(starts)
+    ahead = np.einsum("ij,ij->i", starts - center, directions).tolist()
+    far = reach + max(ahead)
+    geoms = np.zeros(count, np.int32)
+    met = np.zeros(count)
 
     def read() -> list[float]:
         world.update_positions()
         saved = groups.copy()
         groups.fill(HIDDEN_GROUP)
         axes = rays.axes(world)
-        origin, ways = position + axes @ center, (axes @ aside).T.ravel()
+        origin = position + axes @ center
+        ways = (axes @ aside).T.ravel()
         mj.mj_multiRay(model, data, origin, ways, seen_groups, True, -1, geoms, met, None, count, far)
         lengths = met.tolist()
         free = [
@@ -254,7 +272,8 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         ]
         for index, length in enumerate(free):
             if length < 0.0:  # something is between the center and the start
-                origin, direction = position + axes @ starts[index], axes @ directions[index]
+                origin = position + axes @ starts[index]
+                direction = axes @ directions[index]
                 hit = ray(model, data, origin, direction, seen_groups, True, -1, None, None)
                 free[index] = reach if hit < 0.0 or hit > reach else hit
         groups[:] = saved
@@ -269,9 +288,12 @@ def line_of_sight(
     """Return a reader of whether nothing is between a point on a link and the origin of another link, but for
     their bodies."""
     model, data = world.model, world.data
-    geoms, groups = body.geoms_of(None), model.geom_group
+    geoms = body.geoms_of(None)
+    groups = model.geom_group
     own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
-    met, its_own, offset = np.zeros(1, np.int32), frozenset(other_body.geoms_of(None)), np.array(point)
+    met = np.zeros(1, np.int32)
+    its_own = frozenset(other_body.geoms_of(None))
+    offset = np.array(point)
 
     def is_free() -> bool:
         world.update_positions()

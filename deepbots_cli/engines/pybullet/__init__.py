@@ -33,6 +33,13 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
+BASE_LINK = -1  # the number of a root link
+NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would still report its last force
+UNLIMITED_FORCE = 1e12  # N m or N; stands for an unlimited motor
+UNREACHABLE_SPEED = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
+# The library's own position and velocity gain, and no cap. Positional arguments cost half of named ones.
+DEFAULT_GAINS = (0.1, 1.0, -1.0)
+
 
 @contextmanager
 def capture_native_output() -> Iterator[Callable[[], str]]:
@@ -82,10 +89,3 @@ __all__ = [
     "capture_native_output",
     "pybullet",
 ]
-
-BASE_LINK = -1  # the number of a root link
-NEGLIGIBLE_FORCE = 1e-200  # N m or N; stands for no force, at which a motor would still report its last force
-UNLIMITED_FORCE = 1e12  # N m or N; stands for an unlimited motor
-UNREACHABLE_SPEED = 1e9  # rad/s or m/s; a velocity motor that aims there exerts exactly its limit
-# The library's own position and velocity gain, and no cap. Positional arguments cost half of named ones.
-DEFAULT_GAINS = (0.1, 1.0, -1.0)

@@ -27,12 +27,15 @@ if TYPE_CHECKING:
     Color = tuple[float, float, float, float]
 
 TILE_SIZE_M = 0.25
-_LIGHT_TILE, _DARK_TILE = np.array([222, 227, 232], np.float32), np.array([198, 206, 214], np.float32)
+_LIGHT_TILE = np.array([222, 227, 232], np.float32)
+_DARK_TILE = np.array([198, 206, 214], np.float32)
 _DARK_TILE_SHARE = 0.9  # the brightness of the darker tiles of a floor with a color of its own
 # The side of a cell of paint in m, and the number of cells along a side from which on they grow.
-_PAINT_CELL_M, _MAX_PAINT_CELLS = (0.002, 2000)
+_PAINT_CELL_M = 0.002
+_MAX_PAINT_CELLS = 2000
 _MAX_PAINTS = 255
-_HORIZON_COLOR, _ZENITH_COLOR = np.array([236, 241, 246], np.float32), np.array([150, 186, 222], np.float32)
+_HORIZON_COLOR = np.array([236, 241, 246], np.float32)
+_ZENITH_COLOR = np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
 NEAR_CLIP_M = 0.01
 # m by which the eye is moved ahead. The renderer counts pixels of corners that lie in the plane of the eye,
@@ -213,13 +216,16 @@ class Camera:
 
     def __init__(self, client: int, width: int, height: int, fov: float, floor: Floor | None) -> None:
         self._pixel = 2 * tan(fov / 2) / height
-        self._client, self._size, self._floor = client, (width, height), floor
+        self._client = client
+        self._size = (width, height)
+        self._floor = floor
         across, upward = width * self._pixel / 2, height * self._pixel / 2
         self._rays = np.ones((height, width, 3), np.float32)
         self._rays[..., 1] = across - self._pixel * (np.arange(width) + 0.5)[None, :]
         self._rays[..., 2] = upward - self._pixel * (np.arange(height) + 0.5)[:, None]
         # The renderer samples a pixel at its upper left corner, turned upside down.
-        shift, near = (self._pixel / 2, NEAR_CLIP_M)
+        shift = self._pixel / 2
+        near = NEAR_CLIP_M
         frustum = (near * edge for edge in (shift - across, shift + across, shift - upward, shift + upward))
         self._projection = p.computeProjectionMatrix(*frustum, near, CAMERA_RANGE_M)
 
@@ -278,7 +284,9 @@ class Camera:
         """Return the whole picture; `name_indices` are the indices of PyBullet's numbers among `names`,
         `ground` is that of the floor."""
         picture, buffer, numbers = self._rendered(aim)
-        colors, bare, rays = picture.copy(), numbers < 0, self._world_rays(aim)
+        colors = picture.copy()
+        bare = numbers < 0
+        rays = self._world_rays(aim)
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
             CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer
         ) + np.float32(EYE_OFFSET_M)

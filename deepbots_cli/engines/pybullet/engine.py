@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.engines.bodies import named
 from deepbots_cli.engines.curves import torque_curve
 from deepbots_cli.engines.kinematics import inverse_kinematics
-from deepbots_cli.engines.objects import find
 from deepbots_cli.engines.pybullet import (
     BASE_LINK,
     DEFAULT_GAINS,
@@ -33,7 +33,7 @@ from deepbots_cli.port import ZERO_VECTOR, CameraImage, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.bodies import Pool
     from deepbots_cli.engines.pybullet.state import Body
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
@@ -81,7 +81,8 @@ class Substeps(NamedTuple):
     def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
         """Return `Engine.step`. In most worlds nothing acts or looks; checking for it costs 1 % of the
         cheapest step. `now` counts states of the world."""
-        advance, (begins, acts, drives, looks) = p.stepSimulation, self
+        advance = p.stepSimulation
+        begins, acts, drives, looks = self
 
         def step(substeps: int) -> None:
             if acts or drives or looks:
@@ -167,7 +168,8 @@ class PyBulletEngine:
     def _reset_body(self, body: Body, pose: Frame, brakes: dict[int, float]) -> None:
         """Put the center of a body at a pose, all of it at rest, with brakes of so many N m or N on its
         joints."""
-        number, client = body.number, self._client
+        number = body.number
+        client = self._client
         p.resetBasePositionAndOrientation(number, *pose, client)
         p.resetBaseVelocity(number, ZERO_VECTOR, ZERO_VECTOR, client)
         for index, brake in brakes.items():
@@ -277,7 +279,8 @@ class PyBulletEngine:
         return self._bound(part, partial(cast.reader, rays=tuple(rays), reach=reach, upright=upright))
 
     def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
-        cast, far = self._ray_caster(), self._pool(other[0])
+        cast = self._ray_caster()
+        far = self._pool(other[0])
         read = self._bound(
             part,
             lambda body, link: self._bound(
@@ -401,7 +404,8 @@ class PyBulletEngine:
         body, indices = self._joints(robot, joints)
         if stiffness is None:
             return motors.position_motor(self._client, body, indices, max_torque, self._timestep)
-        curve, arguments = torque_curve(stall_torque, no_load_speed), (self._client, body, indices)
+        curve = torque_curve(stall_torque, no_load_speed)
+        arguments = (self._client, body, indices)
         read = self.joint_states(robot, joints)
         if curve is None:
             return self._drive(motors.Springs(*arguments, read, max_torque, stiffness, damping), body)
@@ -415,9 +419,11 @@ class PyBulletEngine:
         return springs.set_targets
 
     def camera(self, part: Part, mount: Frame, width: int, height: int, fov: float) -> CameraReader:
-        camera, pose = cameras.Camera(self._client, width, height, fov, self._floor), self.pose(*part)
+        camera = cameras.Camera(self._client, width, height, fov, self._floor)
+        pose = self.pose(*part)
         # `name_indices` has the index among the names for each of PyBullet's numbers.
-        names, name_indices = (tuple(self._pools), np.zeros(p.getNumBodies(self._client) + 1, np.int32))
+        names = tuple(self._pools)
+        name_indices = np.zeros(p.getNumBodies(self._client) + 1, np.int32)
         for index, pool in enumerate(self._pools.values()):
             name_indices[[body.number for body in pool]] = index
         ground = names.index(GROUND) if GROUND in names else -1
@@ -461,11 +467,11 @@ class PyBulletEngine:
         return self
 
     def _pool(self, name: str) -> Pool[Body]:
-        return find(self._require_open()._pools, name, "the world has no body")
+        return named(self._require_open()._pools, name, "the world has no body")
 
     def _joints(self, robot: str, names: Sequence[str]) -> tuple[int, tuple[int, ...]]:
         body = self._pool(robot).current
-        return body.number, tuple(find(body.joints, name, f"'{body.name}' has no joint") for name in names)
+        return body.number, tuple(named(body.joints, name, f"'{body.name}' has no joint") for name in names)
 
     def _bound(
         self, part: Part, bind: Callable[[Body, int], Callable[P, R]], none: int = BASE_LINK
@@ -475,7 +481,7 @@ class PyBulletEngine:
 
 
 def _index(body: Body, link: str | None, none: int = BASE_LINK) -> int:
-    return none if link is None else find(body.links, link, f"'{body.name}' has no link")
+    return none if link is None else named(body.links, link, f"'{body.name}' has no link")
 
 
 def _release(client: int, substeps: Substeps, cache: ReadCache) -> None:

@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import (
-    LINK_COLORS,
-    Pool,
-    arena_walls,
-    as_robot,
-    forms_of,
-    is_movable,
-    self_collision_pairs,
-    with_explicit_masses,
-)
+from deepbots_cli.engines.bodies import Pool
+from deepbots_cli.engines.masses import self_collision_pairs, with_explicit_masses
+from deepbots_cli.engines.objects import LINK_COLORS, arena_walls, as_robot, forms_of, is_movable
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.engines.pybullet.state import Body, contact_parameters
@@ -63,9 +56,10 @@ triangle may be further away than this for a step.
 TERRAIN_COLOR = (0.72, 0.63, 0.48, 1.0)
 _MAX_VISUAL_CELLS = 100  # drawn cells along either side; more of them take longer and are hardly seen
 _CYLINDER = "cylinder.obj"
-GEAR_ERP, GEAR_FORCE = 0.2, 1e5
-"""The share of the error of a follower that is removed in a physics step, and the largest force (N or N m)
-for it."""
+GEAR_ERP = 0.2
+"""The share of the error of a follower that is removed in a physics step."""
+GEAR_FORCE = 1e5
+"""The largest force (N) or torque (N m) for it."""
 NO_RATIO = 1e-12  # PyBullet takes 0 for a ratio that is not given
 GEAR_ITERATIONS = 100
 """The iterations of the solver in a world with a follower; PyBullet's own number is 50, and it stops earlier
@@ -142,12 +136,13 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         cylinder.write_text(_cylinder_mesh(), encoding="ascii")
         for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
             variants = [(name, _object(client, form, file)) for name, form in forms_of(object_body).items()]
-            for _, body in variants if object_body.pooled else ():
-                parked += 1
-                body.initial_pose = (
-                    (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
-                    frames.IDENTITY_ROTATION,
-                )
+            if object_body.pooled:
+                for _, body in variants:
+                    parked += 1
+                    body.initial_pose = (
+                        (-parked * PARKING_SPACING_M, 0.0, -PARKING_SPACING_M),
+                        frames.IDENTITY_ROTATION,
+                    )
             yield Pool(object_body.name, variants, object_body.pooled)
         for robot in world.robots:
             if len(robot.model.joints) > MAX_JOINTS:
@@ -189,11 +184,9 @@ def join_islands(client: int, pools: Iterable[Pool[Body]]) -> None:
 
 
 def _object(client: int, object_body: ObjectBody, file: Path) -> Body:
-    model, fixed, is_mesh = (
-        as_robot(object_body),
-        not is_movable(object_body),
-        isinstance(object_body.shape, Mesh),
-    )
+    model = as_robot(object_body)
+    fixed = not is_movable(object_body)
+    is_mesh = isinstance(object_body.shape, Mesh)
     body = _load(client, object_body.name, model, fixed, file, inertia_known=not is_mesh)
     body.initial_pose = body.center_pose(*frames.frame(object_body.pose))
     return body
@@ -296,7 +289,8 @@ def _terrain(client: int, ground: Terrain) -> Body:
             "flags": p.GEOM_FORCE_CONCAVE_TRIMESH,
         }
         shape = p.createCollisionShape(p.GEOM_MESH, **mesh, physicsClientId=client)
-        visual, middle = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground), 0.0
+        visual = _drawn_terrain(client, corners, np.arange(len(corners)).reshape(-1, 3), ground)
+        middle = 0.0
     else:
         middle = float(heights.heights.max() + heights.heights.min()) / 2  # the library moves it there
         rows, columns = heights.heights.shape
@@ -308,7 +302,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
             numHeightfieldColumns=rows,
             physicsClientId=client,
         )
-        visual = _drawn_terrain(client, *heights.with_at_most(_MAX_VISUAL_CELLS).triangles(), ground, middle)
+        visual = _drawn_terrain(client, *heights.coarsened(_MAX_VISUAL_CELLS).triangles(), ground, middle)
     if shape < 0:
         raise EngineError("PyBullet cannot build the terrain")
     number = p.createMultiBody(0, shape, visual, basePosition=(0.0, 0.0, middle), physicsClientId=client)

@@ -29,9 +29,12 @@ if TYPE_CHECKING:
 def velocity_motor(
     client: int, body: int, indices: Sequence[int], max_torque: Sequence[float]
 ) -> MotorWriter:
-    limits, mode = _limits(max_torque), p.VELOCITY_CONTROL
+    limits = _limits(max_torque)
+    mode = p.VELOCITY_CONTROL
     if len(indices) == 1:
-        (index,), (limit,), set_one = indices, limits, p.setJointMotorControl2
+        (index,) = indices
+        (limit,) = limits
+        set_one = p.setJointMotorControl2
         return lambda targets: set_one(body, index, mode, 0.0, targets[0], limit, *DEFAULT_GAINS, client)
     zeros = [0.0] * len(indices)
     gains = [[gain] * len(indices) for gain in DEFAULT_GAINS[:2]]
@@ -75,7 +78,9 @@ def position_motor(
     client: int, body: int, indices: Sequence[int], max_torque: Sequence[float], timestep: float
 ) -> MotorWriter:
     """Return PyBullet's own servo; `timestep` (s) is that of an engine step."""
-    limits, mode, set_all = _limits(max_torque), p.POSITION_CONTROL, p.setJointMotorControlArray
+    limits = _limits(max_torque)
+    mode = p.POSITION_CONTROL
+    set_all = p.setJointMotorControlArray
     zeros = [0.0] * len(indices)
     gains = [[min(1.0, timestep / SERVO_TIME)] * len(indices), [1.0] * len(indices)]
     return lambda targets: set_all(body, indices, mode, targets, zeros, limits, *gains, client)
@@ -116,7 +121,8 @@ class Springs:
         self._targets = tuple(targets)
 
     def reset(self) -> None:
-        self._targets, self.torques = None, self._nothing
+        self._targets = None
+        self.torques = self._nothing
 
     def apply(self) -> None:
         targets = self._targets
@@ -149,13 +155,15 @@ class CurvedMotor(Springs):
     ) -> None:
         nothing = [0.0] * len(indices)
         super().__init__(client, body, indices, read, max_torque, stiffness or nothing, damping)
-        self._is_spring, self._curve = stiffness is not None, curve
+        self._is_spring = stiffness is not None
+        self._curve = curve
 
     def apply(self) -> None:
         targets = self._targets
         if targets is None:
             return
-        states, (stiffness, damping, _, limits) = self._read(), self._columns
+        states = self._read()
+        stiffness, damping, _, limits = self._columns
         efforts = targets
         if self._is_spring:
             efforts = [
@@ -172,9 +180,12 @@ class CurvedMotor(Springs):
 def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:
     """Return a function that exerts torques in the next engine step alone; the friction of the joints' brakes
     acts as well."""
-    joints, zeros, mode = tuple(indices), [0.0] * len(indices), p.TORQUE_CONTROL
+    joints = tuple(indices)
+    zeros = [0.0] * len(indices)
+    mode = p.TORQUE_CONTROL
     if len(joints) == 1:
-        index, set_one = joints[0], p.setJointMotorControl2
+        index = joints[0]
+        set_one = p.setJointMotorControl2
         return lambda torques: set_one(body, index, mode, 0.0, 0.0, torques[0], *DEFAULT_GAINS, client)
     # Positional arguments cost a quarter less, even with those that have no meaning here.
     set_all = p.setJointMotorControlArray
@@ -224,7 +235,8 @@ class WrenchMonitor:
         self._center, self._principal = owner.dynamics(index).inertia_frame
         link = owner.link(index).name
         joint = next(joint for joint in owner.model.joints if joint.child == link)
-        self._axis, self._slides = joint.axis, joint.type == "prismatic"
+        self._axis = joint.axis
+        self._slides = joint.type == "prismatic"
         self._has_stepped = False
 
     def reset(self) -> None:
@@ -257,7 +269,9 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
     center, principal = owner.dynamics(index).inertia_frame
     back = frames.inverse(principal)
     origin = frames.rotate(back, frames.scaled(center, -1.0))
-    force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.LINK_FRAME
+    force_it = p.applyExternalForce
+    turn_it = p.applyExternalTorque
+    mode = p.LINK_FRAME
     straight = back == frames.IDENTITY_ROTATION
     refresh = (lambda: None) if index == BASE_LINK else partial(p.getLinkState, number, index, 0, 1, client)
 
@@ -273,7 +287,9 @@ def _in_link(client: int, owner: Body, index: int) -> Pusher:
 
 def _in_world(client: int, owner: Body, index: int) -> Pusher:
     number = owner.number
-    force_it, turn_it, mode = p.applyExternalForce, p.applyExternalTorque, p.WORLD_FRAME
+    force_it = p.applyExternalForce
+    turn_it = p.applyExternalTorque
+    mode = p.WORLD_FRAME
     read_base = partial(p.getBasePositionAndOrientation, number, client)
     read_link = partial(p.getLinkState, number, index, 0, 1, client)
 

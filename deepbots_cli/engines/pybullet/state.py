@@ -11,7 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import find, rigid_group
+from deepbots_cli.engines.bodies import named
+from deepbots_cli.engines.masses import rigid_group
 from deepbots_cli.engines.pybullet import BASE_LINK, DEFAULT_GAINS
 from deepbots_cli.engines.pybullet import pybullet as p
 from deepbots_cli.errors import EngineError
@@ -20,7 +21,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
-    from deepbots_cli.engines.objects import Pool
+    from deepbots_cli.engines.bodies import Pool
     from deepbots_cli.engines.pybullet.cameras import Floor
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.port import (
@@ -110,7 +111,8 @@ class Body:
 
     def _apply_weight(self, index: int) -> None:
         """Set mass and inertia in one call: a mass alone would get the inertia of the link's shape."""
-        loaded, (of_mass, of_inertia) = self.dynamics(index), self._factors[index]
+        loaded = self.dynamics(index)
+        of_mass, of_inertia = self._factors[index]
         p.changeDynamics(
             self.number,
             index,
@@ -181,7 +183,9 @@ class ReadCache:
 
         The check costs 0.07 us, so it is for readings that take several times as long.
         """
-        now, moment, value = self.generation, -1, None
+        now = self.generation
+        moment = -1
+        value = None
 
         def reader() -> R | None:
             nonlocal moment, value
@@ -250,7 +254,8 @@ def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> Motio
 def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorReader:
     """Return a reader of the angular momentum of a robot about its center of mass. PyBullet gives a fixed
     base no mass; it counts with that of the model."""
-    number, below = owner.number, tuple(index for index in owner.links.values() if index != BASE_LINK)
+    number = owner.number
+    below = tuple(index for index in owner.links.values() if index != BASE_LINK)
     root = owner.model.link(owner.model.root).inertial
     base_mass = root.mass if owner.fixed and root is not None else None
 
@@ -261,11 +266,15 @@ def angular_momentum(client: int, owner: Body, read_cache: ReadCache) -> VectorR
             (base, rotation, *p.getBaseVelocity(number, client)),
             *((*link[:2], *link[6:8]) for link in states),
         ]
-        total, momentum, first, flow = 0.0, ZERO_VECTOR, ZERO_VECTOR, ZERO_VECTOR
+        total = 0.0
+        momentum = ZERO_VECTOR
+        first = ZERO_VECTOR
+        flow = ZERO_VECTOR
         for index, (position, rotation, speed, turning) in zip((BASE_LINK, *below), motions, strict=True):
             mass, _, (ix, iy, iz) = p.getDynamicsInfo(number, index, client)[:3]
             mass = base_mass if base_mass is not None and index == BASE_LINK else mass
-            arm, (x, y, z) = frames.subtract(position, base), frames.rotate_back(rotation, turning)
+            arm = frames.subtract(position, base)
+            x, y, z = frames.rotate_back(rotation, turning)
             spin = frames.rotate(rotation, (ix * x, iy * y, iz * z))
             momentum = frames.add(momentum, frames.add(spin, frames.scaled(frames.cross(arm, speed), mass)))
             first = frames.add(first, frames.scaled(arm, mass))
@@ -308,8 +317,11 @@ class Parameters:
     def __init__(
         self, client: int, world: WorldModel, pools: dict[str, Pool[Body]], floor: Floor | None
     ) -> None:
-        self.light, self.gravity = world.light, world.gravity
-        self._client, self._pools, self._floor = client, pools, floor
+        self.light = world.light
+        self.gravity = world.gravity
+        self._client = client
+        self._pools = pools
+        self._floor = floor
         self._undo: dict[object, Callable[[], object]] = {}
 
     def restore(self) -> None:
@@ -329,15 +341,15 @@ class Parameters:
             set_value(*owner, *values)
 
     def _body(self, name: str) -> Body:
-        return find(self._pools, name, "the world has no body").current
+        return named(self._pools, name, "the world has no body").current
 
     def _link(self, body: str, link: str) -> tuple[Body, int]:
         owner = self._body(body)
-        return owner, find(owner.links, link, f"'{body}' has no link") if link else BASE_LINK
+        return owner, named(owner.links, link, f"'{body}' has no link") if link else BASE_LINK
 
     def _joint(self, robot: str, joint: str) -> tuple[Body, int]:
         owner = self._body(robot)
-        return owner, find(owner.joints, joint, f"'{robot}' has no joint")
+        return owner, named(owner.joints, joint, f"'{robot}' has no joint")
 
     def _set_mass(self, body: str, link: str, mass: float) -> None:
         """Set the mass of a link. The base of a fixed body keeps its mass, because another mass would free

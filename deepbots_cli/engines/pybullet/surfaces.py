@@ -62,7 +62,8 @@ class ContactMonitor:
     """
 
     def __init__(self, client: int, body: Body) -> None:
-        self._body, self._client = body, client
+        self._body = body
+        self._client = client
         self._flags: list[ContactFlag] = []
         self._open_flags: list[ContactFlag] = []
         self._first_queries: list[ContactQuery] = []
@@ -72,7 +73,8 @@ class ContactMonitor:
     def reset(self) -> None:
         for mark in self._flags:
             mark.touched = False
-        self._open_flags, self._queries = self._flags, self._first_queries
+        self._open_flags = self._flags
+        self._queries = self._first_queries
 
     def update(self) -> None:
         """Query contacts. A pair is listed while it is near; it touches if its surfaces overlap, or if a
@@ -186,7 +188,10 @@ def clearance(client: int, first: LinkKey, second: LinkKey) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-ALL_GROUPS, ALL_BUT_STATIC = -1, ~2  # masks of moving bodies, and of static ones
+ALL_GROUPS = -1
+"""The mask of moving bodies."""
+ALL_BUT_STATIC = ~2
+"""The mask of static bodies."""
 MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
 RoundShape = Sphere | Cylinder | Capsule
 
@@ -231,7 +236,8 @@ class Rays:
         refresh = (
             None if index == BASE_LINK else partial(p.getLinkState, body.number, index, 0, 1, self._client)
         )
-        pose, rounded = state.pose(self._client, body, index, self._cache), self._round_surfaces
+        pose = state.pose(self._client, body, index, self._cache)
+        rounded = self._round_surfaces
 
         def read() -> list[float]:
             if refresh is not None:
@@ -253,7 +259,8 @@ class Rays:
         """Return a reader of rays that follow the yaw of a link alone, which PyBullet cannot mount on it."""
         ends = [frames.add(origin, frames.rotate(rotation, (reach, 0.0, 0.0))) for origin, rotation in rays]
         points = [origin for origin, _ in rays], ends
-        pose, mask = state.pose(self._client, body, index, self._cache), ~self._collision_group_bit(body)
+        pose = state.pose(self._client, body, index, self._cache)
+        mask = ~self._collision_group_bit(body)
 
         def read() -> list[float]:
             position, rotation = pose()
@@ -279,7 +286,8 @@ class Rays:
         for their bodies."""
         pose = state.pose(self._client, body, index, self._cache)
         target = state.pose(self._client, other_body, other_index, self._cache)
-        mask, mount = ~self._collision_group_bit(body), (point, frames.IDENTITY_ROTATION)
+        mask = ~self._collision_group_bit(body)
+        mount = (point, frames.IDENTITY_ROTATION)
         cast = partial(p.rayTestBatch, numThreads=1, collisionFilterMask=mask, physicsClientId=self._client)
 
         def is_free() -> bool:

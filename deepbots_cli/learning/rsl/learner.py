@@ -169,7 +169,8 @@ class RslLearner(ArrayLearner):
     @torch.no_grad()
     def _store(self, fragment: Fragment) -> None:
         """Put a fragment into the storage, with returns and advantages."""
-        algorithm, storage = self.algorithm, self.algorithm.storage
+        algorithm = self.algorithm
+        storage = self.algorithm.storage
         observations = _tensor(fragment.observations)
         values = algorithm.critic(self._grouped(observations.flatten(0, 1))).reshape(
             *fragment.rewards.shape, 1
@@ -181,20 +182,20 @@ class RslLearner(ArrayLearner):
         for step in range(len(rewards)):
             transition = RolloutStorage.Transition()
             transition.observations = self._grouped(observations[step])
-            transition.actions, transition.actions_log_prob = (
-                columns["action"][step],
-                columns["log_probs"][step],
-            )
+            transition.actions = columns["action"][step]
+            transition.actions_log_prob = columns["log_probs"][step]
             transition.distribution_params = tuple(columns[name][step] for name in parameters)
             transition.values = values[step]
-            transition.rewards, transition.dones = rewards[step], torch.from_numpy(ends[step])
+            transition.rewards = rewards[step]
+            transition.dones = torch.from_numpy(ends[step])
             storage.add_transition(transition)
         algorithm.compute_returns(self._grouped(_tensor(fragment.following)))
 
     def _rewards(self, fragment: Fragment, ends: Array) -> torch.Tensor:
         """Return the rewards, normalized if the scenario sets this. At a time limit, the value of the state
         after it is added."""
-        rewards, scale = torch.from_numpy(fragment.rewards.copy()), self._reward_scale
+        rewards = torch.from_numpy(fragment.rewards.copy())
+        scale = self._reward_scale
         if scale is not None:
             for step, ended in enumerate(ends):
                 rewards[step] = scale(rewards[step]).clamp(-_MAX_REWARD, _MAX_REWARD)

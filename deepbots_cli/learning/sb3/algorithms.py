@@ -230,7 +230,8 @@ def _imported(algorithm: type[Model]) -> type[BaseAlgorithm]:
 def torch_settings() -> Iterator[None]:
     """Context in which torch uses one thread, since networks of this size are slower on several threads; then
     the caller's settings return."""
-    threads, cudnn = torch.get_num_threads(), torch.backends.cudnn
+    threads = torch.get_num_threads()
+    cudnn = torch.backends.cudnn
     before = cudnn.deterministic, cudnn.benchmark  # SB3 changes both when it sets a seed for a GPU
     torch.set_num_threads(1)
     try:

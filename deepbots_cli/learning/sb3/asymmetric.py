@@ -114,7 +114,8 @@ class _OnPolicy(internals.Layers):
         # The library makes layers of policy and critic for one width: they are made for each width in turn.
         full_width, self.features_dim = self.features_dim, self.features_extractor.features_dim
         build()
-        own_layers, self.features_dim = self.mlp_extractor.policy_net, full_width
+        own_layers = self.mlp_extractor.policy_net
+        self.features_dim = full_width
         build()
         self.mlp_extractor.policy_net = own_layers
 

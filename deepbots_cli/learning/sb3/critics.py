@@ -73,8 +73,10 @@ def check_critic(model: Any) -> CriticCheck | None:
 def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> tuple[Array, Array]:
     """Return the discounted return from each step (rows, copies), and the weight of the rewards that are
     missing in it."""
-    followed, unknown = np.zeros(rewards.shape), np.ones(rewards.shape)
-    later, missing = np.zeros(rewards.shape[1]), np.ones(rewards.shape[1])
+    followed = np.zeros(rewards.shape)
+    unknown = np.ones(rewards.shape)
+    later = np.zeros(rewards.shape[1])
+    missing = np.ones(rewards.shape[1])
     for step in range(len(rewards) - 1, -1, -1):
         cut = dones[step] & timeouts[step]
         later = rewards[step] + gamma * np.where(dones[step], 0.0, later)

@@ -34,6 +34,10 @@ _LIBRARY_TITLES = {
 }
 _UNIFORM = "uniform"
 
+_MANY_ENVIRONMENTS = 16
+"""The number of environments from which batches grow with their number, so that an epoch has 8 batches.
+Larger batches cost less per row."""
+
 
 class Default(NamedTuple):
     """A default of ours: its value, of the training, its timesteps in all and the steps of its longest
@@ -65,11 +69,6 @@ def _batch(training: Training) -> int:
     return 64 if rows % 64 == 0 else 32
 
 
-_MANY_ENVIRONMENTS = 16
-"""The number of environments from which batches grow with their number, so that an epoch has 8 batches.
-Larger batches cost less per row."""
-
-
 _PPO = {
     "n_steps": Default(
         lambda training, *_: _roll_out(training),
@@ -78,8 +77,7 @@ _PPO = {
     "batch_size": Default(
         lambda training, *_: _batch(training),
         "with up to 15 `environments`: 64, or 32 if the default `n_steps` times `environments` is not a"
-        " multiple of 64; with 16 or more:"
-        " an eighth of this product",
+        " multiple of 64; with 16 or more: an eighth of this product",
     ),
     "gae_lambda": Default(lambda *_: 0.9, "0.9"),
     # Narrow layers bear, and need, larger steps; 64x64 learns as fast at a third of the rate and is steadier
@@ -97,8 +95,7 @@ _OFF_POLICY = {
             max(1_000, longest * training.environments) if training.replay else min(1_000, total // 10)
         ),
         "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the"
-        " steps of the"
-        " longest episode, at least 1_000",
+        " steps of the longest episode, at least 1_000",
     ),
     "replay": Default(lambda *_: _UNIFORM, "uniform"),
 }
@@ -173,7 +170,7 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     empty for an unknown algorithm."""
     training = scenario.agent.training
     if scenario.members:
-        return _of_members(scenario, total_timesteps)
+        return _hyperparameters_of_members(scenario, total_timesteps)
     if training is None or training.algorithm not in ALGORITHMS:  # a scenario of a run may name any
         return []
     values: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
@@ -200,7 +197,7 @@ def effective_hyperparameters(scenario: Program, total_timesteps: int) -> list[E
     return effective
 
 
-def _of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
+def _hyperparameters_of_members(scenario: Program, total_timesteps: int) -> list[EffectiveHyperparameter]:
     """Return the hyperparameters of several agents: those that all have in common once, the others under the
     name of each agent."""
     by_agent = {

@@ -73,7 +73,9 @@ class Lessons:
                 else demonstrated[:, None]
             )
             self.actions = demonstrations.actions[:, None]
-            self.buffer_size, self.pos, self.full = len(self.actions), 0, True
+            self.buffer_size = len(self.actions)
+            self.pos = 0
+            self.full = True
             return
         model.rollout_buffer.reset()  # an update has reordered it
         observations = model.rollout_buffer.observations
@@ -111,7 +113,8 @@ class Lessons:
 
     def fit(self, new: int) -> float:
         """Fit the policy after `new` states were added. Returns the mean loss."""
-        model, policy = self._model, self._model.policy
+        model = self._model
+        policy = self._model.policy
         policy.set_training_mode(True)
         if isinstance(model.action_space, spaces.Box) and not model.use_sde:
             with torch.no_grad():
@@ -206,7 +209,8 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         entropies.append(-float(entropy.detach().mean()))
         return values, log_prob, ent_coef * entropy - weight * loss
 
-    policy.evaluate_actions, model.ent_coef = evaluate_actions, 1.0
+    policy.evaluate_actions = evaluate_actions
+    model.ent_coef = 1.0
     try:
         with internals.samples_noted(model.rollout_buffer, note):
             yield
@@ -249,7 +253,8 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
     """Make the replay buffer draw a fixed share of each batch from demonstrations, whose actions are their
     labels."""
     buffer = model.replay_buffer
-    draw, device = buffer.sample, model.device
+    draw = buffer.sample
+    device = model.device
     current, following = (
         _tensors(observations, device)
         for observations in (demonstrations.observations, demonstrations.following)

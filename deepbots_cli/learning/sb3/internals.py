@@ -54,7 +54,8 @@ def last(model: Any) -> tuple[Any, Array]:
 
 def set_last(model: Any, observations: Any, starts: Array) -> None:
     """Set the observations in which the algorithm acts next; an episode begins in the rows of `starts`."""
-    model._last_obs, model._last_episode_starts = observations, starts
+    model._last_obs = observations
+    model._last_episode_starts = starts
 
 
 def continue_training(model: Any, starts: Array) -> None:
@@ -145,7 +146,8 @@ def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
 @contextmanager
 def samples_chosen(buffer: Any, mask: Array) -> Iterator[None]:
     """Context in which a rollout buffer returns only chosen samples (truth values, steps x rows)."""
-    usual, numbers = buffer.get, np.flatnonzero(mask.T)
+    usual = buffer.get
+    numbers = np.flatnonzero(mask.T)
 
     def get(batch_size: int | None = None) -> Iterator[Any]:
         if not buffer.generator_ready:

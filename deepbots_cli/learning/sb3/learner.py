@@ -287,11 +287,9 @@ class StableLearner(Learner):
             mean, var, count = arrays["return_statistics"]
             if var < 0 or count <= 0:
                 raise ValueError("the statistics of the returns are impossible")
-            normalizer.ret_rms.mean, normalizer.ret_rms.var, normalizer.ret_rms.count = (
-                mean,
-                var,
-                float(count),
-            )
+            normalizer.ret_rms.mean = mean
+            normalizer.ret_rms.var = var
+            normalizer.ret_rms.count = float(count)
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = saved_state.action_space.model_dump()
         if self._buffer is not None:
@@ -552,7 +550,8 @@ class OffPolicyLearner(StableLearner):
         model, plan = self.model, self._plan
         if not model.keeps_labels:
             return nullcontext()
-        new, period = self._rollout.episode_timesteps, AGREEMENT_STEPS * model.n_envs
+        new = self._rollout.episode_timesteps
+        period = AGREEMENT_STEPS * model.n_envs
         if (
             plan.only
             and self.steps // period > (self.steps - new) // period
@@ -564,7 +563,8 @@ class OffPolicyLearner(StableLearner):
 
     def recent(self) -> tuple[Any, Array, Array | None]:
         """Return the newest experience of the replay buffer."""
-        stored, rows = self.model.replay_buffer.observations, self._recent_rows
+        stored = self.model.replay_buffer.observations
+        rows = self._recent_rows
         width = get_action_dim(self.model.action_space)
         observations = (
             {key: rows(part) for key, part in stored.items()} if isinstance(stored, dict) else rows(stored)

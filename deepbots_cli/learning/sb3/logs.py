@@ -95,8 +95,12 @@ class AgentLog(Logger):
     """
 
     def __init__(self, log: Logger, agent: str, steps: Callable[[], int]) -> None:
-        self._log, self._agent, self._steps = log, agent, steps
-        self.dir, self.output_formats, self.level = log.dir, [], log.level
+        self._log = log
+        self._agent = agent
+        self._steps = steps
+        self.dir = log.dir
+        self.output_formats = []
+        self.level = log.level
 
     @property
     def name_to_value(self) -> Any:  # type: ignore[override]  # the scalars are in the log of all agents
@@ -121,7 +125,8 @@ class AgentLog(Logger):
 def encoded(value: Any) -> Any:
     """Return a number of numpy with its type, and without NaN, which JSON does not have."""
     if isinstance(value, np.generic):
-        plain, dtype = value.tolist(), str(value.dtype)
+        plain = value.tolist()
+        dtype = str(value.dtype)
         return NumpyScalar(dtype=dtype, value=plain if math.isfinite(plain) else None)  # type: ignore[arg-type]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 

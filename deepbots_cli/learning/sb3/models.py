@@ -114,7 +114,8 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     """
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    names, expected = set(tensors), {*_parts(model), _VARIABLES}
+    names = set(tensors)
+    expected = {*_parts(model), _VARIABLES}
     if names != expected:
         _refuse(path, ", ".join(sorted(expected - names)), ", ".join(sorted(names - expected)))
     for name in _parts(model):
@@ -125,7 +126,8 @@ def load(path: Path, model: BaseAlgorithm) -> None:
             _check_tensors(path, name, part.state_dict(), tensors[name])
     _check_tensors(path, _VARIABLES, dict(_variables(model)), tensors[_VARIABLES])
     for name in _parts(model):
-        part, state = attrgetter(name)(model), tensors[name]
+        part = attrgetter(name)(model)
+        state = tensors[name]
         if isinstance(part, torch.optim.Optimizer):
             part.load_state_dict({**part.state_dict(), "state": state["state"]})
         else:
@@ -248,7 +250,8 @@ def _check_optimizer(
     """Check that an optimizer has moments of the right names and shapes for parameters that exist.
     `param_groups` is not taken over."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    moments, state = _moments(optimizer), file_state.get("state")
+    moments = _moments(optimizer)
+    state = file_state.get("state")
     if not isinstance(state, dict):
         raise RunError(f"{path} lacks '{where}/state'")
     for index, memory in state.items():

@@ -66,7 +66,8 @@ def sampled_actions(
         return None
     layers, extractor = policy.mlp_extractor, policy.pi_features_extractor
     inputs = extractor.own(seen) if isinstance(extractor, PolicyColumns) else seen
-    scores, values = policy.action_net(layers.policy_net(inputs)), policy.value_net(layers.value_net(seen))
+    scores = policy.action_net(layers.policy_net(inputs))
+    values = policy.value_net(layers.value_net(seen))
     if not scores.isfinite().all():
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does

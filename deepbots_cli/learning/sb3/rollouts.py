@@ -37,7 +37,8 @@ class RolloutActor:
     def __init__(self, model: Any) -> None:
         self._model = model
         self._is_recurrent = internals.memory(model) is not None
-        self._step, self.noises = 0, list[DecayingNoise]()
+        self._step = 0
+        self.noises: list[DecayingNoise] = []
 
     def begin(self) -> None:
         self._step = 0
@@ -46,7 +47,8 @@ class RolloutActor:
             self._model.policy.reset_noise(self._model.n_envs)
 
     def __call__(self, observations: Any, starts: Array, masks: Array | None) -> Decision:
-        model, policy = self._model, self._model.policy
+        model = self._model
+        policy = self._model.policy
         columns: dict[str, Array] = {}
         options: dict[str, Any] = {}
         if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
@@ -125,7 +127,8 @@ class ExplorationActor:
         self.noises: list[DecayingNoise] = (
             [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
         )
-        self._step, self._rows = 0, model.n_envs
+        self._step = 0
+        self._rows = model.n_envs
 
     def begin(self) -> None:
         self._step = 0
@@ -139,7 +142,8 @@ class ExplorationActor:
             noise.reset()
         if model.use_sde and model.sde_sample_freq > 0 and self._step % model.sde_sample_freq == 0:
             model.actor.reset_noise(model.n_envs)
-        begun, last = model.num_timesteps, internals.last(model)
+        begun = model.num_timesteps
+        last = internals.last(model)
         model.num_timesteps = begun + self._step * self._rows
         internals.set_last(model, prepared(model, observations), starts)
         self._step += 1
@@ -165,7 +169,8 @@ class ExplorationActor:
         for name in internals.EXPLORATION:
             if name in parameters:
                 setattr(self._model, name, parameters[name])
-        self._model.num_timesteps, self._rows = parameters["num_timesteps"], parameters["n_envs"]
+        self._model.num_timesteps = parameters["num_timesteps"]
+        self._rows = parameters["n_envs"]
         _load_weights(self._model, parameters)
 
     def memory(self) -> Mapping[str, Array]:
@@ -193,7 +198,8 @@ def _load_weights(model: Any, weights: Mapping[str, Any]) -> None:
 
 def fill(model: Any, fragment: Fragment) -> None:
     """Put a fragment into the rollout buffer of the model, with returns and advantages."""
-    buffer, columns = model.rollout_buffer, fragment.columns
+    buffer = model.rollout_buffer
+    columns = fragment.columns
     buffer.reset()
     rewards = _rewards(model, fragment)
     observations = fragment.observations
@@ -206,14 +212,16 @@ def fill(model: Any, fragment: Fragment) -> None:
             buffer.observations.shape
         )
     buffer.actions[...] = columns["action"].reshape(buffer.actions.shape)
-    buffer.rewards[...], buffer.episode_starts[...] = rewards, fragment.starts
+    buffer.rewards[...] = rewards
+    buffer.episode_starts[...] = fragment.starts
     buffer.values[...], buffer.log_probs[...] = columns["values"], columns["log_probs"]
     if "masks" in columns:
         buffer.action_masks[...] = columns["masks"].reshape(buffer.action_masks.shape)
     for name in _LSTM_BUFFERS:
         if name in columns:
             getattr(buffer, name)[...] = columns[name].swapaxes(1, 2)
-    buffer.pos, buffer.full = buffer.buffer_size, True
+    buffer.pos = buffer.buffer_size
+    buffer.full = True
     following = prepared(model, fragment.following)
     internals.set_last(model, following, fragment.following_starts)
     memory = (
@@ -229,7 +237,8 @@ def fill(model: Any, fragment: Fragment) -> None:
 def _rewards(model: Any, fragment: Fragment) -> Array:
     """Return the rewards, normalized if the scenario sets this. At a time limit, the value of the state after
     it is added."""
-    rewards, normalizer = fragment.rewards.copy(), model.get_vec_normalize_env()
+    rewards = fragment.rewards.copy()
+    normalizer = model.get_vec_normalize_env()
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
         for step, dones in enumerate(ends):

@@ -101,7 +101,8 @@ class ReplayFiles:
     def forget(self, added: int) -> None:
         """Begin with an empty buffer after the steps so far. The files are removed with the checkpoints that
         have them."""
-        self.segments, self.offset = [], added
+        self.segments = []
+        self.offset = added
 
     def _rows(self, buffer: ReplayBuffer, first: int, last: int) -> Array:
         """Return the rows of the ring for the steps from `first` to before `last`."""

@@ -65,7 +65,8 @@ def mirrored_experience(model: Any, symmetry: Symmetry) -> Iterator[None]:
     doubled_buffer.actions[:, buffer.n_envs :] = mirrored_actions(
         symmetry, model.action_space, buffer.actions
     )
-    doubled_buffer.pos, doubled_buffer.full = buffer.buffer_size, True
+    doubled_buffer.pos = buffer.buffer_size
+    doubled_buffer.full = True
     batch_size = getattr(model, "batch_size", None)
     model.rollout_buffer = doubled_buffer
     if batch_size is not None:

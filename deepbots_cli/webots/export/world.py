@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import arena_walls, as_robot, is_movable, with_explicit_masses
+from deepbots_cli.engines.masses import with_explicit_masses
+from deepbots_cli.engines.objects import arena_walls, as_robot, is_movable
 from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor

@@ -17,7 +17,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli import frames
-from deepbots_cli.engines.objects import as_robot, find, is_movable
+from deepbots_cli.engines.bodies import named
+from deepbots_cli.engines.objects import as_robot, is_movable
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.robots.model import with_mass
@@ -343,7 +344,7 @@ class ExactEngine:
         return self._motions
 
     def _motion(self, body: str) -> RigidBody | CartPole:
-        return find(self._open(), body, "the world has no body")
+        return named(self._open(), body, "the world has no body")
 
     def _link(self, body: str, link: str | None) -> tuple[RigidBody | CartPole, str]:
         motion = self._motion(body)
@@ -356,7 +357,7 @@ class ExactEngine:
         motion = self._motion(robot)
         if not isinstance(motion, CartPole):
             raise EngineError(f"'{robot}' has no joints")
-        return motion, [find(motion.joints, name, f"'{robot}' has no joint") for name in names]
+        return motion, [named(motion.joints, name, f"'{robot}' has no joint") for name in names]
 
 
 def _lacks(what: str) -> EngineError:

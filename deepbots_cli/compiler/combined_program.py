@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from deepbots_cli.expressions.scalar import Const, Scalar, renamed
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import JointNames, endings_alone, joint_name, members_of
+from deepbots_cli.program.members import MemberNames, endings_alone, members_of, qualified_name
 from deepbots_cli.program.robots import Robot
 from deepbots_cli.program.task import (
     ONLY_AGENT,
@@ -37,7 +37,7 @@ from deepbots_cli.scenario.agent import AgentOfSeveral
 Named = TypeVar("Named", Robot, RobotBody)
 
 
-def joint_program(
+def combined_program(
     programs: Mapping[str, Program],
     specs: Mapping[str, AgentOfSeveral],
     drivers: Mapping[str, str],
@@ -56,7 +56,7 @@ def joint_program(
     def of_all(case: str | None, stage: str | None) -> Program:
         """Return the program of all agents in a case or a stage."""
         variants = {name: program.variant(case, stage) for name, program in programs.items()}
-        return joint_program(variants, specs, drivers, mirrors)
+        return combined_program(variants, specs, drivers, mirrors)
 
     action = {
         name: [_action_part(name, part) for part in program.agent.action]
@@ -65,19 +65,19 @@ def joint_program(
     together = iter(action_names([*chain.from_iterable(action.values())]))
     names = {
         name: replace(
-            _joint_names(name, program, specs[name], together, mirrors.get(name)),
+            _combined_names(name, program, specs[name], together, mirrors.get(name)),
             ends_alone=bool(endings_alone(name, programs)),
         )
         for name, program in programs.items()
     }
     renamings = {name: Renaming(program, names[name]) for name, program in programs.items()}
     agents = {name: renamings[name].agent(action[name]) for name in programs}
-    joint = _joint_agent(agents)
+    combined = _combined_agent(agents)
     owners = {robot: programs[agent] for robot, agent in drivers.items()}
     bodies = (_named(owners.get(body.name, first).world.robots, body.name) for body in first.world.robots)
     program = replace(
         first,
-        agents={ONLY_AGENT: joint},
+        agents={ONLY_AGENT: combined},
         world=replace(first.world, robots=tuple(bodies)),
         robots=tuple(
             renamings[drivers[robot.name]].robot(_named(owners[robot.name].robots, robot.name))
@@ -107,16 +107,16 @@ def joint_program(
         cases=tuple(replace(case, program=of_all(case.name, None)) for case in first.cases),
         curriculum=tuple(replace(stage, program=of_all(None, stage.name)) for stage in first.curriculum),
     )
-    members = members_of(programs, names, joint)
+    members = members_of(programs, names, combined)
     shared = {name: replace(member, policy=specs[name].policy) for name, member in members.items()}
     return replace(program, members=shared)
 
 
-def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
+def _combined_agent(agents: Mapping[str, Agent]) -> Agent:
     """Return the agent with the actions, observations and rewards of all in a row."""
     first = next(iter(agents.values()))
     success = tuple(name for name in first.success if all(name in agent.success for agent in agents.values()))
-    joint = Agent(
+    combined = Agent(
         name=ONLY_AGENT,
         robots=tuple(chain.from_iterable(agent.robots for agent in agents.values())),
         action=tuple(chain.from_iterable(agent.action for agent in agents.values())),
@@ -124,11 +124,11 @@ def _joint_agent(agents: Mapping[str, Agent]) -> Agent:
         reward=tuple(chain.from_iterable(agent.reward for agent in agents.values())),
         success=success,
         solved=_common_criterion(agents.values()) if success else None,
-        training=_joint_training({name: agent.training for name, agent in agents.items()}),
+        training=_combined_training({name: agent.training for name, agent in agents.items()}),
         frame_stack=max(agent.frame_stack for agent in agents.values()),
         critic=tuple(chain.from_iterable(agent.critic for agent in agents.values())),
     )
-    return replace(joint, scripts=tuple(_scripts(agents, joint.action)))
+    return replace(combined, scripts=tuple(_scripts(agents, combined.action)))
 
 
 def _common_criterion(agents: Iterable[Agent]) -> Solved | None:
@@ -142,7 +142,7 @@ def _common_criterion(agents: Iterable[Agent]) -> Solved | None:
     return first if is_common else None
 
 
-def _joint_training(trainings: Mapping[str, Training | None]) -> Training | None:
+def _combined_training(trainings: Mapping[str, Training | None]) -> Training | None:
     """Return the training of all agents in the same episodes; None if an agent has none."""
     of_agents = tuple((name, training) for name, training in trainings.items() if training is not None)
     if len(of_agents) < len(trainings):
@@ -160,9 +160,9 @@ def _joint_training(trainings: Mapping[str, Training | None]) -> Training | None
     )
 
 
-def _joint_names(
+def _combined_names(
     agent: str, program: Program, spec: AgentOfSeveral, together: Iterator[str], mirrors: str | None
-) -> JointNames:
+) -> MemberNames:
     """Return the names of an agent, which `mirrors` another one exactly.
 
     `together` yields the names of the numbers of the last action of all agents, from those of this agent on.
@@ -170,10 +170,10 @@ def _joint_names(
     augmented = spec.augment if isinstance(spec.augment, Mapping) else {}
     signals = frozenset({*augmented, *spec.signals})
     variables = {name for part in program.agent.action for name in part.variables}
-    return JointNames(
+    return MemberNames(
         agent,
         signals,
-        {name: joint_name(agent, name) for name in sorted(variables | signals)},
+        {name: qualified_name(agent, name) for name in sorted(variables | signals)},
         {name: next(together) for name in action_names(program.agent.action)},
         mirrors,
     )
@@ -182,8 +182,9 @@ def _joint_names(
 class Renaming:
     """Gives the parts of one agent their names in the program of all."""
 
-    def __init__(self, program: Program, names: JointNames) -> None:
-        self._program, self._names = program, names
+    def __init__(self, program: Program, names: MemberNames) -> None:
+        self._program = program
+        self._names = names
 
     def agent(self, action: Sequence[ActionPart]) -> Agent:
         """Return the agent with renamed parts; `action` has the names of the program of all."""
@@ -200,7 +201,9 @@ class Renaming:
             critic=tuple(map(self._observation, agent.critic)),
             reward=tuple(self._names.expression(term, own=True) for term in agent.reward),
             scripts=tuple(
-                Script(joint_name(self._names.agent, script.name), tuple(map(self._scripted, script.parts)))
+                Script(
+                    qualified_name(self._names.agent, script.name), tuple(map(self._scripted, script.parts))
+                )
                 for script in agent.scripts
             ),
         )
@@ -266,11 +269,11 @@ class Renaming:
 
 
 def _action_part(agent: str, part: ActionPart) -> ActionPart:
-    renamed = joint_name(agent, part.name)
+    renamed = qualified_name(agent, part.name)
     if isinstance(part, ActionRange):
         return replace(part, name=renamed)
     return replace(
-        part, name=renamed, variables=tuple(joint_name(agent, variable) for variable in part.variables)
+        part, name=renamed, variables=tuple(qualified_name(agent, variable) for variable in part.variables)
     )
 
 

@@ -2,7 +2,7 @@
 
 A test is about one agent, whose results it expects. It is compiled in the scenario of each agent, with the
 driver or the actions of that agent there; the expectations are compiled in that of its own agent. The parts
-are then joined to a test of the program of all agents.
+are then combined to a test of the program of all agents.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from deepbots_cli.program.members import RANDOM, ZERO, Member
 from deepbots_cli.program.task import ActionPart, ActionRange, FixedAction, ScenarioTest
 from deepbots_cli.scenario.fields import choices_help
 
-_AGENT, _DRIVER, _ACTIONS, _EXPECT = "agent", "driver", "actions", "expect"
-_NOTHING = "mean_return"
+_AGENT = "agent"
+_DRIVER = "driver"
+_ACTIONS = "actions"
+_EXPECT = "expect"
+_PLACEHOLDER_EXPECTATION = "mean_return"
 """The key of an expectation that stands for those of another agent."""
 
 
@@ -35,7 +38,9 @@ class DividedTests:
     """
 
     def __init__(self, root: MappingNode, scripts: Mapping[str, Sequence[str]], findings: Findings) -> None:
-        self._written, self._scripts, self._findings = entries_at(root, TESTS), scripts, findings
+        self._written = entries_at(root, TESTS)
+        self._scripts = scripts
+        self._findings = findings
         self._agents = [*scripts]
         for entry in self._written.values():
             self._check(entry)
@@ -45,7 +50,7 @@ class DividedTests:
         node = _get(self._written[test].value, _AGENT)
         return node.text if isinstance(node, ScalarNode) else self._agents[0]
 
-    def of_agent(self, agent: str, section: Entry) -> Entry:
+    def section_of(self, agent: str, section: Entry) -> Entry:
         """Return the section `tests` as it is for an agent."""
         assert isinstance(section.value, MappingNode)
         entries = {
@@ -65,18 +70,25 @@ class DividedTests:
             key = entries.pop(_ACTIONS).key
             if first is None:
                 entries[_DRIVER] = Entry(_scalar(key, _DRIVER), _scalar(key, ZERO))
-            else:  # a step without an action has any one, which is left out again in the joined test
+            else:
+                # Fills a step in which the agent has no action; `_combined_actions` replaces it by the
+                # resting action.
                 items = tuple(first if item is None else item for item in actions)
                 entries[_ACTIONS] = Entry(key, SequenceNode(key.span, items))
         if agent != self.owner(test) and _EXPECT in entries:
-            expected = {_NOTHING: Entry(_scalar(name, _NOTHING), name._replace(text="0", value=0))}
+            expected = {
+                _PLACEHOLDER_EXPECTATION: Entry(
+                    _scalar(name, _PLACEHOLDER_EXPECTATION), name._replace(text="0", value=0)
+                )
+            }
             entries[_EXPECT] = Entry(entries[_EXPECT].key, MappingNode(name.span, expected))
         return replace(test_node, entries=entries)
 
     def _driver(self, agent: str, test_node: MappingNode) -> ScalarNode:
         """Return the driver of an agent: its script of the name that all agents share, else its first script,
         else `random`."""
-        node, scripts = test_node.get(_DRIVER), self._scripts[agent]
+        node = test_node.get(_DRIVER)
+        scripts = self._scripts[agent]
         of_agent = _get(node, agent)
         if isinstance(of_agent, ScalarNode):
             return of_agent
@@ -112,13 +124,13 @@ class DividedTests:
                 headline = f"there is no {noun} `{node.text}`"
                 self._findings.add("DB201", node.span, headline, choices_help(node.text, names))
 
-    def about(self, agent: str, tests: Iterable[ScenarioTest]) -> tuple[ScenarioTest, ...]:
+    def tests_of(self, agent: str, tests: Iterable[ScenarioTest]) -> tuple[ScenarioTest, ...]:
         """Return the tests that are about an agent."""
         return tuple(test for test in tests if self.owner(test.name) == agent)
 
     # The tests of all agents
 
-    def joined(
+    def combined(
         self, program: Program, tests: Mapping[str, Mapping[str, ScenarioTest]]
     ) -> Iterator[ScenarioTest]:
         """Yield the tests of the program of all agents, given those of each agent by name."""
@@ -128,15 +140,15 @@ class DividedTests:
             if len(parts) < len(self._agents):
                 continue
             drivers = {agent: part.driver for agent, part in parts.items() if isinstance(part.driver, str)}
-            joint = _about(parts[owner], program.members[owner])
+            combined = _with_combined_names(parts[owner], program.members[owner])
             if steps := _steps_of(self._written[name]):
-                actions = tuple(_joint_actions(program.members, parts, steps))
-                yield replace(joint, driver=actions, steps=min(joint.steps, len(actions)))
+                actions = tuple(_combined_actions(program.members, parts, steps))
+                yield replace(combined, driver=actions, steps=min(combined.steps, len(actions)))
             else:
-                yield replace(joint, drivers=drivers)
+                yield replace(combined, drivers=drivers)
 
 
-def _about(test: ScenarioTest, member: Member) -> ScenarioTest:
+def _with_combined_names(test: ScenarioTest, member: Member) -> ScenarioTest:
     """Return a test of one agent with the names of the program of all."""
     expected = tuple(
         replace(
@@ -151,7 +163,7 @@ def _about(test: ScenarioTest, member: Member) -> ScenarioTest:
     return replace(test, expected=expected, agent=member.name)
 
 
-def _joint_actions(
+def _combined_actions(
     members: Mapping[str, Member], parts: Mapping[str, ScenarioTest], steps: Sequence[Node]
 ) -> Iterator[FixedAction]:
     """Yield the actions of all agents, given those of each in the steps in which it has one."""
@@ -168,7 +180,9 @@ def _joint_actions(
 
 def _resting(action: Sequence[ActionPart]) -> FixedAction:
     """Return the first option of each choice, and the middle of each range."""
-    choices, ranges, words = list[int](), list[float](), list[str]()
+    choices: list[int] = []
+    ranges: list[float] = []
+    words: list[str] = []
     for part in action:
         if isinstance(part, ActionRange):
             ranges += [0.0] * len(part.names)

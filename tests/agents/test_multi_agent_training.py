@@ -18,7 +18,7 @@ from deepbots_cli.cluster import Cluster
 from deepbots_cli.cluster.local_processes import LocalProcesses
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.evaluation import evaluate, load_model
-from deepbots_cli.learning.joint import own_model
+from deepbots_cli.learning.multi_agent import own_model
 from deepbots_cli.learning.run import Run
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.episode import own_episode
@@ -48,7 +48,7 @@ def write_scenario(folder: Path, text: str) -> Path:
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which both agents have learned."""
-    folder = tmp_path_factory.mktemp("joint")
+    folder = tmp_path_factory.mktemp("multi_agent")
     deepbots_cli.train(write_scenario(folder, SHARED), run=folder / "run", seed=1)
     return folder / "run"
 

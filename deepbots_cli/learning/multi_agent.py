@@ -31,7 +31,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.collector import PolicyActor
 from deepbots_cli.rollout.seats import (
-    JointActor,
+    MultiAgentActor,
     OfferedCollector,
     SeatCollector,
     SharedCollector,
@@ -53,25 +53,26 @@ _DATA = "data"
 _MAX_DATA_BYTES = 8_000_000
 
 
-class JointState(CheckpointState):
+class MultiAgentState(CheckpointState):
     """The JSON part of a checkpoint; `learners` has that of each agent."""
 
     learners: Annotated[dict[str, dict[str, Any]], Field(max_length=64)]
 
 
-class JointLearner(Learner):
+class MultiAgentLearner(Learner):
     """The learners of several agents.
 
     Attributes:
         learners: The learner of each agent, by its name.
     """
 
-    State: ClassVar[type[CheckpointState]] = JointState
+    State: ClassVar[type[CheckpointState]] = MultiAgentState
     takes_callbacks = False
 
     def __init__(self, setup: Setup) -> None:
         assert setup.program is not None
-        self.setup, self.steps = setup, 0
+        self.setup = setup
+        self.steps = 0
         self.check(setup.training)
         if isinstance(setup.action_space, gym.spaces.Dict):
             raise UsageError(
@@ -79,7 +80,8 @@ class JointLearner(Learner):
                 " of them: --agent NAME"
             )
         self._check_ends(setup)
-        program, critic_program = setup.program, setup.program.with_critic
+        program = setup.program
+        critic_program = setup.program.with_critic
         self._policies = agents_by_policy(program)
         _check_shared(setup.training, self._policies)
         self._seats = {name: SeatLayout(member, program.agent) for name, member in program.members.items()}
@@ -95,7 +97,8 @@ class JointLearner(Learner):
             self.fragment_steps = _common_steps(self._own)
 
     def _create_learners(self) -> dict[str, Learner]:
-        collector, trainings = self.setup.collector, dict(self.setup.training.agents)
+        collector = self.setup.collector
+        trainings = dict(self.setup.training.agents)
         if collector is None:
             return {name: self._create(name, training, None) for name, training in trainings.items()}
         created: dict[str, Learner] = {}
@@ -111,7 +114,8 @@ class JointLearner(Learner):
 
     def _create(self, agent: str, training: Training, collector: OfferedCollector | None) -> Learner:
         """Return a learner for an agent."""
-        setup, seat = self.setup, self._critical[agent]
+        setup = self.setup
+        seat = self._critical[agent]
         return learners.create(
             Setup(
                 training,
@@ -187,7 +191,8 @@ class JointLearner(Learner):
     def _own_steps(self, learner: Learner, steps: int) -> int:
         """Return the number of steps of a learner, which may have more rows than there are worlds, after so
         many steps of all agents."""
-        collector, of_all = learner.setup.collector, self.setup.collector
+        collector = learner.setup.collector
+        of_all = self.setup.collector
         assert collector is not None
         assert of_all is not None
         return steps * collector.rows // of_all.rows
@@ -218,7 +223,7 @@ class JointLearner(Learner):
 
     def actor(self) -> PolicyActor:
         actors = {name: learner.actor() for name, learner in self.learners.items()}
-        return JointActor(self._critical, actors, self._masked)
+        return MultiAgentActor(self._critical, actors, self._masked)
 
     def update(self) -> None:
         turns = self.setup.training.turns
@@ -248,7 +253,8 @@ class JointLearner(Learner):
         space = self.setup.observation_space
         example_space = next(iter(space.values())) if isinstance(space, gym.spaces.Dict) else space
         is_single = example.ndim == len(example_space.shape or ())
-        actions, states = [], {}
+        actions = []
+        states = {}
         for name, learner in self.learners.items():
             seat = self._seats[name]
             masks = (

@@ -91,9 +91,9 @@ class Confirmation:
         number: The number of the confirmation, from 1.
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
             far.
-        episodes: Number of new starts: as many as `solved` asks for, or the smallest multiple of it with
-            which good policies pass: half of those that are halfway from the required rate to 100 %, and a
-            mean return as it is expected.
+        episodes: The number of new starts: that of `solved`, or its smallest multiple with which a good
+            policy passes. A policy halfway between the required rate and 100 % must pass with a probability
+            of `POWER`; a policy with the expected mean return must pass.
         successes: The number of required successes; 0 if `solved` has no success rate.
     """
 
@@ -123,7 +123,7 @@ class Confirmation:
             least = solved.mean_return + EXPECTED * (returns[1] - solved.mean_return)
             mean = min(returns[1], max(least, _cautious_mean(evaluated) if evaluated else returns[1]))
         for episodes in range(solved.episodes, _MAX_EPISODES + 1, solved.episodes):
-            planned = Confirmation.by(solved, number, returns, episodes)
+            planned = Confirmation.with_episodes(solved, number, returns, episodes)
             if solved.success_rate is not None:
                 halfway = (1 + solved.success_rate) / 2
                 if probability_of_at_least(planned.successes, episodes, halfway) < POWER:
@@ -133,7 +133,7 @@ class Confirmation:
         return None
 
     @staticmethod
-    def by(solved: Solved, number: int, returns: Interval, episodes: int) -> Confirmation:
+    def with_episodes(solved: Solved, number: int, returns: Interval, episodes: int) -> Confirmation:
         """Return a confirmation with this number of episodes, which may be too few to pass."""
         successes = 0
         if solved.success_rate is not None:
@@ -161,7 +161,8 @@ class Confirmation:
 
     def is_lost(self, episodes: Sequence[Episode]) -> bool:
         """Return whether the first episodes rule out a confirmation that passes, or make it very unlikely."""
-        left, successes = self.episodes - len(episodes), sum(episode.is_success for episode in episodes)
+        left = self.episodes - len(episodes)
+        successes = sum(episode.is_success for episode in episodes)
         if successes + left < self.successes:
             return True
         if self.solved.success_rate is not None:
