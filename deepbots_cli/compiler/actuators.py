@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 from deepbots_cli.compiler.fields import Default, FieldContext
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
@@ -336,8 +336,8 @@ class Actuators(NamespaceReader):
     ) -> float | Default:
         """Return a value that an episode may draw."""
         subject = OfActuator(self._robot.name, str(spec.path[-1]))
-        parameter = f"actuator_{key}"
-        return self._fields.scalar_or_randomized(spec, key, parameter, subject, default, **context)  # type: ignore[arg-type]
+        parameter: Any = f"actuator_{key}"  # one of the literals of the parameters
+        return self._fields.scalar_or_randomized(spec, key, parameter, subject, default, **context)
 
     def _compare(
         self, spec: specs.Actuator, key: str, limit: float, dimension: Dimension, file_limits: Limits

@@ -36,8 +36,8 @@ MAX_CHAIN = 100
 """The maximum number of definitions each of which is typed on the first use by the one before."""
 _MAX_NAMES_IN_CYCLE = 12
 _FRAMES_OF_EXPRESSION = 600
-"""More than the frames of typing an expression: the parser takes eight for each of `parser.MAX_NESTING` levels,
-a pass over the tree three for each of `parser.MAX_DEPTH`."""
+"""More than the frames of typing an expression: the parser takes eight for each of `parser.MAX_NESTING`
+levels, a pass over the tree three for each of `parser.MAX_DEPTH`."""
 
 
 class Origin(Enum):

@@ -46,9 +46,7 @@ from deepbots_cli.plugins import PluginTable
 ENTRY_POINT_GROUP = "deepbots.functions"
 
 _MAX_WHOLE_EXPONENT = 1000
-"""Of a power that is printed with `**`. `math.pow` computes those beyond it, which overflow for most bases."""
-_MAX_COUNTED = 1000
-"""Components of a vector that the interval of its norm counts."""
+"""Of a power that is printed with `**`. `math.pow` computes larger ones, which overflow for most bases."""
 
 
 class Family(Enum):
@@ -275,7 +273,7 @@ def _hull(*arguments: Interval) -> Interval:
 
 
 def _norm(components: Interval, count: int) -> Interval:
-    return iv.hypot(*[components] * min(count, _MAX_COUNTED))
+    return iv.hypot(*[components] * count)
 
 
 _NUMBER = _always(NUMBER)

@@ -9,6 +9,7 @@ from shlex import quote
 from statistics import fmean
 from typing import Any
 
+from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
 from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
@@ -174,7 +175,7 @@ def training_length(evidence: TrainingEvidence, planned: int = 0) -> dict[str, A
     """Return the length of a training, and the way to continue it: to the `planned` steps if they are more
     than 1.1 times as many, else further."""
     more = planned if planned > 1.1 * evidence.steps else max(evidence.planned, longer_goal(evidence.steps))
-    command = f"deepbots resume {quote(str(evidence.run.path))} --timesteps {more:_}"
+    command = f"deepbots resume {quote(display_path(evidence.run.path))} --timesteps {more:_}"
     advice = f"Continue the training with `{command}`."
     if evidence.is_running:
         advice = (

@@ -100,17 +100,19 @@ def _values(change: Change) -> Iterator[ChangedValue]:
 
 
 def nearest_solved(run: Run) -> tuple[Run, list[ChangedValue]] | None:
-    """Return the run with the fewest changes to a run, with these changes; None if no such run exists. It solved
-    a scenario of the same name, began before, and is one of the last `MAX_COMPARED` that did. Of equally near
-    runs, this is the newest one."""
+    """Return the earlier run with the fewest changes to a run, and these changes; None without one.
+
+    The earlier run is among the last `MAX_COMPARED` that solved a scenario of the same name. Of equally near
+    runs, it is the newest one.
+    """
     solved = islice(solved_before(run), MAX_COMPARED)
     candidates = ((earlier, changed_values(earlier, run)) for earlier in solved)
     return min(candidates, key=lambda candidate: len(candidate[1]), default=None)
 
 
 def solved_before(run: Run) -> Iterator[Run]:
-    """Yield the runs that solved a scenario of the same name and began before a run, the newest first. They are
-    in the same folder, in a group in it, or beside the group of the run."""
+    """Yield the earlier runs that solved a scenario of the same name, the newest first. They are in the
+    same folder, in a group in it, or beside the group of the run."""
     begun = started(run.record)
     itself = run.path.absolute()
     earlier = []

@@ -315,8 +315,8 @@ def read_failure(path: Path) -> tuple[Failure, Run, Program]:
     folder = path.absolute().parent
     if folder.name != FAILURES_FOLDER or folder_kind(folder.parent) is not SourceKind.RUN:
         raise RunError(
-            f"{path} is a failed episode without its run, which has the scenario; copy the file into the folder"
-            f" `{FAILURES_FOLDER}` of the run"
+            f"{path} is a failed episode without its run, which has the scenario; copy the file into the"
+            f" folder `{FAILURES_FOLDER}` of the run"
         )
     run = Run.open(folder.parent)
     return failure, run, run.program.variant(failure.case, failure.stage)

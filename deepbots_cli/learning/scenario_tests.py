@@ -34,8 +34,8 @@ class UnmetExpectation:
     """An expectation that is not met.
 
     `expected` is the key and its text, `where` its `file:line:column`, `measured` the result in words.
-    `episode`, which counts from 0, is the first that fails. `step` is None if the expectation does not belong to a
-    single step.
+    `episode`, which counts from 0, is the first that fails. `step` is None if the expectation does not belong
+    to a single step.
     """
 
     expected: str

@@ -427,12 +427,12 @@ def _validate_setup(
         with _initial_model(source, program) as model:
             initialized = learner.initialize(model)
         label = source.path if source.is_named else source.run.path
-        new = ", ".join(f"{name} ({reason})" for name, reason in initialized.not_copied.items())
+        copied, missing = initialized.copied, initialized.not_copied
+        text = f"{label}: {len(copied)} of {len(copied) + len(missing)} tensors"
+        if missing:
+            text += ", new: " + ", ".join(f"{name} ({reason})" for name, reason in missing.items())
         changed = "; ".join(identity.differences(source.run.program, program))
-        return (
-            f"{label}: {len(initialized.copied)} of {len(initialized.copied) + len(initialized.not_copied)}"
-            f" tensors{f', new: {new}' if new else ''}{f'; the interface differs: {changed}' if changed else ''}"
-        )
+        return f"{text}; the interface differs: {changed}" if changed else text
 
 
 def _check_teacher(

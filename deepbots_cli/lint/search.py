@@ -40,8 +40,8 @@ _HOLDS = (2, 10)
 """The numbers of steps for which alternating actions are held."""
 _CONFIRMED = 3
 """The number of best drivers of the first start that are tried on the others, for each kind of end."""
-# Steps for which a script is interrupted, and by how many actions; fewer steps to a success after that are none
-# that lasts.
+# Steps for which a script is interrupted, and by how many actions. A success in fewer steps after that does
+# not last.
 _INTERRUPTIONS = (1, 3)
 _MAX_INTERRUPTIONS = 5
 _MIN_BETWEEN = 2

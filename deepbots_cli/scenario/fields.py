@@ -809,8 +809,8 @@ class ReferenceKind(NamedTuple):
     """What a reference names.
 
     Attributes:
-        sections: The sections of the scenario whose keys are the names, or whose items have a `name`; each with
-            the noun of its names.
+        sections: The sections of the scenario whose keys are the names, or whose items have a `name`; each
+            with the noun of its names.
         parts: The parts of robots that have a name: sections of a robot, joints and links of its file.
         words: The names of the language, each with its meaning.
         singular: The noun of one item, for a kind that takes one or a list of them.

@@ -364,7 +364,7 @@ def _merge_unindented_entries(root: nodes.MappingNode, problems: list[_Problem])
 def _entries_directly_below(
     owner: ScalarNode, section: nodes.MappingNode, names: Container[str]
 ) -> list[nodes.Entry]:
-    """Return the entries with these names that follow a key in the text, up to the first with another name."""
+    """Return the entries with these names directly below a key, up to the first with another name."""
     source = owner.span.source
     entries = [entry for entry in section.entries.values() if entry.key.span.source is source]
     below = [entry for entry in entries if entry.key.span.start > owner.span.end]

@@ -7,6 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deepbots_cli.expressions.functions import FUNCTIONS
+from deepbots_cli.expressions.intervals import Interval
+
 READ = {
     "gas": st.floats(-1, 1),
     "turn": st.floats(-1, 1),
@@ -152,3 +155,9 @@ def test_printed_python_agrees_with_direct_evaluation(bench_of, data):
 def test_intervals_are_as_tight_as_a_person_would_say(bench, text, low, high):
     interval = bench.clean(text).type.interval
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 1_000, 4_096])
+def test_the_norm_of_many_rays_grows_with_the_root_of_their_number(count):
+    interval = FUNCTIONS["norm"].reduction.interval(Interval(0.0, 5.0), count)
+    assert (interval.low, interval.high) == pytest.approx((0.0, 5.0 * math.sqrt(count)))

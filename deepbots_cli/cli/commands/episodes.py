@@ -247,8 +247,8 @@ def _reproduced(ctx: typer.Context, path: Path, permissions: Permissions, *, as_
     refused = [name for key, name in written_options(ctx).items() if key not in ("as_json", "allow_code")]
     if refused:
         raise UsageError(
-            f"leave out {', '.join(refused)}: the file of a failed episode already contains its scenario, start"
-            " and actions; only --json and --allow-code can be added"
+            f"leave out {', '.join(refused)}: the file of a failed episode already contains its scenario,"
+            " start and actions; only --json and --allow-code can be added"
         )
     failure, error = failures.reproduce(path, permissions=permissions)
     repeated = (
