@@ -168,6 +168,7 @@ def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_a_run_says_what_it_changed_against_the_one_before(folder):
     texts = (SCENARIO, SCENARIO.replace("alive: 1", "alive: 2").replace("15 deg", "12 deg"))
     for number, text in enumerate(texts):
@@ -196,6 +197,7 @@ def test_a_run_says_what_it_changed_against_the_one_before(folder):
     asyncio.run(run())
 
 
+@pytest.mark.slow
 def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved(folder):
     async def run() -> None:
         async with Running(folder) as running:
