@@ -409,7 +409,11 @@ class _Checker:
                 "DB402", node, f"`{name}` is a function", f"call it: `{FUNCTIONS[name].signature}`"
             )
         if call := self._asked_of_a_body(node):
-            help = f"read values of the world with a function: `{call}`"
+            what = FUNCTIONS[call.partition("(")[0]].doc.removesuffix(".")
+            help = f"read values of the world with a function: `{call}`, {what[0].lower()}{what[1:]}"
+            beside = sorted(other for other in scope.names() if other.startswith(f"{node.parts[0]}."))
+            if beside:
+                help += f"; names of `{node.parts[0]}`: {', '.join(beside[:MAX_BESIDE])}"
             return self._fault("DB402", node, f"unknown name `{name}`", help, Replacement(call, safe=False))
         return self._unknown(
             "name",

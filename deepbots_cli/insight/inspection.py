@@ -123,7 +123,6 @@ def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
     0."""
     model = file.model
     listed = json.loads(render(findings, "json"))
-    above = {joint.child: joint.name for joint in model.joints}
     return _filled(
         {
             "robot": {
@@ -135,7 +134,7 @@ def robot_tables(file: RobotFile, findings: list[Finding]) -> Tables:
                 "root_above_ground_m": round(resting_height(model), 6) + 0.0,  # no -0
                 "meshes": len(file.meshes),
             },
-            "links": [_link(link, above.get(link.name, "")) for link in model.links],
+            "links": link_rows(model),
             "joints": [_joint(joint, whole=True) for joint in model.joints],
             "findings": [
                 {key: row[key] for key in ("code", "severity", "file", "line", "message") if key in row}
@@ -166,6 +165,12 @@ def _drawn_mass(scenario: Program, robot: str) -> Row:
     """Return a mark where `mass_kg` is the mean of masses that are drawn in every episode."""
     is_drawn = any(entry.what == "mass" and entry.of[:1] == (robot,) for entry in scenario.reset.variations)
     return {"mass": "the mean; drawn in every episode"} if is_drawn else {}
+
+
+def link_rows(model: RobotModel) -> list[Row]:
+    """Return the links of a robot, each with the joint that moves it, its mass and its shapes in m."""
+    above = {joint.child: joint.name for joint in model.joints}
+    return [_link(link, above.get(link.name, "")) for link in model.links]
 
 
 def _link(link: Link, joint: str) -> Row:
@@ -321,6 +326,9 @@ def _world(scenario: Program) -> Tables:
                 "base": "fixed" if body.fixed_base else "free",
             }
             for body in scenario.world.robots
+        ],
+        "links": [
+            {"robot": body.name, **row} for body in scenario.world.robots for row in link_rows(body.model)
         ],
         "joints": [
             {"robot": body.name, **_joint(joint)}

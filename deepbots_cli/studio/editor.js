@@ -9,12 +9,17 @@
 import * as CM from "nicegui-codemirror";
 
 const SEND_AFTER_MS = 60;
+const FLASH_MS = 6000; // of the animation in studio.css
 const OFFLINE_AFTER_MS = 1500;
 const OFFLINE = "The studio does not answer: its server has ended, or the connection is lost. Go on writing: this " +
   "browser keeps the text. If the server has ended, start it again with `deepbots studio`, and open its address.";
 const TEXT_FIELD = "input:not([readonly], [type=checkbox], [type=range]), textarea, [contenteditable=true]";
 const OFFER = "This browser kept a text of this file that the studio did not get.";
 const WRAPPED_FROM = 20; // letters; a shorter line is never wrapped
+// Colors of CodeMirror's two styles, and what the page has instead: quieter comments, and keys that are not red.
+const LIGHT = CM.syntaxHighlighting(recolored(CM.defaultHighlightStyle, { "#940": "#5b6774", "#00c": "#0b57a4" }));
+const DARK = [CM.oneDarkTheme, CM.syntaxHighlighting(recolored(CM.oneDarkHighlightStyle,
+  { "#e06c75": "#8fc1f5", "#7d8799": "#95a0ae" }))];
 const setMarks = CM.StateEffect.define();
 const marks = CM.StateField.define({
   create: () => CM.Decoration.none,
@@ -29,6 +34,16 @@ const marks = CM.StateField.define({
 const hanging = CM.StateField.define({
   create: (state) => hangingLines(state.doc),
   update: (set, transaction) => transaction.docChanged ? hangingLines(transaction.state.doc) : set,
+  provide: (field) => CM.EditorView.decorations.from(field),
+});
+const setFlash = CM.StateEffect.define();
+const flashed = CM.StateField.define({
+  create: () => CM.Decoration.none,
+  update(set, transaction) {
+    set = set.map(transaction.changes);
+    for (const effect of transaction.effects) if (effect.is(setFlash)) set = effect.value;
+    return set;
+  },
   provide: (field) => CM.EditorView.decorations.from(field),
 });
 const fromServer = CM.Annotation.define();
@@ -105,9 +120,10 @@ export default {
       CM.indentUnit.of("  "),
       CM.Prec.highest(CM.indentService.of(indentation)),
       this.language.of([]),
-      this.dark.of([]),
+      this.dark.of(LIGHT),
       this.writing.of([]),
       marks,
+      flashed,
       hanging,
       CM.EditorState.languageData.of(() => completions),
       CM.hoverTooltip((view, position) => this.describe(view, position), { hoverTime: 350, hideOnChange: true }),
@@ -178,7 +194,7 @@ export default {
       this.view.dispatch({ effects: [
         this.language.reconfigure(this.yaml ?? []),
         this.writing.reconfigure(CM.EditorState.readOnly.of(readOnly)),
-        this.dark.reconfigure(dark ? CM.oneDark : []) ] });
+        this.dark.reconfigure(dark ? DARK : LIGHT) ] });
       this.offer(readOnly);
     },
     // Text that the server did not get
@@ -222,7 +238,7 @@ export default {
       }], ["Discard it", () => { this.say(""); this.forget(); this.view.focus(); }]);
     },
     setDark(dark) {
-      this.view.dispatch({ effects: this.dark.reconfigure(dark ? CM.oneDark : []) });
+      this.view.dispatch({ effects: this.dark.reconfigure(dark ? DARK : LIGHT) });
     },
     text() {
       return this.view.state.doc.toString();
@@ -322,6 +338,20 @@ export default {
         effects: CM.EditorView.scrollIntoView(anchor, { y: "center" }) });
       this.view.focus();
     },
+    // Mark lines that the studio has changed, until an animation ends; the first one is scrolled to.
+    flash(lines) {
+      const doc = this.view.state.doc;
+      const places = [...new Set(lines)].filter((line) => line < doc.lines).sort((a, b) => a - b)
+        .map((line) => doc.line(line + 1).from);
+      if (!places.length) return;
+      const mark = CM.Decoration.line({ class: "studio-flash" });
+      this.view.dispatch({ effects: [
+        setFlash.of(CM.Decoration.set(places.map((from) => mark.range(from)))),
+        CM.EditorView.scrollIntoView(places[0], { y: "center" })] });
+      clearTimeout(this.flashTimer);
+      this.flashTimer = setTimeout(() =>
+        this.view.dispatch({ effects: setFlash.of(CM.Decoration.none) }), FLASH_MS);
+    },
     // The text, the cursor, and what is selected or the word at the cursor
     cursor() {
       const { from, to, head } = this.view.state.selection.main;
@@ -387,6 +417,10 @@ function indentation(context, position) {
   const before = line.text.slice(0, position - line.from);
   const deeper = /:\s*(#.*)?$/.test(before) ? context.unit : 0;
   return /^\s*/.exec(before)[0].length + deeper;
+}
+
+function recolored(style, colors) {
+  return CM.HighlightStyle.define(style.specs.map((spec) => ({ ...spec, color: colors[spec.color] ?? spec.color })));
 }
 
 // Return the one change that turns a text into another, null for equal texts.

@@ -75,6 +75,10 @@ class Editor(Element, component="editor.js", esm={"nicegui-codemirror": str(_BUN
         """Put the cursor at a place, from 0."""
         self.run_method("goTo", line, column)
 
+    def mark_lines(self, lines: Sequence[int]) -> None:
+        """Scroll to changed lines, from 0, and mark them for some seconds."""
+        self.run_method("flash", list(lines))
+
     async def place(self) -> CursorPlace:
         """Return the present text and cursor.
 

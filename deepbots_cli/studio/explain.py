@@ -23,7 +23,7 @@ from deepbots_cli.cli.commands.explain import (
 )
 from deepbots_cli.diagnostics.registry import RULES, matching_rules
 from deepbots_cli.lint.pages import pages_of
-from deepbots_cli.studio.meanings import Meaning, line_link
+from deepbots_cli.studio.meanings import Meaning, RobotPart, line_link
 
 _PAGES = Path(__file__).parents[2] / "docs"
 """The pages of a clone; an installed package has none."""
@@ -49,13 +49,16 @@ class OfText:
     """What the open text says about words.
 
     Attributes:
-        fixes: Title and action of each fix of the findings with a code.
+        fixes: Title and action of each fix of the findings with a code, and of each change of a part that a
+            phrase names.
         names: The names of the text that have a word of a phrase, with the line of each, from 0.
+        parts: The links and joints that a phrase names.
         go_to: It leads the cursor to a line, from 0.
     """
 
     fixes: Callable[[str], Iterable[tuple[str, Callable[[], object]]]]
     names: Callable[[str], Sequence[tuple[str, int]]]
+    parts: Callable[[str], Sequence[RobotPart]]
     go_to: Callable[[int], object]
 
 
@@ -75,7 +78,9 @@ def explanation(word: str) -> str:
     if not explained.entries and (nearest := misspelled_word(word)):
         return f"There is no entry `{word}`; this is the entry `{nearest}`.\n\n{explanation(nearest)}"
     if not explained.entries and (related := related_entries(word)):
-        return f"There is no entry `{word}`. About its words: {', '.join(map(_link, related))}."
+        nearest, *others = related
+        more = f"\n\nSee also: {', '.join(map(_link, others))}" if others else ""
+        return f"There is no entry `{word}`. This is the nearest one.\n\n{explanation(nearest)}{more}"
     if not explained.entries:
         return _with_links(unknown_word_message(word))
     parts = [_entry(title, text) for title, *text in explained.entries]
@@ -229,6 +234,7 @@ def _answer(query: str, of_text: OfText, own: Meaning | None) -> str:
     in_file = [f"In this file: {listed}."] if names else []
     if here:
         in_file = [f"**{query}** in this file\n\n{here}"]
+    in_file = [*(part.text for part in of_text.parts(query)), *in_file]
     entries = [explanation(query)] if has_entry or not here else []
     # The name of a section, such as `reward`, is a word of the language first.
     parts = [*entries, *in_file] if has_entry and not here else [*in_file, *entries]

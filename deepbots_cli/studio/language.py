@@ -30,7 +30,7 @@ from deepbots_cli.lsp.workspace import (
     uri_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference
-from deepbots_cli.studio.meanings import Meaning, meaning, names_like
+from deepbots_cli.studio.meanings import Meaning, RobotPart, meaning, names_like, parts_like
 
 _NAMES = {types.DiagnosticSeverity.Error: "error", types.DiagnosticSeverity.Warning: "warning"}
 
@@ -208,6 +208,11 @@ class Language:
     def names_like(self, file: OpenFile, phrase: str) -> list[tuple[str, int]]:
         """Return the names of a file that have a word of a phrase, with the line of each, from 0."""
         return names_like(Document(uri_of(file.path), file.revision, file.text, file.path), phrase)
+
+    def parts_like(self, path: Path, phrase: str) -> list[RobotPart]:
+        """Return the links and the joints of the robots that a phrase names."""
+        analysis = self._analysis(path)
+        return [] if analysis is None or analysis.checked is None else parts_like(analysis.checked, phrase)
 
     def fixes(self, file: OpenFile, finding: EditorFinding) -> list[EditorFix]:
         """Return the fixes that the language server offers for a finding, those of this file alone."""

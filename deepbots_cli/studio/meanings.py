@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inventory import definition
 from deepbots_cli.compiler.namespace import RobotScope
 from deepbots_cli.compiler.values import ScopedExpression
@@ -16,6 +17,7 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.document import descend
 from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.expressions import parser, syntax
+from deepbots_cli.insight.inspection import Row, link_rows
 from deepbots_cli.lsp.lookup import (
     definitions,
     document_symbols,
@@ -25,9 +27,12 @@ from deepbots_cli.lsp.lookup import (
     key_or_value_at,
 )
 from deepbots_cli.lsp.workspace import CursorView, Document, Locator
+from deepbots_cli.robots.model import Joint
+from deepbots_cli.scenario.fields import with_article
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _MAX_USES = 12
+_MAX_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,20 @@ class Meaning:
             parts.append("Used in:")
             parts.append("\n".join(f"- {use}" for use in self.uses))
         return "\n\n".join(parts)
+
+
+@dataclass(frozen=True)
+class RobotPart:
+    """A link or joint of a robot.
+
+    Attributes:
+        text: What it is, and how the scenario changes it, as Markdown.
+        path, value: An example of such a change: the keys to a value, and the value.
+    """
+
+    text: str
+    path: str
+    value: str
 
 
 def meaning(view: CursorView, word: str) -> Meaning:
@@ -93,6 +112,44 @@ def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
 
     read(document_symbols(document))
     return list(names.items())
+
+
+def parts_like(checked: CheckedScenario, phrase: str) -> list[RobotPart]:
+    """Return the links and the joints of the robots that a phrase names."""
+    words = {word.lower() for word in re.findall(r"\w+", phrase)}
+    parts = []
+    for robot in (checked.robots or {}).values():
+        for row in link_rows(robot.model):
+            if str(row["link"]).lower() in words:
+                parts.append(_link_part(robot.name, row))
+        for joint in robot.model.moving_joints:
+            if joint.name.lower() in words:
+                parts.append(_joint_part(robot.name, joint))
+    return parts[:_MAX_PARTS]
+
+
+def _link_part(robot: str, row: Row) -> RobotPart:
+    shapes = row["seen_as"] or row["collides_as"]
+    assert isinstance(shapes, list)
+    sizes = f": {', '.join(shapes)} m" if shapes else ""
+    mass = f", {row['mass_kg']:.4g} kg" if row["mass_kg"] else ""
+    joint = f", on the joint `{row['joint']}`" if row["joint"] else ""
+    text = (
+        f"`{row['link']}` is a link of the robot `{robot}`{sizes}{mass}{joint}. The section `links` of the"
+        " robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the volume;"
+        " `mass`, `friction` and `color` replace those of the robot file."
+    )
+    return RobotPart(text, f"robots.{robot}.links.{row['link']}.scale", "1 1 1.5")
+
+
+def _joint_part(robot: str, joint: Joint) -> RobotPart:
+    unit = "N*s/m" if joint.type == "prismatic" else "N*m*s/rad"
+    text = (
+        f"`{joint.name}` is {with_article(joint.type)} joint of the robot `{robot}`: it joins `{joint.child}`"
+        f" to `{joint.parent}`. The section `joints` of the robot changes it: `damping`, `friction`, `range`,"
+        " `armature`."
+    )
+    return RobotPart(text, f"robots.{robot}.joints.{joint.name}.damping", f"0.01 {unit}")
 
 
 def line_link(line: int) -> str:

@@ -18,7 +18,7 @@ from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.finding_list import FindingList
 from deepbots_cli.studio.inspect_tab import InspectTab
 from deepbots_cli.studio.layout import ICONS, Division, Notices
-from deepbots_cli.studio.meanings import Meaning
+from deepbots_cli.studio.meanings import Meaning, RobotPart
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
 from deepbots_cli.studio.runs_tab import RunsTab
@@ -68,7 +68,7 @@ class StudioPage:
             with self._columns.splitter.after:
                 self._rows = Division("robot", "Height of the robot", 48, horizontal=True)
             with self._rows.splitter.before, _section("robot", "Robot"):
-                self._robot = RobotPane(session, self._guarded)
+                self._robot = RobotPane(session, self._write_values, self._save_file, self._train)
             with self._rows.splitter.after, _section("work", "Training and commands"):
                 self._add_work()
         with ui.element("nav").classes("studio-jump").props('aria-label="Parts of the page"'):
@@ -141,7 +141,7 @@ class StudioPage:
             with ui.tab_panel(train):
                 self._training = TrainingTab(self._session, self._guarded, diagnose)
             with ui.tab_panel(runs):
-                self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_advice)
+                self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_values)
             with ui.tab_panel(command):
                 self._command = CommandTab(self._session)
             with ui.tab_panel(inspect):
@@ -159,6 +159,7 @@ class StudioPage:
         if topic == "text":
             self._editor.refresh()
             self._show_state()
+            self._robot.update_parameters()
             if self._inspect.is_shown:
                 background_tasks.create(self._inspect.update())
         elif topic == "findings":
@@ -309,7 +310,10 @@ class StudioPage:
         elif command == "explain":
             await self._explain_here()
         elif command == "train":
-            self._training.train()
+            self._train()
+
+    def _train(self) -> None:
+        self._training.train()
 
     def _save_file(self) -> None:
         file = self._file
@@ -342,15 +346,18 @@ class StudioPage:
             self._editor.go_to(line - 1)
             self._outline.set_value(None)
 
-    def _write_advice(self, values: dict[str, str]) -> None:
-        """Write values of a diagnosis into the text."""
+    def _write_values(self, values: dict[str, str]) -> None:
+        """Write values of a diagnosis, or of the running world, into the text."""
 
         def write() -> None:
-            self._session.write_values(values)
+            lines = self._session.write_values(values)
             names = ", ".join(
                 f"{name}: {value}" if value else f"{name} removed" for name, value in values.items()
             )
-            self._notices.show(f"{names} in the text; save it, and train again")
+            self._notices.show(f"{names} is in the text now; save it, or press Train, which saves it too")
+            if self._file is not None and self._file.path == self._session.current:
+                self._editor.refresh()
+                self._editor.mark_lines(lines)
 
         self._guarded(write)
 
@@ -375,7 +382,7 @@ class StudioPage:
         self._explain(place.word, meaning)
 
     def _explain(self, word: str = "", own: Meaning | None = None) -> None:
-        """Open the explanation of a word, with the fixes of the findings that have it as their code."""
+        """Open the explanation of a word, with what can be written into the text."""
         file, language = self._file, self._session.language
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -386,11 +393,17 @@ class StudioPage:
                 for fix in language.fixes(file, finding)[:1]:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._list.fix, file, finding, fix.title)
+            for part in parts(code):
+                name = part.path.split(".", 2)[2]
+                yield f"Write {name}: {part.value}", partial(self._write_values, {part.path: part.value})
 
         def names(phrase: str) -> list[tuple[str, int]]:
             return [] if file is None else language.names_like(file, phrase)
 
-        show_explanation(word, OfText(fixes, names, self._editor.go_to), own)
+        def parts(phrase: str) -> list[RobotPart]:
+            return [] if file is None else language.parts_like(file.path, phrase)
+
+        show_explanation(word, OfText(fixes, names, parts, self._editor.go_to), own)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""

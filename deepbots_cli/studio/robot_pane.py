@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from nicegui import ui
 
@@ -49,11 +48,19 @@ _MAX_RUNS = 30
 class RobotPane:
     """The robot in one browser. The page updates it when the session changes."""
 
-    def __init__(self, session: Session, guarded: Callable[[Callable[[], Any]], None]) -> None:
-        """`guarded` calls a function, and shows its error as a message."""
-        self._session, self._guarded = session, guarded
+    def __init__(
+        self,
+        session: Session,
+        write_values: Callable[[dict[str, str]], object],
+        save: Callable[[], object],
+        train: Callable[[], object],
+    ) -> None:
+        """`write_values` writes values into the text, by the path of each; `save` saves it, and `train` saves
+        and trains it."""
+        self._session = session
+        self._write_values, self._save, self._train = write_values, save, train
         self._address = ""
-        self._changed_parameters: dict[str, str] = {}
+        self._shown_parameters: tuple[object, ...] = ()
         self._is_dark = False
         self._waits = True
         self._shows_picture = False
@@ -133,7 +140,7 @@ class RobotPane:
         driver = state.driver if state and state.driver in drivers else None
         if drivers != self._driver.options or driver != self._driver.value:
             self._driver.set_options(drivers, value=driver)
-        self._show_parameters(dict(state.changed) if state else {})
+        self.update_parameters()
         self._show_keys(state)
         if self._shows_picture:
             self._show_picture()
@@ -176,18 +183,32 @@ class RobotPane:
                     ui.label(effect)
             ui.label("Click into the picture, or press F6: then the keys drive.").classes("studio-keys-hint")
 
-    def _show_parameters(self, changed: dict[str, str]) -> None:
-        if changed == self._changed_parameters:
+    def update_parameters(self) -> None:
+        """Show which parameters of the running world differ from the saved text, and whether the text has
+        their values already."""
+        session = self._session
+        state = session.robot.state
+        changed = dict(state.changed) if state is not None else {}
+        file = session.files.get(session.current) if session.current is not None else None
+        values = {f"parameters.{name}": value for name, value in changed.items()}
+        is_written = bool(values) and file is not None and session.language.has_values(file, values)
+        if self._shown_parameters == (changed, is_written):
             return
-        self._changed_parameters = changed
+        self._shown_parameters = (changed, is_written)
         self._parameters.clear()
         self._parameters.set_visibility(bool(changed))
-        if changed:
-            with self._parameters:
-                ui.label(
-                    "Changed in the running world: " + ", ".join(f"{n} = {v}" for n, v in changed.items())
-                )
-                ui.button("Write into the text", on_click=self._write_parameters).props("dense flat no-caps")
+        listed = ", ".join(f"{name} = {value}" for name, value in changed.items())
+        with self._parameters:
+            if is_written:
+                ui.label(f"In the text, not saved yet: {listed}")
+                self._add_parameter_button("Save", self._save)
+                self._add_parameter_button("Save and train", self._train)
+            else:
+                ui.label(f"Changed in the running world: {listed}")
+                self._add_parameter_button("Write into the text", lambda: self._write_values(values))
+
+    def _add_parameter_button(self, label: str, act: Callable[[], object]) -> None:
+        ui.button(label, on_click=lambda: act()).props("dense outline no-caps")
 
     def _show_source(self, reference: str | None) -> None:
         if reference and reference != self._session.robot.reference:
@@ -210,6 +231,3 @@ class RobotPane:
         """Lead the keyboard into the page of the robot, whose keys drive."""
         # A list that is closing takes the focus back first.
         ui.run_javascript(f"setTimeout({_ENTER}, {_CLOSING_MS})")
-
-    def _write_parameters(self) -> None:
-        self._guarded(self._session.write_parameters)

@@ -32,6 +32,8 @@ _DRAFT_INTERVAL_S = 2.0
 _RUNS_INTERVAL_S = 5.0
 _SUFFIXES = (".yaml", ".yml")
 _MAX_FILES = 500
+_ROBOT_TABLES = ("links", "joints")
+"""What the page shows of `deepbots inspect --full` too."""
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
@@ -235,15 +237,12 @@ class Session:
                 parameters.update({(path, name): value for name, value in written_parameters(text).items()})
         return parameters
 
-    def write_parameters(self) -> None:
-        """Write the changed parameters of the running world into the text, as `write_values` does."""
-        if self.robot.state is not None:
-            changed = self.robot.state.changed
-            self.write_values({f"parameters.{name}": value for name, value in changed.items()})
-
-    def write_values(self, values: Mapping[str, str]) -> None:
+    def write_values(self, values: Mapping[str, str]) -> list[int]:
         """Write values into the text of the current scenario, by the path of each, such as `train.gamma`.
         Comments and layout stay.
+
+        Returns:
+            The changed lines, from 0.
 
         Raises:
             UsageError: There is no scenario, or a value has no place in its file.
@@ -252,14 +251,17 @@ class Session:
         if file is None:
             raise UsageError("open a scenario first")
         before = file.text
+        lines = []
         for path, value in values.items():
             edit = self.language.assignment(file, path, value)
             if edit is None:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             file.edit([edit])
+            lines.append(file.text.count("\n", 0, edit.start))
         if file.text == before:
             raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)
+        return lines
 
     # Commands
 
@@ -272,7 +274,7 @@ class Session:
         """
         if self.current is None:
             raise UsageError("open a scenario first")
-        return await asyncio.to_thread(brief_tables, str(self.current), self.permissions)
+        return await asyncio.to_thread(brief_tables, str(self.current), self.permissions, _ROBOT_TABLES)
 
     async def picture(self) -> bytes:
         """Return a picture (PNG) of what the robot is shown of, at the start of an episode; empty if there is

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("nicegui")
-from deepbots_cli.studio.meanings import Meaning
+from deepbots_cli.studio.explain import explanation
+from deepbots_cli.studio.meanings import Meaning, RobotPart
 from tests.studio.test_studio_page import SCENARIO
 from tests.studio.test_studio_session import Running
 
@@ -58,3 +59,24 @@ def test_a_phrase_finds_names_of_the_text(tmp_path):
             return running.session.language.names_like(file, "pole length")
 
     assert ("pole_angle", 9) in asyncio.run(run())
+
+
+def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path):
+    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
+
+    async def run() -> tuple[list[RobotPart], str]:
+        async with Running(tmp_path) as running:
+            file = running.session.open(Path("mine.yaml"))
+            await running.checked(file.path)
+            parts = running.session.language.parts_like(file.path, "make the pole longer")
+            running.session.show(file.path)
+            running.session.write_values({part.path: part.value for part in parts})
+            return parts, file.text
+
+    (part,), text = asyncio.run(run())
+    assert part.text.startswith("`pole` is a link of the robot `cart`: box 0.02 0.02 1 m, 0.2 kg")
+    assert "links: {pole: {scale: 1 1 1.5}}" in text
+
+
+def test_a_phrase_without_an_entry_gets_the_nearest_one():
+    assert "**size and mass of a robot**" in explanation("make the pole longer")

@@ -259,7 +259,7 @@ def test_saving_restarts_the_robot_and_errors_keep_the_last_world(folder):
             await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
             file = session.files[folder / "mine.yaml"]
             assert not file.is_modified
-            session.write_parameters()
+            assert session.write_values({"parameters.fall_angle": "0.3 rad"}) == [3]
             assert "  fall_angle: 0.3 rad  # the largest lean\n" in file.text
             # The text wins once it is saved with another value.
             _writes(session, file.text.replace("0.3 rad", "0.4 rad"))

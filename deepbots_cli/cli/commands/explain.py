@@ -26,7 +26,9 @@ from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.scenario import isaac_lab
 from deepbots_cli.scenario.base import (
     Kinds,
+    MappingOf,
     Section,
+    Shape,
     default_of,
     example_of,
     key_description,
@@ -47,6 +49,29 @@ _MIN_MISSPELLED = 5
 """The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
 away from `tests`."""
 _MIN_BEGINNING = 3
+_FILLERS = frozenset(
+    [
+        "and",
+        "are",
+        "can",
+        "does",
+        "for",
+        "from",
+        "how",
+        "into",
+        "make",
+        "than",
+        "that",
+        "the",
+        "this",
+        "what",
+        "when",
+        "why",
+        "with",
+        "your",
+    ]
+)
+"""Words of a phrase that no entry is about."""
 
 GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
 _MAX_SHOWN = 8
@@ -335,21 +360,22 @@ def unknown_word_message(word: str) -> str:
     tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
     suggestion = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
     hint = f"; did you mean {suggestion}?" if suggestion else "; `deepbots explain` lists all findings"
-    related = _others(word, ())
+    related = _others(word, ()) or related_entries(word)
     if related:
         hint = f"; see {', '.join(_quoted(related))}"
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
 
 
 def related_entries(phrase: str) -> list[str]:
-    """Return the entries that have a word of a phrase in their names, or all of them in their texts, the best
-    first; empty if there is none."""
-    wanted = {word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING}
+    """Return the entries that have a word of a phrase in one of their names, or all of them in their texts,
+    the best first; empty if there is none."""
+    words = {word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING} - _FILLERS
+    aliases = {topic.name: topic.names for topic in topics()}
     scores = {}
     for name, text in _texts().items():
-        in_name = len(wanted & set(_plain(name).split()))
-        in_text = len(wanted & set(re.findall(r"\w+", _plain(text))))
-        if in_name or in_text == len(wanted) > 0:
+        in_name = max(len(words & set(_plain(alias).split())) for alias in (name, *aliases.get(name, ())))
+        in_text = len(words & set(re.findall(r"\w+", _plain(text))))
+        if in_name or in_text == len(words) > 0:
             scores[name] = (in_name, in_text)
     return sorted(scores, key=lambda name: scores[name], reverse=True)[:_MAX_SHOWN]
 
@@ -421,6 +447,18 @@ def _kind_lines(kinds: Kinds, name: str) -> Iterator[str]:
         yield f"Optional keys: {', '.join(optional_keys)}."
 
 
+def _keys_below(shape: Shape) -> str:
+    """Return which keys a mapping has; empty for another value."""
+    match shape:
+        case MappingOf(value=value) if keys := _keys_below(value):
+            return keys.replace("Keys", "Keys of each entry", 1)
+        case Kinds():
+            return f"Keys: {shape.key} ({', '.join(shape.names)}), and the keys of this {shape.key}."
+        case type():
+            return f"Keys: {', '.join(section_fields(shape))}."
+    return ""
+
+
 def _key_lines(part: type[Section], key: str) -> Iterator[str]:
     yield key_description(part, key)
     spec = section_fields(part)[key]
@@ -429,5 +467,7 @@ def _key_lines(part: type[Section], key: str) -> Iterator[str]:
     measured = "" if unit in ("", "1") or unit.startswith("of ") else f", {unit}"
     required = "; required" if part.model_fields[key].is_required() else ""
     yield f"Value: {noun_of(spec)}{measured}{f'; default {default}' if default else ''}{required}."
+    if inner := _keys_below(spec):
+        yield inner
     if example := example_of(part, key):
         yield f"For example: {key}: {example.text}"

@@ -115,8 +115,8 @@ def command(
         )
 
 
-def brief_tables(reference: str, permissions: Permissions) -> inspection.Tables:
-    """Return the tables without `--full`, in the units of the file.
+def brief_tables(reference: str, permissions: Permissions, also: Sequence[str] = ()) -> inspection.Tables:
+    """Return the tables without `--full`, and those that `also` names, in the units of the file.
 
     Raises:
         UsageError: There is no such file or run.
@@ -125,7 +125,7 @@ def brief_tables(reference: str, permissions: Permissions) -> inspection.Tables:
     side = open_source(reference, (), permissions)
     root = _root(side, reference)
     tables = inspection.scenario_tables(side.program, root, side.run, side.learner)
-    brief = {name: rows for name, rows in tables.items() if name in _BRIEF}
+    brief = {name: rows for name, rows in tables.items() if name in _BRIEF or name in also}
     return inspection.in_written_units(brief, side.program, root)
 
 
