@@ -49,28 +49,7 @@ _MIN_MISSPELLED = 5
 """The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
 away from `tests`."""
 _MIN_BEGINNING = 3
-_FILLERS = frozenset(
-    [
-        "and",
-        "are",
-        "can",
-        "does",
-        "for",
-        "from",
-        "how",
-        "into",
-        "make",
-        "than",
-        "that",
-        "the",
-        "this",
-        "what",
-        "when",
-        "why",
-        "with",
-        "your",
-    ]
-)
+_FILLER = re.compile("and|are|can|does|for|from|how|into|make|than|that|the|this|what|when|why|with|your")
 """Words of a phrase that no entry is about."""
 
 GLOSSARY = Path(__file__).parents[1] / "glossary.yaml"
@@ -360,7 +339,9 @@ def unknown_word_message(word: str) -> str:
     tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
     suggestion = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
     hint = f"; did you mean {suggestion}?" if suggestion else "; `deepbots explain` lists all findings"
-    related = _others(word, ()) or related_entries(word)
+    related = _others(word, ())
+    if not related and not suggestion:
+        related = related_entries(word)
     if related:
         hint = f"; see {', '.join(_quoted(related))}"
     return f"there is no finding, key, kind, function, unit or concept '{word}'{hint}"
@@ -369,7 +350,9 @@ def unknown_word_message(word: str) -> str:
 def related_entries(phrase: str) -> list[str]:
     """Return the entries that have a word of a phrase in one of their names, or all of them in their texts,
     the best first; empty if there is none."""
-    words = {word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING} - _FILLERS
+    words = {
+        word for word in _plain(phrase).split() if len(word) >= _MIN_BEGINNING and not _FILLER.fullmatch(word)
+    }
     aliases = {topic.name: topic.names for topic in topics()}
     scores = {}
     for name, text in _texts().items():
