@@ -118,11 +118,23 @@ def _statistics(result: Summary, *, success_defined: bool) -> Row:
         "interquartile mean": number(result.interquartile_mean) if result.episodes > 1 else "",
         "minimum, maximum": f"{number(result.least_return)}, {number(result.greatest_return)}",
         "mean length": f"{result.mean_length:.1f} steps",
-        "ended by": ", ".join(f"{name} {count}" for name, count in result.endings.items()),
+        "ended by": _endings(result),
         "success rate": with_interval(result.success_rate, result.success_interval, percent)
         if success_defined
         else "",
     }
+
+
+def _endings(result: Summary) -> str:
+    return ", ".join(f"{name} {count}" for name, count in result.endings.items())
+
+
+def result_sentence(summary: Summary, *, success_defined: bool) -> str:
+    """Return how many episodes succeeded, their mean return, and how they ended, in one line."""
+    episodes = counted(summary.episodes, "episode")
+    if success_defined:
+        episodes = f"{round(summary.success_rate * summary.episodes):,} of {episodes} succeeded"
+    return f"{episodes}, mean return {number(summary.mean_return)}, ended by {_endings(summary)}"
 
 
 def _statistics_of_agents(summary: Summary, agents: Mapping[str, Scores], *, success_defined: bool) -> Row:

@@ -12,7 +12,7 @@ from typing import Any
 from deepbots_cli.document.files import display_path
 from deepbots_cli.insight.stages import needs_exploration, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, statement
-from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise
+from deepbots_cli.insight.training import MIN_EPISODES, TrainingEvidence, returns_rise, usual_settings
 from deepbots_cli.learning.order import measure_of
 from deepbots_cli.learning.report import longer_goal
 
@@ -22,6 +22,9 @@ training."""
 _CLEARLY_MORE = 0.2
 """A difference of two success rates that is unlikely to be chance: both evaluations have the same 20 starts,
 and the standard deviation of a rate over 20 starts is at most 0.11."""
+
+_FAR = 10
+"""The number of trainings from which a longer training is not the first advice."""
 
 
 @statement(
@@ -153,22 +156,47 @@ def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
     subject = f"stage '{evidence.stage}'" if evidence.stage else "the training"
     if rise is not None and plateau(evidence) is None:
         first, last, gain, chance = rise
+        numbers = {**length, "first": first, "last": last, "gain": gain, "chance": chance}
+        if (too_slow := _too_slow(evidence, last, gain)) is not None:
+            return {**numbers, **too_slow}
         mean = (
             f"the mean return of the last quarter of {subject} is {last:.3g}, {gain:.3g} above that of the"
             " first half"
         )
         return {
-            **length,
+            **numbers,
             "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
             "finding": f"The policy still learns: {mean}",
-            "first": first,
-            "last": last,
-            "gain": gain,
-            "chance": chance,
         }
     if length["share"] >= 0.5 or evidence.is_running or rise is not None:
         return None
     return {**length, "likelihood": 0.5, "finding": "The training is short"}
+
+
+def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str, Any] | None:
+    """Return what to change if the mean return of `solved` is many trainings away; None if it is not. The return
+    is taken to rise on as from the first half of the training to its last quarter."""
+    solved = evidence.program.agent.solved
+    if solved is None or solved.mean_return is None or not evidence.is_last_stage:
+        return None
+    early, late = evidence.episodes_between(0.0, 0.5), evidence.episodes_between(0.75, 1.0)
+    steps = (solved.mean_return - last) * float(late.steps.mean() - early.steps.mean()) / gain
+    if steps <= _FAR * max(evidence.planned, evidence.steps):
+        return None
+    settings, change = {}, "reward progress towards the task in small steps, or let a script teach the policy"
+    rate, usual = evidence.number_setting("learning_rate"), usual_settings(evidence).get("learning_rate")
+    if rate and isinstance(usual, int | float) and rate < usual:
+        settings = {"train.learning_rate": f"{usual:g}"}
+        change = f"raise `train.learning_rate` from {rate:g} to {usual:g}"
+    return {
+        "likelihood": 0.6,
+        "finding": f"The policy learns too slowly: the mean return of the last quarter of the training is {last:.3g},"
+        f" {gain:.3g} above that of the first half. At this rate, {solved.mean_return:g} is about"
+        f" {float(f'{steps:.2g}'):,.0f} steps away",
+        "left": steps,
+        "advice": f"Change something before you train longer: {change}.",
+        "settings": {} if evidence.is_running else settings,
+    }
 
 
 def training_length(evidence: TrainingEvidence, planned: int = 0) -> dict[str, Any]:

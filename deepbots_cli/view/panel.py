@@ -225,9 +225,9 @@ class Panel:
         state = f"{world.title}: {state}" if world.title else state
         color = "#0072B2"
         if frame.ended_by:
-            unsuccessful = "#E69F00" if frame.truncated else "#D55E00"
+            unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is no failure
             color = "#009E73" if frame.is_success or frame.succeeded else unsuccessful
-        total = "" if player.reader.layout.of_robot else f", return {agent.episode_return:.2f}"
+        total = "" if player.reader.layout.of_robot else f", return so far {agent.episode_return:.4g}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"
         note = f"<br>{html.escape(player.note)}" if player.note else ""
         return panel_html.notice(state, f"{numbers}{note}{self._score()}", color)

@@ -74,7 +74,7 @@ class Playback:
         speed: Seconds of the episode per second of real time.
         stopped: The title and the text (HTML) of an error that ended the episode.
         ended_at: The time (`time.monotonic`, s) at which the episode ended; 0 before.
-        played, successes, best_return: The results of the page so far.
+        played, successes, best_return, last_return: The results of the page so far, with the present driver.
     """
 
     def __init__(
@@ -107,6 +107,7 @@ class Playback:
         self.played = 0
         self.successes = 0
         self.best_return = -math.inf
+        self.last_return: float | None = None
         self._on_begin = on_begin
         self._on_change = on_change
         self._recorded = 0
@@ -158,6 +159,8 @@ class Playback:
     def set_driver(self, name: str) -> None:
         assert self.player is not None
         self.driver = name
+        self.played = self.successes = 0
+        self.best_return, self.last_return = -math.inf, None
         self.player.set_driver(name)
         self.begin()
 
@@ -263,7 +266,8 @@ class Playback:
             frame = self.worlds[0].player.frame
             self.ended_at = time.monotonic()
             self.played, self.successes = self.played + 1, self.successes + frame.is_success
-            self.best_return = max(self.best_return, next(iter(frame.agents.values())).episode_return)
+            self.last_return = next(iter(frame.agents.values())).episode_return
+            self.best_return = max(self.best_return, self.last_return)
             self._on_change()
         if self.driven is not None:
             self.driven.step()

@@ -105,6 +105,9 @@ def test_a_scenario_without_scripts_says_so(deepbots):
 
 def test_few_episodes_are_shown_one_by_one_and_summed_up(deepbots, scripted):
     result = deepbots("try", scripted, "--driver", "onward", "--episodes", "20")
+    assert result.out.startswith(
+        "13 of 20 episodes succeeded, mean return 316.00, ended by far 13, fallen 7\n\n"
+    )
     assert "summary of 20 episodes" in result.out
     assert "\n       19 " in result.out
     assert "more" not in result.out

@@ -71,6 +71,13 @@ def test_what_changed_since_a_solved_run_is_named_with_its_places(solved, tmp_pa
     assert f"(runs/missed/inputs/{places[1]})" in cause["text"]
 
 
+def test_a_single_change_is_not_called_one_of_several(solved, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run = _trained(tmp_path, "missed", TEXT.replace("near:  4 cm", "near:  0.1 mm"))
+    (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
+    assert cause["advice"].startswith("Set it back and train again")
+
+
 def test_the_nearest_of_the_solved_runs_is_compared(solved, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _trained(tmp_path, "newer", EASY.replace("  time: ", "  other: 0.002\n  time: "))

@@ -57,6 +57,17 @@ def test_logs_alone_name_some_causes(short):
     )
 
 
+def test_a_rise_that_is_far_from_its_goal_is_not_advised_to_go_on(short):
+    noise = np.random.default_rng(0).normal(0, 0.1, 200)
+    (cause,) = diagnose(with_logs(short, 30 + np.arange(200) / 400 + noise))
+    assert cause.cause == "too_few_steps"
+    assert cause.text.startswith("The policy learns too slowly: ")
+    assert "At this rate, 195 is about 2,100,000 steps away" in cause.text
+    assert cause.advice.startswith("Change something before you train longer: ")
+    assert "resume" not in cause.command
+    assert "train.total_timesteps" not in cause.settings
+
+
 @pytest.fixture(scope="session")
 def aiming(tmp_path_factory) -> Path:
     """A training of all its timesteps in a task with a success; not to be changed."""

@@ -95,7 +95,7 @@ def command(
         judged = _compiled(scenario, permissions)
     with terminal.transient_line("loading the policies ..."):
         compare = learning.compare
-    with processes.executor(workers, address) as executor, terminal.progress(always=False) as show:
+    with processes.executor(workers, address) as executor, terminal.progress("runs", always=False) as show:
         comparison = compare(
             runs,
             episodes=episodes,

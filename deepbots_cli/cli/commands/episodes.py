@@ -227,6 +227,7 @@ def _show(
     summary = Summary.of_episodes(outcomes, possible_returns(program))
     data = {"scenario": program.name, **data, "episodes": list(map(_row, outcomes))}
     agents = agent_scores(program.members, outcomes)
+    first = "" if agents else f"{records.result_sentence(summary, success_defined=program.defines_success)}\n"
     totals = "\n" + records.summary_text(summary, success_defined=program.defines_success, agents=agents)
     data["summary"] = {"success_defined": program.defines_success, **vars(summary)}
     if agents:
@@ -234,7 +235,11 @@ def _show(
     if program.others is not None:
         terminal.note(f"{program.others.agent} acts against {program.others.text}")
     terminal.show(
-        data, *_lines(program, outcomes), *([totals] if len(outcomes) > 1 else []), *more, as_json=as_json
+        data,
+        *filter(None, (first, *_lines(program, outcomes))),
+        *([totals] if len(outcomes) > 1 else []),
+        *more,
+        as_json=as_json,
     )
 
 
