@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from deepbots_cli.studio.trainings import Curves, Point
@@ -29,31 +29,67 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
         ]
     terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
+    options = _chart([*lines, *_goals([curves], dark=dark), *terms], [curves], has_successes, dark)
+    if stages:
+        text = {"color": options["legend"]["textStyle"]["color"]}
+        lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True, "label": text}
+    options["legend"]["selected"] = {line["name"]: False for line in terms}
+    return options
+
+
+def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
+    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
+    lines = []
+    for color, (name, each) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
+        for line in (
+            _line(f"{name} in training", each.returns, 0),
+            _line(f"{name} evaluated", each.evaluations, 0, marks=True),
+            _line(f"{name} success", _percent(each.successes), 1, dashed=True),
+        ):
+            lines.append({**line, "itemStyle": {"color": color}})
+    has_successes = any(each.successes for each in curves.values())
+    lines += _goals(curves.values(), dark=dark)
+    return _chart(lines, curves.values(), has_successes, dark)
+
+
+def _chart(
+    lines: list[dict[str, Any]], curves: Collection[Curves], has_successes: bool, dark: bool
+) -> dict[str, Any]:
+    """Return a chart with axes for these curves. Lines without points are left out."""
+    lines = [line for line in lines if line["data"]]
     text = {"color": "#cccccc" if dark else "#444444"}
-    returns = [*_returns(curves), (0.0, curves.solved_return)]
-    marks = [*stages, *_goals(curves)]
-    if marks:
-        lines[0]["markLine"] = {"data": marks, "symbol": "none", "silent": True, "label": text}
     axis = {
         "nameLocation": "middle",
         "axisLabel": {**text, "hideOverlap": True},
         "nameTextStyle": text,
         "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
     }
+    returns = [point for each in curves for point in (*each.returns, *each.evaluations)]
     return {
         "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
-        "grid": {"left": 66, "right": 66, "top": 40, "bottom": 36},
-        "tooltip": {"trigger": "axis"},
+        "grid": {"left": 66, "right": 66 if has_successes else 34, "top": 40, "bottom": 36},
+        "tooltip": {
+            "trigger": "axis",
+            "backgroundColor": "#2a2f39" if dark else "#ffffff",
+            "borderColor": _GRID_COLOR,
+            "textStyle": {"color": "#eeeeee" if dark else "#333333", "fontSize": 12},
+        },
         "legend": {
             "type": "scroll",
             "top": 4,
             "textStyle": text,
             "inactiveColor": "#666666" if dark else "#bbbbbb",
-            "data": [line["name"] for line in (*lines, *terms) if line["data"]],
-            "selected": {line["name"]: False for line in terms},
+            "data": [line["name"] for line in lines],
         },
-        "xAxis": {"type": "value", "name": "timesteps", "nameGap": 22, **axis},
+        "xAxis": {
+            "type": "value",
+            "name": "timesteps",
+            "nameGap": 22,
+            "axisPointer": {"label": {"precision": 0}},
+            "max": max((each.last_step for each in curves), default=0.0) or None,
+            **axis,
+        },
         "yAxis": [
             {"type": "value", "name": "return", "nameGap": 46, **_range(returns), **axis},
             {
@@ -67,7 +103,7 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
                 "show": has_successes,
             },
         ],
-        "series": [line for line in [*lines, *terms, *_goal_points(curves)] if line["data"]],
+        "series": lines,
     }
 
 
@@ -82,43 +118,19 @@ def _range(points: Iterable[Point]) -> dict[str, Any]:
     return {"scale": has_negative, "boundaryGap": [_MARGIN if has_negative else 0, _MARGIN]}
 
 
-def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
-    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
-    has_successes = any(each.successes for each in curves.values())
-    options = training_chart(Curves(), has_successes=has_successes, dark=dark)
-    options["yAxis"][0].update(_range(point for each in curves.values() for point in _returns(each)))
-    series = []
-    for number, (name, each) in enumerate(curves.items()):
-        for line in (
-            _line(name, each.returns, 0),
-            _line(f"{name}, evaluated", each.evaluations, 0, marks=True),
-            _line(f"{name}, success", _percent(each.successes), 1, dashed=True),
-        ):
-            series.append({**line, "itemStyle": {"color": options["color"][number]}})
-    series = [line for line in series if line["data"]]
-    options["legend"]["data"] = [line["name"] for line in series]
-    return {**options, "series": series}
-
-
-def _goals(curves: Curves) -> list[dict[str, Any]]:
-    """Return a horizontal line at the mean return with which the task is solved, if there is one."""
-    if curves.solved_return is None:
-        return []
-    label = {"formatter": f"solved: {curves.solved_return:g}", "position": "insideStartTop"}
-    return [{"yAxis": curves.solved_return, "label": label}]
-
-
-def _goal_points(curves: Curves) -> list[dict[str, Any]]:
-    """Return an invisible point at that return, because a line of marks does not extend an axis."""
-    steps = [at for at, _ in _returns(curves)]
-    if curves.solved_return is None or not steps:
-        return []
-    line = _line("", [(max(steps), curves.solved_return)], 0)
-    return [{**line, "silent": True, "tooltip": {"show": False}}]
-
-
-def _returns(curves: Curves) -> list[Point]:
-    return [*curves.returns, *curves.evaluations]
+def _goals(curves: Iterable[Curves], *, dark: bool) -> list[dict[str, Any]]:
+    """Return a horizontal line at each mean return with which a task is solved. It is a line of its own,
+    because a line of marks neither extends an axis nor has an entry in the legend."""
+    ends = {each.solved_return: each.last_step for each in sorted(curves, key=lambda each: each.last_step)}
+    return [
+        {
+            **_line(f"solved: {goal:g}", [(0.0, goal), (end, goal)], 0, dashed=True),
+            "itemStyle": {"color": "#b8b8b8" if dark else "#5c5c5c"},
+            "silent": True,
+        }
+        for goal, end in ends.items()
+        if goal is not None and end
+    ]
 
 
 def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: bool = False) -> dict[str, Any]:
@@ -128,8 +140,9 @@ def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: boo
         "yAxisIndex": axis,
         "data": [list(point) for point in points],
         "showSymbol": marks,
-        "symbolSize": 6,
-        "lineStyle": {"type": "dashed" if dashed else "solid", "width": 1 if marks else 2},
+        "symbol": "circle",
+        "symbolSize": 7,
+        "lineStyle": {"type": "dashed" if dashed else "solid", "width": 1.2 if marks else 2},
     }
 
 

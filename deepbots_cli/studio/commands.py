@@ -12,7 +12,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio.tasks import Task, Tasks
-from deepbots_cli.studio.trainings import WatchedTraining
+from deepbots_cli.studio.trainings import WatchedTraining, result_text
 
 RUNS_FOLDER = "runs"
 STUDIO_FOLDER = ".studio"
@@ -26,10 +26,26 @@ _READING_VERBS = (*_TRAINING_VERBS, "try", "test", "eval", "report", "render", "
 
 _RESULTS = {
     "test": re.compile(r"^\d+ passed.*|^\d+ failed.*", re.MULTILINE),
-    "try": re.compile(r"mean return .*"),
-    "eval": re.compile(r"mean return .*"),
+    "try": re.compile(r"^[\d,]+ (?:of [\d,]+ )?episodes?(?: succeeded)?, .*", re.MULTILINE),
+    "eval": re.compile(r"^ +(?:mean return|success rate) .*|^(?:not )?solved.*", re.MULTILINE),
+    "compare": re.compile(
+        r"^.*(?: is (?:better|worse) than | no significant difference |: the same .* in every |"
+        r": cannot be compared).*",
+        re.MULTILINE,
+    ),
+    "diagnose": re.compile(r"^Episode .*", re.MULTILINE),
+    "lint": re.compile(r"^.*: no findings$|^\d+ (?:error|warning).*", re.MULTILINE),
 }
-"""The line of the output of a command with its result."""
+"""The lines of the output of a command with its result."""
+
+
+def result_of(task: Task) -> str:
+    """Return the result of a command that has ended, in a sentence; empty if there is none."""
+    pattern = _RESULTS.get(task.record.words[0])
+    if task.exit_code == 0 and task.record.output:
+        return f"{task.record.output} is written"
+    lines = pattern.findall(task.output()) if pattern is not None and not task.is_running else []
+    return "; ".join(" ".join(line.split()) for line in dict.fromkeys(lines))
 
 
 class Commands:
@@ -145,17 +161,13 @@ class Commands:
         name = f"{task.record.title} of {run}" if run else task.record.title
         if code == _INTERRUPTED:
             return f"{name} was stopped"
-        result = _RESULTS.get(task.record.words[0])
-        if result is not None and (lines := result.findall(task.output())):
-            return f"{name}: {' '.join(lines[-1].split())}"
+        if result := result_of(task):
+            return f"{name}: {result}"
         if code:
             return f"{name} has failed; the tab Commands shows why"
-        solved = (
-            read_listed(self._folder / run).solved
-            if run and task.record.words[0] in _TRAINING_VERBS
-            else None
-        )
-        return f"{name} has ended" + {True: ": solved", False: ": not solved", None: ""}[solved]
+        if run and task.record.words[0] in _TRAINING_VERBS:
+            return f"{run}: {result_text(read_listed(self._folder / run))}"
+        return f"{name} has ended; the tab Commands shows its output"
 
     def adopt_running(self) -> None:
         """Show the newest training, also one that an earlier server has started, and what still runs."""

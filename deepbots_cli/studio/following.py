@@ -23,6 +23,14 @@ class Following:
         self._run: Path | None = None
         self._waits = False
 
+    @property
+    def is_offered(self) -> bool:
+        """Whether a training runs whose policy the robot does not show."""
+        training, task = self._commands.training, self._commands.training_task
+        if training is None or training.listed is None or task is None or not task.is_running:
+            return False
+        return self._robot.reference != str(training.path)
+
     def begin(self, run: Path) -> None:
         """Follow a training that has been started, if the robot is to; it is shown once its run exists."""
         state = self._robot.state

@@ -30,6 +30,10 @@ _POLICY = (
 )
 _HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: %s; }
 .mantine-Notification-root[style*="orange"] { display: none !important; }
+:root { --mantine-color-dimmed: %s !important; } .mantine-Button-label { color: %s; }
+@media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
+.mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }
+.mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
 html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
   display: grid; place-items: center; font: 15px sans-serif; color: #808080; }</style><script>
 addEventListener("keydown", (event) => {
@@ -51,9 +55,13 @@ const look = setInterval(() => {
   if (!waits) clearInterval(look);
 }, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
-viser that the browser draws by software, which covers the robot; the keys that lead out of it, and those of
-the editor; a word in place of the controls until they are connected."""
-_GROUND = {False: ("light", "#ffffff"), True: ("dark", "#1b1e24")}
+viser that the browser draws by software, which covers the robot; labels of enough contrast, and a place of its
+own for the scroll bar; the keys that lead out of it, and those of the editor; a word in place of the controls
+until they are connected."""
+_GROUND = {
+    False: ("light", "#ffffff", "#56606d", "#1a6bb0"),
+    True: ("dark", "#1b1e24", "#a9b2c0", "#7db8ec"),
+}
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20
 

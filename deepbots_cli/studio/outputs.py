@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from nicegui import ui
 
+from deepbots_cli.studio.commands import result_of
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.tasks import Task
@@ -21,18 +24,24 @@ def text_with_code(text: str) -> ui.element:
 class TaskOutput:
     """The output of a command, with a link to the file that it has written."""
 
-    def __init__(self) -> None:
-        self._link = ui.link("open the result", "", new_tab=True)
+    def __init__(self, sentence: ui.label | None = None) -> None:
+        """`sentence` is the place for the result; with it, the output is behind `Details`."""
+        self._sentence = sentence
+        self._link = ui.link("", "", new_tab=True).classes("studio-link")
         self._link.set_visibility(False)
-        self._output = (
-            ui.element("pre").classes("studio-output").props('tabindex="0" role="region" aria-label="Output"')
-        )
+        self._details = ui.element("details" if sentence else "div").classes("studio-details").props("open")
+        with self._details:
+            if sentence:
+                with ui.element("summary"):
+                    ui.label("Details")
+            self._output = ui.element("pre").classes("studio-output")
+            self._output.props('tabindex="0" role="region" aria-label="Output"')
         with self._output:
             self._text = ui.label("")
         self._shown: tuple[object, ...] = ()
 
     def set_visibility(self, shown: bool) -> None:
-        self._output.set_visibility(shown)
+        self._details.set_visibility(shown)
 
     def show(self, task: Task) -> None:
         """Show the present output of a command."""
@@ -49,14 +58,22 @@ class TaskOutput:
             f"const output = getHtmlElement({self._output.id});"
             " if (output) output.scrollTop = output.scrollHeight"
         )
+        self._link.set_text(f"Open {Path(task.record.output).name}")
         self._link.set_visibility(code == 0 and bool(task.record.output))
         self._link.props(f'href="studio/output/{task.path.name}"')
+        if self._sentence is not None:
+            sentence = result_of(task)
+            self._sentence.set_text(sentence or ("running ..." if code is None else ""))
+            if sentence:
+                self._details.props(remove="open")
 
 
 class Result:
     """A place for what a button has brought, such as the output of a command, until the person closes it."""
 
-    def __init__(self) -> None:
+    def __init__(self, close: str = "Close") -> None:
+        """`close` is the text of the button that closes the place."""
+        self._close_text = close
         self._task: Task | None = None
         self._output: TaskOutput | None = None
         self._box = ui.element("div").classes("studio-result")
@@ -70,16 +87,17 @@ class Result:
         self._box.set_visibility(True)
         with self._box, ui.element("div").classes("studio-bar studio-result-head"):
             ui.label(title).classes("studio-heading").props('role="status"')
-            ui.button("Close", on_click=self.close).props("dense flat no-caps")
+            ui.button(self._close_text, on_click=self.close).props("dense flat no-caps")
         self._box.client.run_javascript(f"getHtmlElement({self._box.id})?.scrollIntoView({{block: 'start'}})")
         with self._box:
             self._body = ui.element("div").classes("studio-result-body")
         return self._body
 
-    def watch(self, task: Task, title: str = "") -> None:
-        """Show the output of a command while it runs; with a title, below what is here."""
-        with self._body if title else self.fill(task.command):
-            self._output = TaskOutput()
+    def watch(self, task: Task, place: ui.element | None = None, sentence: ui.label | None = None) -> None:
+        """Show the output of a command while it runs, in place of what is here or in an element of it. Its
+        result comes first, or is shown in `sentence`."""
+        with place or self.fill(task.command):
+            self._output = TaskOutput(sentence or ui.label("").classes("studio-sentence"))
         self._task = task
         self.update()
 

@@ -113,7 +113,8 @@ class StudioPage:
                 'dense flat no-caps title="the word at the cursor (F1)"'
             )
             self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
-                'dense outlined display-value="Go to" aria-label="Go to a section"'
+                'dense outlined options-dense display-value="Go to" aria-label="Go to a section"'
+                ' popup-content-style="max-height: 80vh"'
             )
             self._outline.classes("studio-outline")
             self._status = ui.label("").classes("studio-status studio-state").props('role="status"')
@@ -133,15 +134,11 @@ class StudioPage:
             train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
             inspect = ui.tab("Inspect")
 
-        async def diagnose(run: Path) -> None:
-            tabs.set_value("Runs")
-            await self._runs.diagnose(run)
-
         with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
-            with ui.tab_panel(train):
-                self._training = TrainingTab(self._session, self._guarded, diagnose)
             with ui.tab_panel(runs):
-                self._runs = RunsTab(self._session, self._guarded, tabs.set_value, self._write_values)
+                self._runs = RunsTab(self._session, tabs.set_value, self._write_values)
+            with ui.tab_panel(train):
+                self._training = TrainingTab(self._session, self._guarded, self._runs)
             with ui.tab_panel(command):
                 self._command = CommandTab(self._session)
             with ui.tab_panel(inspect):
@@ -170,6 +167,7 @@ class StudioPage:
             self._robot.update()
         elif topic == "training":
             self._training.update()
+            self._robot.show_offer()
         elif topic == "runs":
             self._runs.update()
             self._robot.update_sources()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,6 +42,17 @@ _ROBOT_TEXTS = {
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
 }
+_DRIVERS = {
+    "random": "random actions, as in the first steps of a training",
+    "zero": "the middle of each range and the first option of each choice",
+    "policy": "the policy that the training has learned",
+    "you": "the keys or a gamepad; the best return stays in view",
+}
+_DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>
+  <q-item-label>{{{{ props.opt.label }}}}</q-item-label>
+  <q-item-label caption>{{{{ ({json.dumps(_DRIVERS)})[props.opt.label] ??
+    "a script of the scenario: rules written by hand" }}}}</q-item-label></q-item-section></q-item>"""
+"""The entry of a driver in the list, with a sentence about it."""
 _MAX_RUNS = 30
 """The number of runs, the newest ones, whose policies can be chosen."""
 
@@ -73,19 +85,25 @@ class RobotPane:
             self._driver = ui.select([], on_change=lambda event: self._set_driver(event.value)).props(
                 'dense outlined prefix="Driver" aria-label="Driver"'
             )
+            self._driver.add_slot("option", _DRIVER_OPTION)
             ui.button("Restart", icon=ICONS["restart"], on_click=self._restart).props("dense flat no-caps")
             enter = ui.button("Keys to the robot").props(
                 'dense flat no-caps title="F6; Escape leads back" aria-label="Keyboard into the page of the robot"'
             )
             enter.classes("studio-enter").on("click", js_handler=_ENTER)
+            self._follow = ui.button(
+                "Follow the training", on_click=lambda: session.following.turn(True, session.current)
+            )
+            self._follow.props('dense outline no-caps title="show the newest policy of the training"')
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
-        self._parameters = ui.element("div").classes("studio-bar")
-        self._parameters.set_visibility(False)
         with ui.element("div").classes("studio-scene"):
             self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"')
             self._frame.classes("studio-frame")
-            self._keys = ui.element("div").classes("studio-keys")
-            self._keys.set_visibility(False)
+            with ui.element("div").classes("studio-over-scene"):
+                self._parameters = ui.element("div").classes("studio-parameters")
+                self._keys = ui.element("div").classes("studio-keys")
+            for card in (self._parameters, self._keys):
+                card.set_visibility(False)
         self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
         self._picture.classes("studio-picture").set_visibility(False)
 
@@ -126,6 +144,7 @@ class RobotPane:
         """Show the state of the robot."""
         self.update_sources()
         robot = self._session.robot
+        self.show_offer()
         state = robot.state
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
         if not robot.reference:
@@ -151,6 +170,10 @@ class RobotPane:
             source = f"{ROBOT_PATH}?process={abs(hash(robot.address)) % 10**8}{dark}" if robot.address else ""
             self._frame.props(f'src="{source}"')
 
+    def show_offer(self) -> None:
+        """Offer to follow a training that runs."""
+        self._follow.set_visibility(self._session.following.is_offered)
+
     def _show_picture(self) -> None:
         """Show a picture in place of the live page, for a browser that cannot draw it."""
         robot = self._session.robot
@@ -165,7 +188,8 @@ class RobotPane:
     def _show_keys(self, state: RobotState | None) -> None:
         """Show over the scene which keys drive, while a person does."""
         keys = state.keys if state is not None and state.driver == HAND else ()
-        shown = (keys, state is not None and state.waiting)
+        results = (state.last, state.best, state.goal) if state is not None else ()
+        shown = (keys, state is not None and state.waiting, results)
         if shown == self._shown_keys:
             return
         self._shown_keys = shown
@@ -181,7 +205,10 @@ class RobotPane:
                         with ui.element("kbd"):
                             ui.label(_KEY_SIGNS.get(name, name))
                     ui.label(effect)
-            ui.label("Click into the picture, or press F6: then the keys drive.").classes("studio-keys-hint")
+            ui.label("Click the picture, or press F6, to drive.").classes("studio-keys-hint")
+            numbers = zip(("last return", "best", "solved with"), results, strict=False)
+            texts = (f"{name} {value:.4g}" for name, value in numbers if value is not None)
+            ui.label(", ".join(texts)).classes("studio-keys-results")
 
     def update_parameters(self) -> None:
         """Show which parameters of the running world differ from the saved text, and whether the text has

@@ -65,6 +65,8 @@ class RobotState(BaseModel, strict=True, frozen=True):
         note: What the driver says about itself, such as the steps of a policy in training.
         keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
         waiting: Whether the episode waits for the first key of the person.
+        last, best: The returns of the last and of the best episode of the present driver, None before one.
+        goal: The mean return with which the task is solved, None without one.
     """
 
     address: str = ""
@@ -78,6 +80,9 @@ class RobotState(BaseModel, strict=True, frozen=True):
     note: str = ""
     keys: tuple[tuple[tuple[str, ...], str], ...] = ()
     waiting: bool = False
+    last: float | None = None
+    best: float | None = None
+    goal: float | None = None
 
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[str]) -> None:
@@ -146,21 +151,24 @@ def _obey(page: Page, command: Command) -> None:
 
 
 def _state(page: Page, loaded: int) -> RobotState:
-    player = page.player
+    player, playback = page.player, page.playback
     if player is None:
         return RobotState(address=page.address, state="errors", loaded=loaded)
     return RobotState(
         address=page.address,
         state="outdated" if page.outdated else "running",
-        text=page.playback.stopped[0] if page.playback.stopped else "",
+        text=playback.stopped[0] if playback.stopped else "",
         loaded=loaded,
         driver=player.driver_name,
         drivers=tuple(player.opened.drivers),
         parameters=dict(player.opened.parameters),
         changed=dict(page.changed_parameters),
         note=player.driver.note,
-        keys=tuple(page.playback.manual_input.effects()) if player.driver_name == HAND else (),
-        waiting=page.playback.waiting,
+        keys=tuple(playback.manual_input.effects()) if player.driver_name == HAND else (),
+        waiting=playback.waiting,
+        last=playback.last_return,
+        best=playback.best_return if playback.last_return is not None else None,
+        goal=solved.mean_return if (solved := player.program.agent.solved) is not None else None,
     )
 
 

@@ -6,25 +6,39 @@ import asyncio
 import json
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
 
 from deepbots_cli.errors import DeepbotsError, UsageError
+from deepbots_cli.learning.changes import changed_values
+from deepbots_cli.learning.listing import ListedRun, read_listed
+from deepbots_cli.learning.run import Run
 from deepbots_cli.studio.charts import comparison_chart
 from deepbots_cli.studio.commands import RUNS_FOLDER
 from deepbots_cli.studio.outputs import Result, text_with_code
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.training_tab import return_text
-from deepbots_cli.studio.trainings import Curves, read_curves
+from deepbots_cli.studio.tasks import Task
+from deepbots_cli.studio.trainings import Curves, read_curves, result_text, solved_return
 
-Guarded = Callable[[Callable[[], Any]], None]
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
 """A command in the text of an advice."""
-_ADVISED_COMMANDS = ("resume", "eval", "lint", "try", "diagnose", "diff")
-"""The commands of a diagnosis that the page runs."""
+_ADVISED_COMMANDS = {
+    "resume": "Resume this training up to {} timesteps",
+    "eval": "Evaluate the policy",
+    "lint": "Check the scenario",
+    "try": "Try a few episodes with other actions",
+    "diagnose": "Explain a failed episode",
+    "diff": "Show all differences",
+}
+"""The commands of a diagnosis that the page runs, and the texts of their buttons; the last word of the command
+replaces the braces."""
+_RANKS = ((0.9, "Certain cause"), (0.5, "Likely cause"), (0.0, "Possible cause"))
+"""The lowest likelihood of each rank, which orders the causes of a diagnosis."""
 _NO_CAUSE = {
     True: "the task is solved, and no cause of a failure was found",
     False: "no known cause was found; let a script of the scenario drive the robot: if it fails, too, the task may"
@@ -39,6 +53,8 @@ _AGE = """at => {
   return seconds < 129600 ? `${Math.round(seconds / 3600)} h ago` : `${Math.round(seconds / 86400)} days ago`;
 }"""
 """A function of the browser for the time since a run began, from its time in s since 1970."""
+_SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
+  {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _AGE_INTERVAL_S = 30.0
 _OPTIONAL = ("success", "solved")
 """The columns that are left out while no run has a value."""
@@ -50,19 +66,20 @@ class RunsTab:
     def __init__(
         self,
         session: Session,
-        guarded: Guarded,
         show_tab: Callable[[str], object],
         write_advice: Callable[[dict[str, str]], None],
     ) -> None:
-        self._session, self._guarded = session, guarded
+        self._session = session
         self._show_tab, self._write_advice = show_tab, write_advice
         self._is_dark = False
+        self._compared: tuple[ui.echart, dict[str, Curves]] | None = None
+        self._names: set[str] = set()
         columns = [
             {"name": name, "label": label, "field": name, "align": align, "sortable": True}
             for name, label, align in (
                 ("name", "run", "left"),
                 ("state", "state", "left"),
-                ("return", "return", "right"),
+                ("return", "mean return", "right"),
                 ("success", "success", "right"),
                 ("solved", "solved", "left"),
                 ("steps", "steps", "right"),
@@ -79,28 +96,30 @@ class RunsTab:
         self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
             for label, act in (
-                ("Curve", self._curve),
-                ("Robot", self._robot),
+                ("Curve", self._show_curve),
+                ("Watch", self.watch),
+                (
+                    "Evaluate",
+                    lambda run: self._show_output(run, session.commands.run(["eval", str(run)], "eval", run)),
+                ),
+                ("Diagnose", self.diagnose),
+                ("Report", lambda run: self._make_file(run, "report", "report.html")),
+                ("Video", self.make_video),
+                ("Compare", self.compare),
                 ("Resume", self._resume),
-                ("Evaluate", lambda: self._command("eval")),
-                ("Diagnose", self._diagnose),
-                ("Report", self._report),
-                ("Video", self._video),
-                ("Compare", self._compare),
             ):
-                self._buttons[label] = ui.button(label, on_click=act)
+                self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act))
                 self._buttons[label].props("dense outline no-caps")
             self._timesteps = ui.input(placeholder="timesteps").props(
-                'dense outlined prefix="Resume up to" aria-label="Resume up to"'
+                'dense outlined prefix="up to" aria-label="Resume up to"'
             )
-            self._timesteps.classes("studio-number")
-        self._scroll = ui.element("div").classes("studio-scroll")
-        with self._scroll:
+            self._timesteps.classes("studio-number studio-resume")
+        with ui.element("div").classes("studio-scroll"):
             self._add_table(columns)
         self._show_buttons()
 
     def _add_table(self, columns: list[dict[str, Any]]) -> None:
-        self._result = Result()
+        self._result = Result("Back to the runs")
         self._table = ui.table(columns=columns, rows=[], row_key="name", selection="multiple", pagination=0)
         self._table.props("dense flat wrap-cells hide-pagination hide-selected-banner")
         self._table.props('no-data-label="No runs yet: press Train in the tab Train"')
@@ -108,11 +127,18 @@ class RunsTab:
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
+        self._table.add_slot("body-cell-solved", _SOLVED)
         self._table.on("rowClick", self._select, [["ctrlKey", "metaKey", "shiftKey"], ["name"], None])
         self._table.on_select(lambda _: self._show_buttons())
 
     def set_dark(self, dark: bool) -> None:
+        """Draw the curves of a comparison in other colors."""
         self._is_dark = dark
+        if self._compared is not None:
+            chart, curves = self._compared
+            chart.options.clear()
+            chart.options.update(comparison_chart(curves, dark=dark))
+            chart.update()
 
     def update_output(self) -> None:
         """Show the output of the command that was started here."""
@@ -124,33 +150,33 @@ class RunsTab:
             {
                 "name": run.path.name,
                 "when": change.started if (change := changes.get(run.path)) else None,
-                "change": change.text if change else "",
+                "change": _unbroken(change.text) if change else "",
                 "state": run.problem or run.state,
                 "steps": f"{run.steps:,}" if run.steps is not None else "",
-                "return": return_text(run),
+                "return": _return_text(run),
                 "success": f"{run.success_rate:.0%}" if run.success_rate is not None else "",
                 "solved": {True: "yes", False: "no", None: ""}[run.solved],
             }
             for run in reversed(self._session.runs)
         ]
-        columns = [
-            column for column in self._columns if column["name"] not in _OPTIONAL or _has_value(rows, column)
-        ]
+        has_value = {name: any(row[name] for row in rows) for name in _OPTIONAL}
+        columns = [column for column in self._columns if has_value.get(str(column["name"]), True)]
         if columns != self._table.columns:
             self._table.columns = columns
         if rows != self._table.rows:
             self._table.update_rows(rows, clear_selection=False)
 
-    def _selected(self, number: int = 1) -> list[Path]:
-        """Return the selected runs, relative to the folder.
+    async def _act_on_selected(self, act: Callable[..., Awaitable[None] | None]) -> None:
+        await self.act(act, *(Path(RUNS_FOLDER, row["name"]) for row in self._table.selected))
 
-        Raises:
-            UsageError: It is another number of them.
-        """
-        names = [row["name"] for row in self._table.selected]
-        if len(names) != number:
-            raise UsageError(f"select {'one run' if number == 1 else f'{number} runs'} in the table first")
-        return [Path(RUNS_FOLDER, name) for name in names]
+    async def act(self, act: Callable[..., Awaitable[None] | None], *runs: Path) -> None:
+        """Call a function of this tab with runs, relative to the folder, and show its error as a message."""
+        try:
+            result = act(*runs)
+            if result is not None:
+                await result
+        except UsageError as error:
+            self._session.say(str(error))
 
     def _select(self, event: events.GenericEventArguments) -> None:
         """Select the row that was clicked, and no other one unless a key for several is pressed."""
@@ -166,87 +192,77 @@ class RunsTab:
 
     def _show_buttons(self) -> None:
         """Enable what can be done with the selected runs."""
-        number = len(self._table.selected)
+        names = {row["name"] for row in self._table.selected}
+        if names and names != self._names:  # what is shown is of other runs
+            self._result.close()
+        number = len(names)
         for label, button in self._buttons.items():
             button.set_enabled(number == (2 if label == "Compare" else 1))
 
-    def _resume(self) -> None:
+    # What can be done with runs. Each of these raises UsageError if the folder cannot be written.
+
+    def _resume(self, run: Path) -> None:
         text = str(self._timesteps.value or "").strip()
+        options = ["--timesteps", text] if text else []
+        self._session.commands.run(["resume", str(run), *options], "resume", run)
+        self._show_tab("Train")
 
-        def run() -> None:
-            (path,) = self._selected()
-            self._session.commands.run(
-                ["resume", str(path), *(["--timesteps", text] if text else [])], "resume", path
-            )
-            self._show_tab("Train")
+    def _show_curve(self, run: Path) -> None:
+        self._session.commands.watch(run)
+        self._show_tab("Train")
 
-        self._guarded(run)
+    def watch(self, run: Path) -> None:
+        """Show the robot of a run, which its policy drives."""
+        self._session.robot.show(self._session.folder / run)
 
-    def _command(self, verb: str) -> None:
-        def run() -> None:
-            (path,) = self._selected()
-            self._result.watch(self._session.commands.run([verb, str(path)], verb, path))
+    def make_video(self, run: Path) -> None:
+        """Write a video of a run, and show how far it is."""
+        self._show_tab("Runs")
+        self._make_file(run, "render", "video.mp4")
 
-        self._guarded(run)
+    def _make_file(self, run: Path, verb: str, name: str) -> None:
+        self._show_output(run, self._session.commands.run_with_output([verb, str(run)], verb, run, name))
 
-    def _curve(self) -> None:
-        def show() -> None:
-            (path,) = self._selected()
-            self._session.commands.watch(path)
-            self._show_tab("Train")
+    def _show_output(self, run: Path, task: Task) -> None:
+        """Show the output of a command about a run."""
+        self._result.watch(task, self._fill(task.command, run))
 
-        self._guarded(show)
+    def _fill(self, title: str, *runs: Path) -> ui.element:
+        """Open the place for a result about runs."""
+        self._names, self._compared = {run.name for run in runs}, None
+        return self._result.fill(title)
 
-    def _robot(self) -> None:
-        self._guarded(lambda: self._session.robot.show(self._session.folder / self._selected()[0]))
-
-    def _report(self) -> None:
-        def run() -> None:
-            (path,) = self._selected()
-            self._result.watch(
-                self._session.commands.run_with_output(["report", str(path)], "report", path, "report.html")
-            )
-
-        self._guarded(run)
-
-    def _video(self) -> None:
-        def run() -> None:
-            (path,) = self._selected()
-            self._result.watch(
-                self._session.commands.run_with_output(["render", str(path)], "render", path, "video.mp4")
-            )
-
-        self._guarded(run)
-
-    async def _compare(self) -> None:
-        """Draw the curves of two runs over each other, above the output of the command."""
-        try:
-            paths = self._selected(2)
-            task = self._session.commands.run(["compare", *map(str, paths)], "compare")
-        except UsageError as error:
-            self._session.say(str(error))
-            return
-        folder = self._session.folder
-        curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in paths}
-        with self._result.fill(task.command):
-            ui.echart(comparison_chart(curves, dark=self._is_dark)).classes("studio-chart studio-compared")
-        self._result.watch(task, "below the curves")
-
-    async def _diagnose(self) -> None:
-        try:
-            (path,) = self._selected()
-        except UsageError as error:
-            self._session.say(str(error))
-            return
-        await self.diagnose(path)
+    async def compare(self, *paths: Path) -> None:
+        """Show which of two runs is better, in a sentence, what differs, and their curves over each other."""
+        self._show_tab("Runs")
+        folder, changes = self._session.folder, self._session.run_changes
+        # The earlier run is the first one.
+        begun = {path: change.started for path in paths if (change := changes.get(folder / path))}
+        one, other = sorted(paths, key=lambda path: begun.get(path, 0.0))
+        task = self._session.commands.run(["compare", str(one), str(other)], "compare")
+        runs = await asyncio.to_thread(lambda: [read_listed(folder / path) for path in (one, other)])
+        curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in (one, other)}
+        differences = await asyncio.to_thread(_differences, folder / one, folder / other)
+        with self._fill(f"Comparison of {one.name} and {other.name}", one, other) as place:
+            with ui.element("div").classes("studio-advice"):
+                results = "; ".join(f"{run.path.name} is {result_text(run)}" for run in runs)
+                ui.label(f"{results}.").classes("studio-cause")
+                ui.label(f"{other.name} differs from {one.name} in {_unbroken(differences)}.")
+                with ui.element("div"):
+                    ui.label("On the same starts: ").classes("studio-inline")
+                    sentence = ui.label("").classes("studio-inline")
+            chart = ui.echart(comparison_chart(curves, dark=self._is_dark))
+            self._compared = chart.classes("studio-chart studio-compared"), curves
+        self._result.watch(task, place, sentence)
 
     async def diagnose(self, path: Path) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
-        place = self._result.fill(f"looking at {path.name} ...")
+        self._show_tab("Runs")
+        place = self._fill(f"Looking at {path.name} ...", path)
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
         if not self._result.shows(place):  # it was closed, or shows something newer
             return
-        with self._result.fill(f"Diagnosis of {path.name}").classes("studio-advice"):
+        with self._fill(f"Diagnosis of {path.name}", path).classes("studio-advice"):
             try:
                 (report, *_) = json.loads(text)["runs"] if not code else [None]
             except (ValueError, KeyError, TypeError):
@@ -254,56 +270,82 @@ class RunsTab:
             if report is None:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
-            if not report.get("causes"):
+            causes = report.get("causes") or ()
+            if not causes:
                 ui.label(_NO_CAUSE[bool(report["solved"])])
-            # What has changed is a fact, and shorter than the causes.
-            for cause in sorted(report.get("causes") or (), key=lambda cause: not _changes(cause)):
-                self._add_cause(path, cause)
+            shown: set[str] = set()
+            for number, cause in enumerate(causes, 1):
+                with ui.element("div").classes("studio-cause-card"):
+                    self._add_cause(path, cause, number, shown)
 
-    def _add_cause(self, path: Path, cause: dict[str, Any]) -> None:
-        """Show a cause of a run, with buttons for what is advised."""
-        text_with_code(str(cause.get("text") or cause.get("statement") or "")).classes("studio-cause")
+    def _add_cause(self, path: Path, cause: dict[str, Any], number: int, shown: set[str]) -> None:
+        """Show a cause of a run, with buttons for what is advised; `shown` are the commands that have a
+        button already."""
+        with ui.element("div").classes("studio-cause-head"):
+            ui.label(str(number)).classes("studio-number-badge")
+            ui.label(_rank(cause))
+        text_with_code(_unbroken(cause.get("text") or cause.get("statement"))).classes("studio-cause")
         advice = str(cause.get("advice") or "").replace(" RUN", f" {shlex.quote(str(path))}")
         if advice:
             text_with_code(advice)
-        with ui.element("div").classes("studio-bar"):
-            for text in dict.fromkeys([str(cause.get("command") or ""), *_COMMAND.findall(advice)]):
-                self._add_advised_command(shlex.split(text)[1:])
-            self._add_advised_values(cause.get("settings") or {})
+        bar, output = ui.element("div").classes("studio-bar"), ui.element("div")
+        with bar:
+            commands = [str(cause.get("command") or ""), *_COMMAND.findall(advice)]
+            for text in (text for text in dict.fromkeys(commands) if text not in shown):
+                shown.add(text)
+                self._add_advised_command(shlex.split(text)[1:], output)
+            if not any(text.startswith("deepbots resume") for text in commands):
+                self._add_advised_values(cause.get("settings") or {}, "Write {} into the text")
             for change in _changes(cause):
                 if change["is_written"]:
-                    before = change["before"]
-                    verb = "Set back" if before else "Remove"
-                    self._add_advised_values({change["path"]: before}, verb)
+                    path_of_value, before = change["path"], change["before"]
+                    words = f"Set {path_of_value} back to {before}" if before else f"Remove {path_of_value}"
+                    self._add_advised_values({path_of_value: before}, words)
 
-    def _add_advised_command(self, command: list[str]) -> None:
+    def _add_advised_command(self, command: list[str], output: ui.element) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
-            ui.button(
-                f"Run deepbots {shlex.join(command)}", on_click=lambda: self._run_advised(command)
-            ).props("dense outline no-caps")
+            last = command[-1]
+            button = ui.button(
+                _ADVISED_COMMANDS[command[0]].format(last),
+                on_click=lambda: self.act(lambda: self._run_advised(command, output)),
+            )
+            button.props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
 
-    def _add_advised_values(self, settings: dict[str, Any], verb: str = "Write") -> None:
+    def _add_advised_values(self, settings: dict[str, Any], words: str) -> None:
+        """Add a button that writes values into the text; in its `words`, braces are their place."""
         values = {str(name): str(value) for name, value in settings.items()}
         session = self._session
         file = session.files.get(session.current) if session.current is not None else None
         if values and not (file is not None and session.language.has_values(file, values)):
-            shown = ", ".join(f"{name}: {value}" if value else name for name, value in values.items())
-            ui.button(f"{verb} {shown}", on_click=lambda: self._write_advice(values)).props(
-                "dense outline no-caps"
-            )
+            text = words.replace("{}", ", ".join(f"{name}: {value}" for name, value in values.items()))
+            ui.button(text, on_click=lambda: self._write_advice(values)).props("dense outline no-caps")
 
-    def _run_advised(self, command: list[str]) -> None:
-        """Run the command that a diagnosis advises."""
+    def _run_advised(self, command: list[str], output: ui.element) -> None:
+        """Run the command that a diagnosis advises, and show its output in an element."""
+        path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
+        task = self._session.commands.run(command, command[0], path)
+        if path is not None:
+            self._show_tab("Train")
+        else:
+            output.clear()
+            self._result.watch(task, output)
 
-        def run() -> None:
-            path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
-            task = self._session.commands.run(command, command[0], path)
-            if path is not None:
-                self._show_tab("Train")
-            else:
-                self._result.watch(task)
 
-        self._guarded(run)
+def _return_text(run: ListedRun) -> str:
+    """Return the mean return of a run, and whether it is that of the training, in which the policy
+    explores; empty without one."""
+    if run.mean_return is None:
+        return ""
+    explores = " in training" if run.score == "training" and run.state != "training" else ""
+    return f"{run.mean_return:.4g}{explores}"
+
+
+def _rank(cause: dict[str, Any]) -> str:
+    """Return how likely a cause is, in words."""
+    if _changes(cause):
+        return "What has changed"
+    likelihood = float((cause.get("evidence") or {}).get("likelihood") or 0.0)
+    return next(words for least, words in _RANKS if likelihood >= least)
 
 
 def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
@@ -311,12 +353,23 @@ def _changes(cause: dict[str, Any]) -> list[dict[str, Any]]:
     return (cause.get("evidence") or {}).get("changes") or []
 
 
-def _has_value(rows: list[dict[str, Any]], column: dict[str, Any]) -> bool:
-    return any(row[column["name"]] for row in rows)
+def _unbroken(text: object) -> str:
+    """Return a text in which the two values of a change stay in one line."""
+    return re.sub(
+        r"(?<=\de-)(?=\d)|(?<=--)(?=\w)", "\u2060", str(text or "").replace(" -> ", "\u00a0→\u00a0")
+    )
+
+
+def _differences(one: Path, other: Path) -> str:
+    try:
+        values = changed_values(Run.open(one), Run.open(other))
+    except (DeepbotsError, OSError):
+        return "more than one scenario: the runs cannot be compared value by value"
+    return "; ".join(map(str, values)) or "nothing"
 
 
 def _curves_or_none(run: Path) -> Curves:
     try:
-        return read_curves(run)
+        return replace(read_curves(run), solved_return=solved_return(run))
     except DeepbotsError:
         return Curves()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.charts import training_chart
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.outputs import Result
+from deepbots_cli.studio.runs_tab import RunsTab
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.trainings import Curves
+from deepbots_cli.studio.trainings import Curves, result_text, score_text
 
 Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
@@ -27,18 +29,18 @@ _FIRST_STEPS = (
     ("Train", "The robot learns, and its learning curve appears here."),
     ("Look", "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn."),
 )
+_WHY = "Why is it not solved?"
 _EXPLORING = (
-    "Lines: the training, in which random actions lower the return. Dots: evaluations without random actions."
+    "In training, random actions lower the return: the line is the mean of the last 100 episodes. Evaluations are"
+    " without random actions: dots during the training, and the result above after it."
 )
 
 
 class TrainingTab:
-    """Buttons for the scenario, and the curve of a training; `diagnose` shows why a run is not solved."""
+    """Buttons for the scenario, and the curve of a training, with what comes next after it."""
 
-    def __init__(
-        self, session: Session, guarded: Guarded, diagnose: Callable[[Path], Awaitable[None]]
-    ) -> None:
-        self._session, self._guarded, self._show_diagnosis = session, guarded, diagnose
+    def __init__(self, session: Session, guarded: Guarded, runs: RunsTab) -> None:
+        self._session, self._guarded, self._runs = session, guarded, runs
         with ui.element("div").classes("studio-bar"):
             for verb, words, icon, tip in (
                 ("Try", ["try"], "play", "run a few episodes with random actions"),
@@ -60,10 +62,17 @@ class TrainingTab:
                 on_change=lambda event: session.following.turn(bool(event.value), session.current),
             ).props('dense title="show the newest policy of the training in the robot"')
         with ui.element("div").classes("studio-bar studio-line"):
+            self._solved = ui.icon(ICONS["check"]).classes("studio-solved")
             self._text = ui.label("").classes("studio-status").props('role="status"')
-            self._why = ui.button("Why is it not solved?", on_click=self._diagnose_training)
-            self._why.props("dense outline no-caps")
-            self._why.set_visibility(False)
+            self._next: dict[str, ui.button] = {}
+            for label, act in (
+                (_WHY, runs.diagnose),
+                ("Watch", runs.watch),
+                ("Video", runs.make_video),
+                ("Compare", lambda run: runs.compare(run, self._others[-1])),
+            ):
+                self._next[label] = ui.button(label, on_click=partial(self._act, act))
+                self._next[label].props("dense outline no-caps")
             self._command = ui.label("").classes("studio-command")
         self._is_dark = False
         self._drawn: object = None
@@ -120,11 +129,15 @@ class TrainingTab:
         self._command.set_text("" if task is None else task.command)
         is_running = task is not None and task.is_running
         run = None if training is None else training.listed
-        is_unsolved = run is not None and run.solved is False and not is_running
-        self._why.set_visibility(is_unsolved)
-        self._text.classes(
-            add="studio-unsolved" if is_unsolved else None, remove=None if is_unsolved else "studio-unsolved"
-        )
+        solved = None if run is None or is_running else run.solved
+        self._solved.set_visibility(solved is True)
+        shown = {True: {"Watch", "Video"}, False: {_WHY}, None: set()}[solved]
+        if solved and self._others:
+            shown.add("Compare")
+        for label, button in self._next.items():
+            button.set_visibility(label in shown)
+        kind = {True: "studio-solved", False: "studio-unsolved", None: ""}[solved]
+        self._text.classes(replace=f"studio-status {kind}")
         if training is None:
             self._text.set_text("")
             return
@@ -153,10 +166,20 @@ class TrainingTab:
             )
             self._chart.update()
 
-    async def _diagnose_training(self) -> None:
+    @property
+    def _others(self) -> list[Path]:
+        """The other runs of the scenario of the training, relative to the folder, the newest at the end."""
+        training, folder = self._session.commands.training, self._session.folder
+        if training is None or training.listed is None:
+            return []
+        scenario, runs = training.listed.scenario, self._session.runs
+        others = [run.path for run in runs if run.scenario == scenario and run.path != training.path]
+        return [path.relative_to(folder) for path in others]
+
+    async def _act(self, act: Callable[..., Awaitable[None] | None]) -> None:
         training = self._session.commands.training
         if training is not None:
-            await self._show_diagnosis(training.path)
+            await self._runs.act(act, training.path.relative_to(self._session.folder))
 
     def set_dark(self, dark: bool) -> None:
         self._is_dark = dark
@@ -174,27 +197,11 @@ class TrainingTab:
             task.stop()
 
 
-def return_text(run: ListedRun) -> str:
-    """Return the mean return of a run, and whether it is that of the training, in which the policy
-    explores; empty without one."""
-    if run.mean_return is None:
-        return ""
-    explores = " exploring" if run.score == "training" and run.state != "training" else ""
-    return f"{run.mean_return:.4g}{explores}"
-
-
 def status(run: ListedRun, seconds_left: float | None) -> str:
     """Return the state and the results of a run in one line."""
-    parts: list[str] = [run.state]
-    if run.steps is not None:
-        suffix = f" of {run.total_timesteps:,}" if run.total_timesteps and run.state == "training" else ""
-        parts.append(f"{run.steps:,}{suffix} steps")
-    if run.mean_return is not None:
-        parts.append(f"return {return_text(run)}")
-    if run.success_rate is not None:
-        parts.append(f"success {run.success_rate:.0%}")
-    if run.solved is not None:
-        parts.append("solved" if run.solved else "not solved")
+    if run.state != "training":
+        return result_text(run)
+    parts = [f"training, {run.steps or 0:,} of {run.total_timesteps or 0:,} steps", score_text(run)]
     if seconds_left is not None:
         parts.append(f"at most {duration(seconds_left)} to go")
-    return ", ".join(parts)
+    return ", ".join(filter(None, parts))

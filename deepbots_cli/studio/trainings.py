@@ -7,6 +7,7 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ class Curves:
         terms: Mean sums of each reward term over an episode.
         stages: The stages of the curriculum, with the timesteps at their beginning.
         solved_return: The mean return with which the task is solved, None if there is none.
+        planned: The timesteps of the whole training while it runs, otherwise 0.
     """
 
     returns: tuple[Point, ...] = ()
@@ -50,6 +52,12 @@ class Curves:
     terms: dict[str, tuple[Point, ...]] = field(default_factory=dict)
     stages: tuple[tuple[str, float], ...] = ()
     solved_return: float | None = None
+    planned: float = 0.0
+
+    @property
+    def last_step(self) -> float:
+        """The timesteps at the end of the axis."""
+        return max([self.planned, *(at for at, _ in (*self.returns, *self.evaluations))])
 
 
 def read_curves(run: Path) -> Curves:
@@ -65,6 +73,31 @@ def read_curves(run: Path) -> Curves:
             raise
         return Curves()
     return _curves(log)
+
+
+def result_text(run: ListedRun) -> str:
+    """Return whether a run is solved, after how many steps, and with which mean return."""
+    verdict = {True: "solved", False: "not solved", None: run.state}[run.solved]
+    steps = run.solved_after if run.solved and run.solved_after else run.steps
+    return ", ".join(filter(None, (verdict + (f" after {steps:,} steps" if steps else ""), score_text(run))))
+
+
+def score_text(run: ListedRun) -> str:
+    """Return the mean return and the success rate of a run, and of which episodes they are; empty without."""
+    if run.mean_return is None:
+        return ""
+    success = "" if run.success_rate is None else f" and success {run.success_rate:.0%}"
+    return f"mean return {run.mean_return:.4g}{success} in {run.score}"
+
+
+def solved_return(run: Path) -> float | None:
+    """Return the mean return with which the task of a run is solved, None if there is none; the scenario is
+    compiled."""
+    with suppress(DeepbotsError):
+        agents = list(Run.open(run).program.agents.values())
+        solved = agents[0].solved if len(agents) == 1 else None
+        return solved.mean_return if solved is not None else None
+    return None
 
 
 def _curves(log: TrainingLog) -> Curves:
@@ -106,8 +139,6 @@ class WatchedTraining:
         self._steps: deque[tuple[float, int]] = deque()
         self._due, self._took = 0.0, 0.0
         self._ended = False
-        self._solved_return: float | None = None
-        self._is_compiled = False
 
     def is_due(self, *, is_running: bool) -> bool:
         """Return whether it is time to read the files again; `is_running` if a command works on the run,
@@ -141,7 +172,8 @@ class WatchedTraining:
             return
         listed = read_listed(self.path)
         try:
-            curves = replace(read_curves(self.path), solved_return=self._goal())
+            planned = float(listed.total_timesteps or 0) if listed.state == "training" else 0.0
+            curves = replace(read_curves(self.path), solved_return=self._goal, planned=planned)
             self.curves, self.problem = curves, listed.problem or ""
         except RunError as error:
             self.problem = str(error)
@@ -155,15 +187,9 @@ class WatchedTraining:
         usual, self._took = min(took, self._took), took
         self._due = time.monotonic() + max(_MIN_INTERVAL_S, _COST_FACTOR * usual)
 
+    @cached_property
     def _goal(self) -> float | None:
-        """Return the mean return with which the task is solved; the scenario is compiled once."""
-        if not self._is_compiled:
-            self._is_compiled = True
-            with suppress(DeepbotsError):
-                agents = list(Run.open(self.path).program.agents.values())
-                solved = agents[0].solved if len(agents) == 1 else None
-                self._solved_return = solved.mean_return if solved is not None else None
-        return self._solved_return
+        return solved_return(self.path)
 
     def watch_again(self) -> None:
         """Read the files again soon, because a command works on the run."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from deepbots_cli.studio.charts import training_chart
+from deepbots_cli.studio.charts import comparison_chart, training_chart
 from deepbots_cli.studio.trainings import Curves
 
 
@@ -29,7 +30,20 @@ def test_the_axis_reaches_up_to_the_goal():
     options = training_chart(curves, has_successes=False, dark=False)
     heights = [value for line in options["series"] for _, value in line["data"]]
     assert max(heights) == 50.0
-    assert options["legend"]["data"] == ["return in training"]
+    assert options["legend"]["data"] == ["return in training", "solved: 50"]
+
+
+def test_the_axis_of_a_running_training_reaches_to_its_last_step():
+    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), planned=1000.0)
+    assert training_chart(curves, has_successes=False, dark=False)["xAxis"]["max"] == 1000.0
+    ended = replace(curves, planned=0.0)
+    assert training_chart(ended, has_successes=False, dark=False)["xAxis"]["max"] == 100.0
+
+
+def test_a_comparison_has_the_goal_of_both_runs_once():
+    curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
+    options = comparison_chart({"a": curves, "b": curves}, dark=True)
+    assert options["legend"]["data"] == ["a in training", "b in training", "solved: 50"]
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])

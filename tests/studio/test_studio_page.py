@@ -177,9 +177,14 @@ def test_a_finding_is_corrected_by_a_click_and_explained_with_links(studio: Serv
 def test_the_result_of_a_command_is_shown_where_it_was_started(studio: Served, new_tab):
     page = StudioTab(new_tab(), studio.address)
     page.click("Try")
-    page.wait("document.querySelector('.studio-result')?.innerText.includes('summary of 3 episodes')", 60)
+    sentence = "document.querySelector('.studio-sentence')?.innerText"
+    page.wait(f"/^3 episodes, mean return .*, ended by /.test({sentence})", 60)
+    # The output is behind the sentence.
+    assert not page.tab.run("document.querySelector('.studio-details').open")
+    page.tab.run("document.querySelector('.studio-details summary').click()")
+    page.wait("document.querySelector('.studio-result').innerText.includes('summary of 3 episodes')")
     assert page.tab.run("document.querySelector('[role=tab][aria-selected=true]').innerText") == "Train"
-    page.wait("document.body.innerText.includes('try: mean return')")
+    page.wait("document.body.innerText.includes('try: 3 episodes, mean return')")
     page.click("Close")
     page.wait("!document.querySelector('.studio-result')?.offsetParent")
 
@@ -201,7 +206,7 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         )
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address)
-        cause = "document.querySelector('.studio-cause')?.innerText.includes('Changed since runs/mine-1')"
+        cause = "document.querySelector('.studio-result')?.innerText.includes('Changed since runs/mine-1')"
         page.open_tab("Runs")
         select = "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == '{}').click()"
         page.wait("document.querySelector('table')?.innerText.includes('mine-2')")
@@ -210,15 +215,35 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         page.wait("document.querySelector('.studio-unsolved')?.innerText.includes('not solved')")
         page.click("Why is it not solved?")
         page.wait(cause, 90)
-        page.click("Set back truncation.max_steps: 100")
+        page.click("Set truncation.max_steps back to 100")
         page.click("Remove robots.cart.links.pole")
         page.wait("document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')")
         page.wait("!document.querySelector('.cm-content').innerText.includes('scale')")
-        page.tab.run("document.querySelectorAll('tbody .q-checkbox')[1].click()")
+        # The diagnosis is of the other run.
+        page.tab.run(select.format("mine-1"))
+        page.wait("!document.querySelector('.studio-result').offsetParent")
+        page.tab.run("document.querySelectorAll('tbody .q-checkbox')[0].click()")
         page.click("Compare")
+        result = "document.querySelector('.studio-result').innerText"
+        page.wait(f"/mine-1 is solved after .*; mine-2 is not solved after .*/.test({result})")
+        assert page.tab.run(f"/mine-2 differs from mine-1 in .*100.→.30/.test({result})")
         page.wait("document.querySelector('.studio-compared canvas, .studio-compared svg') != null")
-        page.wait("document.querySelector('.studio-result').innerText.includes('difference')", 120)
+        page.wait(f"/On the same starts: mine-2: cannot be compared/.test({result})", 120)
+        picture = "document.querySelector('.studio-compared canvas').toDataURL()"
+        page.tab.run(f"window.light = {picture}; 1")
+        page.click("Dark")
+        page.wait(f"{picture} != window.light")
+        page.click("Back to the runs")
+        page.tab.run(select.format("mine-1"))
+        page.click("Curve")
+        page.wait(
+            "document.querySelector('.studio-status.studio-solved')?.innerText.includes('solved after')"
+        )
         assert not page.tab.errors
+        page.click("Watch")
+        page.wait(
+            "document.querySelector('[aria-label=\"Robot of\"]').closest('.q-field').innerText.includes('mine-1')"
+        )
 
 
 def test_an_empty_folder_says_how_to_get_a_scenario(tmp_path, new_tab):

@@ -216,8 +216,11 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             _writes(session, SCENARIO.replace("15 deg", "20 deg"))
             await running.runs()
             assert robot.reference == str(folder / "mine.yaml")
+            # The page offers to follow the training again, while it runs.
+            assert session.following.is_offered
             training.stop()
             await running.until(lambda: not training.is_running, 120)
+            assert not session.following.is_offered
 
             # From a robot that shows a policy, the next training is followed without being asked.
             session.following.turn(False, session.current)
