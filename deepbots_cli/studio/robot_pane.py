@@ -206,7 +206,7 @@ class RobotPane:
                             ui.label(_KEY_SIGNS.get(name, name))
                     ui.label(effect)
             ui.label("Click the picture, or press F6, to drive.").classes("studio-keys-hint")
-            numbers = zip(("last return", "best", "solved with"), results, strict=False)
+            numbers = zip(("last return", "best", "goal"), results, strict=False)
             texts = (f"{name} {value:.4g}" for name, value in numbers if value is not None)
             ui.label(", ".join(texts)).classes("studio-keys-results")
 

@@ -304,7 +304,7 @@ class RunsTab:
 
     def _add_advised_command(self, command: list[str], output: ui.element) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
-            last = command[-1]
+            last = command[-1].replace("_", ",")
             button = ui.button(
                 _ADVISED_COMMANDS[command[0]].format(last),
                 on_click=lambda: self.act(lambda: self._run_advised(command, output)),
