@@ -9,7 +9,7 @@ types.py        types (with the time from which a value is known), symbols and s
 syntax.py       tokens and the syntax tree
 parser.py       text to syntax tree, with hints for common mistakes
 code.py         pieces of Python, and how strongly they bind
-functions.py    the table of functions and operators; intervals of scalar trees; functions of other packages
+functions/      the table of functions and operators; intervals of scalar trees; functions of other packages
 unification.py  agreement of values with each other and with their field
 check.py        syntax tree to typed tree
 scalar.py       scalar trees: one tree per SI number, as in the compiled scenario

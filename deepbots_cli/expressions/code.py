@@ -67,6 +67,11 @@ def template(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
 
 
+def names_in(text: str) -> list[str]:
+    """Return the names in the Python of a function, each as often as it occurs."""
+    return [node.id for node in ast.walk(template(text)) if isinstance(node, ast.Name)]
+
+
 def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
     """Return the Python code of a function, with the code of its arguments in place of their names.
 
