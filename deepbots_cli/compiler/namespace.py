@@ -7,9 +7,7 @@ it is itself being typed closes a cycle, which is a finding.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path as FilePath
@@ -32,12 +30,10 @@ from deepbots_cli.expressions.types import (
 from deepbots_cli.program.resets import ObjectGroup
 from deepbots_cli.scenario.scenario import Scenario
 
-MAX_CHAIN = 100
-"""The maximum number of definitions each of which is typed on the first use by the one before."""
+MAX_CHAIN = 40
+"""The maximum number of definitions each of which is typed on the first use by the one before. Each takes 15
+of the 1000 frames of Python, and more where the name is within nested operations."""
 _MAX_NAMES_IN_CYCLE = 12
-_FRAMES_OF_EXPRESSION = 600
-"""More than the frames of typing an expression: the parser takes eight for each of `parser.MAX_NESTING`
-levels, a pass over the tree three for each of `parser.MAX_DEPTH`."""
 
 
 class Origin(Enum):
@@ -145,11 +141,21 @@ class Namespace:
 
     def _type(self, definition: Definition) -> None:
         assert definition.make_symbol is not None
-        if len(self._being_resolved) >= MAX_CHAIN:
-            self._report_too_deep(definition)
-            return
+        is_first = not self._being_resolved
         self._being_resolved.append(definition)
-        symbol = _call_with_room(definition.make_symbol)
+        if len(self._being_resolved) > MAX_CHAIN:
+            self._report_too_deep()
+            self._being_resolved.pop()
+            return
+        try:
+            symbol = definition.make_symbol()
+        except RecursionError:
+            # Names within 60 nested operations take 140 frames each, so 7 such definitions end here.
+            if not is_first:
+                raise
+            self._report_too_deep()
+            self._being_resolved.clear()
+            return
         self._being_resolved.pop()
         definition.symbol = definition.symbol or symbol
         self.order.append(definition.name)
@@ -171,16 +177,17 @@ class Namespace:
         )
         definition.symbol = Symbol(definition.name, None)
 
-    def _report_too_deep(self, last: Definition) -> None:
-        """Report a chain that is too deep. Its names get no type, so that it is reported once."""
+    def _report_too_deep(self) -> None:
+        """Report a chain that is too long. Its names get no type, so that it is reported once."""
         first = self._being_resolved[0]
         self.values.add_at_key(
             "DB005",
             first.path,
-            f"`{first.name}` depends on a chain of more than {MAX_CHAIN} definitions",
-            "replace some names in the chain by their expressions",
+            f"`{first.name}` depends on too long a chain of definitions",
+            f"a chain has at most {MAX_CHAIN} definitions, fewer with deeply nested operations: replace some"
+            " names by their expressions",
         )
-        for entry in (*self._being_resolved, last):
+        for entry in self._being_resolved:
             entry.symbol = entry.symbol or Symbol(entry.name, None)
 
     def is_sent(self, name: str) -> bool:
@@ -247,21 +254,6 @@ class Namespace:
             or self.values.is_invalid(ANY_NAME)
             or (head in self.robots and self.robots[head] is None)
         )
-
-
-def _call_with_room(make_symbol: Callable[[], Symbol]) -> Symbol:
-    """Call a function that types an expression; in a thread, which has a stack of its own, where this one is
-    nearly full.
-
-    Otherwise the longest chain that compiles would depend on the stack of the caller, as of a test runner.
-    """
-    depth, frame = 0, sys._getframe()
-    while frame.f_back is not None:
-        depth, frame = depth + 1, frame.f_back
-    if depth + _FRAMES_OF_EXPRESSION < sys.getrecursionlimit():
-        return make_symbol()
-    with ThreadPoolExecutor(1) as executor:
-        return executor.submit(make_symbol).result()
 
 
 class NamespaceReader:

@@ -70,21 +70,27 @@ def test_long_chains_of_definitions_end_in_a_value_or_a_finding(workshop, cartpo
     assert time.perf_counter() - began < 10
 
 
-@pytest.mark.parametrize("frames", [0, 700])
+def _chain(count: int, definition: str) -> tuple[tuple[str, str], ...]:
+    """Return the changes that add a chain of parameters, `definition` with the name of the next one."""
+    chain = "".join(f"  p{n}: {definition.replace('NEXT', f'p{n + 1}')}\n" for n in range(count - 1))
+    return (
+        ("parameters:\n", f"parameters:\n{chain}  p{count - 1}: 1 mm\n"),
+        ("-0.4 .. 0.4 m", "-0.4 m .. p0 + 0.4 m"),
+    )
+
+
 @pytest.mark.parametrize(("count", "codes"), [(MAX_CHAIN, []), (MAX_CHAIN + 1, ["DB005"])])
-def test_the_longest_chain_does_not_depend_on_the_stack_of_the_caller(
-    workshop, cartpole, count: int, codes: list[str], frames: int
+def test_the_length_of_a_chain_of_definitions_is_limited(
+    workshop, cartpole, count: int, codes: list[str]
 ) -> None:
-    chain = "".join(f"  p{n}: p{n + 1} + 1 mm\n" for n in range(count - 1)) + f"  p{count - 1}: 1 mm\n"
-    text = cartpole(("parameters:\n", f"parameters:\n{chain}"), ("-0.4 .. 0.4 m", "-0.4 m .. p0 + 0.4 m"))
+    assert workshop.codes(cartpole(*_chain(count, "NEXT + 1 mm"))) == codes
 
-    def codes_below(frames: int) -> list[str]:
-        if frames:
-            return codes_below(frames - 1)
-        checked = api.load(workshop.write(text))
-        return [finding.code for finding in checked.findings]
 
-    assert codes_below(frames) == codes
+def test_a_chain_of_nested_operations_is_a_finding_and_not_an_error(workshop, cartpole) -> None:
+    nested = f"{'(1 mm - ' * 60}NEXT{')' * 60}"
+    findings = workshop.lint(cartpole(*_chain(20, nested)))
+    assert {finding.code for finding in findings} == {"DB005"}
+    assert findings[0].headline == "`p0` depends on too long a chain of definitions"
 
 
 # What one misspelled or broken piece takes away is not reported again where it is used.
