@@ -1,12 +1,15 @@
 """The command `deepbots`.
 
 command.py        the commands as one program; arguments that several commands share
-commands/         the commands, a module per topic, imported when one of its commands is called
+commands/         the commands, a module each, imported when it is called
 sources.py        scenarios, runs and robots as arguments
 processes.py      the processes of `--workers` and `--cluster`
 exits.py          exceptions to exit codes
 terminal.py       output, color, progress
 tables.py         tables as text
+rewriting.py      changes of the user's files, shown or written
+episodes.py       the episodes of `try`, and their tables
+pages.py          the pages of `view` and `play`
 gates.py          the requirements of `eval`, `robustness` and `transfer` on their result
 records.py        results of trainings and evaluations as text, JSON and CSV
 matches.py        policies and scripts of two agents against each other

@@ -18,7 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import deepbots_cli
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS
+from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS, module_name
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 
@@ -362,7 +362,7 @@ def help_text(name: str) -> str:
     """
     blocks = (_HELP / f"{name}.txt").read_text(encoding="utf-8").rstrip("\n").split("\n\n")
     marked = [f"\b\n{block}" if block.startswith(" ") else block for block in blocks]
-    return "\n\n".join([COMMANDS[name][1], *marked] if name in COMMANDS else marked)
+    return "\n\n".join([COMMANDS[name], *marked] if name in COMMANDS else marked)
 
 
 class Command(TyperCommand):
@@ -394,9 +394,8 @@ class Command(TyperCommand):
 def _command(name: str) -> Any:
     """Return the command of this name. It is cached for programs that call `main` several times, because
     typer takes 4 ms to read its annotations."""
-    module, _, function = COMMANDS[name][0].partition(".")
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
+    run = import_module(f"deepbots_cli.cli.commands.{module_name(name)}").command
     app.command(name, cls=Command, help=help_text(name))(
         _with_permission_options(
             _with_role_options(run, ADVANCED if name == "eval" else SCENARIO) if name in _WITH_ROLES else run
@@ -536,7 +535,7 @@ class Commands(TyperGroup):
             return super().shell_complete(ctx, incomplete)
         return [
             CompletionItem(name, help=summary)
-            for name, (_, summary) in COMMANDS.items()
+            for name, summary in COMMANDS.items()
             if name.startswith(incomplete)
         ]
 
@@ -544,7 +543,7 @@ class Commands(TyperGroup):
         width = max(map(len, COMMANDS))
         for group, commands in GROUPS.items():
             with formatter.section(group):
-                formatter.write_dl([(name.ljust(width), summary) for name, (_, summary) in commands.items()])
+                formatter.write_dl([(name.ljust(width), line) for name, line in commands.items()])
 
     def invoke(self, ctx: Any) -> Any:
         try:

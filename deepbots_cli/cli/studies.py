@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from shlex import quote
 from statistics import fmean
 
@@ -219,3 +220,11 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
 def unused_seeds(study: Study) -> str:
     first = max(study.record.seeds) + 1
     return f"{first}..{first + 4}"
+
+
+def open_study(path: Path, *, quiet: bool) -> Study:
+    """Open a study, with a note before a reading that takes seconds."""
+    study = Study.open(path)
+    if study.reading_note and not quiet:
+        terminal.note(study.reading_note)
+    return study

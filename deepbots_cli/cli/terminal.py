@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.render import escape_log_commands, render, summary
 from deepbots_cli.display import Display
+from deepbots_cli.files import atomic_write, check_output
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -210,3 +211,13 @@ class ProgressBar:
     def close(self) -> None:
         """Leave the terminal as it was."""
         self._display.close()
+
+
+def print_or_write(text: str, output: Path | None, *, force: bool) -> None:
+    """Write a text to a file, or print it without one."""
+    if output is None:
+        print(text, end="")
+    else:
+        check_output(output, force=force)
+        with atomic_write(output) as draft:
+            draft.write_text(text, encoding="utf-8")

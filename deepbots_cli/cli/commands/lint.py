@@ -1,5 +1,4 @@
-"""`deepbots lint` reports findings of files, folders and standard input, and `deepbots lsp` serves them to an
-editor."""
+"""`deepbots lint`: findings of files, folders and standard input, and their fixes."""
 
 from __future__ import annotations
 
@@ -17,9 +16,8 @@ from typing import Annotated, Literal
 import typer
 
 from deepbots_cli import api
-from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Overrides, integer, option
-from deepbots_cli.cli.commands import rewriting
+from deepbots_cli.cli import rewriting, terminal
+from deepbots_cli.cli.command import ADVANCED, OUTPUT, Overrides, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERNAL_ERROR
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Severity
@@ -63,7 +61,7 @@ Codes = list[str] | None
 _RULES = "Rules"
 
 
-def lint(
+def command(
     ctx: typer.Context,
     scenarios: Annotated[
         list[str] | None,
@@ -571,53 +569,3 @@ def _page(code: str) -> tuple[str, str]:
 
     pages = pages_of(code)
     return "\n\n".join(page.text() for page in pages), "\n\n".join(page.markdown() for page in pages)
-
-
-# In an editor
-
-
-def lsp(
-    port: Annotated[
-        int | None,
-        option(
-            "--tcp PORT",
-            "Listen on this port; by default, use standard input and output.",
-            ADVANCED,
-            min=1,
-            max=65535,
-        ),
-    ] = None,
-    schema: Annotated[
-        bool, option("--schema", "Print the JSON Schema of scenario files, and run no server.")
-    ] = False,
-    scenario: Annotated[
-        str | None,
-        option(
-            "--for SCENARIO",
-            "Also list the joints, links, sensors and other names of this scenario in the schema.",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        option(
-            "--output -o FILE",
-            "Write the schema to this file. By default, or with - as FILE, print to standard output.",
-            OUTPUT,
-        ),
-    ] = None,
-    force: Force = False,
-    permissions: Permissions = Permissions(),
-) -> None:
-    """Run the language server, or print the JSON Schema of scenario files."""
-    if schema:
-        from deepbots_cli.cli.commands import code
-
-        code.schema(scenario, output, force=force, folders=permissions.folders)
-        return
-    if scenario is not None or output is not None:
-        raise UsageError("--for and --output belong to --schema; add --schema")
-    if find_spec("pygls") is None:
-        raise MissingExtraError("editor", "the language server")
-    from deepbots_cli.lsp.server import serve
-
-    raise typer.Exit(serve(port, permissions=permissions))

@@ -74,7 +74,7 @@ class Template(StrEnum):
     duel = "duel"
 
 
-def new(
+def command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the scenario; the file is NAME.yaml.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the files.")] = Path("."),
     template: Annotated[Template | None, option("--template", "Template to begin with.")] = None,

@@ -1,15 +1,14 @@
-"""`deepbots resume` and `deepbots apply`: the next steps of a training, a group or a study that exists."""
+"""`deepbots resume`: the continuation of a training, a group or a study."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, Any
 
 import typer
 
 from deepbots_cli import learning
-from deepbots_cli.cli import processes, retries, studies, terminal, trainings
+from deepbots_cli.cli import processes, retries, studies, trainings
 from deepbots_cli.cli.command import (
     AllowCode,
     Callbacks,
@@ -23,25 +22,18 @@ from deepbots_cli.cli.command import (
     names,
     option,
 )
-from deepbots_cli.cli.tables import table
 from deepbots_cli.cli.training_page import training_page
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.group import MAX_RETRIES, Group
-from deepbots_cli.learning.study import Study
 from deepbots_cli.rollout.source import Source, SourceKind
-
-"""Reading this much takes a second."""
 
 Trained = Annotated[
     Path, typer.Argument(metavar="RUN|GROUP|STUDY", help="A folder that `train` or `tune` has made.")
 ]
-Varied = Annotated[
-    Path, typer.Argument(metavar="GROUP|STUDY", help="A group of `train --retry`, or a study of `tune`.")
-]
 
 
-def resume(
+def command(
     trained: Trained,
     timesteps: Annotated[
         int | None,
@@ -82,7 +74,7 @@ def resume(
     output_options: dict[str, Any] = {"quiet": quiet, "as_json": as_json, "permissions": permissions}
     if source.kind is SourceKind.STUDY:
         _refuse_others("a study", options, "--trials")
-        study = _open_study(trained, quiet=quiet)
+        study = studies.open_study(trained, quiet=quiet)
         if trials is not None and trials != study.record.trials:
             study = study.changed(trials=trials)
         studies.continue_study(study, workers, address, **output_options)
@@ -133,62 +125,3 @@ def _refuse_others(subject: str, options: dict[str, Any], *allowed: str) -> None
                 f"{name} does not go with {subject}; it takes:"
                 f" {', '.join((*allowed, '--workers', '--cluster'))}"
             )
-
-
-def _open_study(path: Path, *, quiet: bool) -> Study:
-    study = Study.open(path)
-    if study.reading_note and not quiet:
-        terminal.note(study.reading_note)
-    return study
-
-
-def apply(
-    varied: Varied,
-    scenario: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="FILE",
-            help="The scenario file to change; by default that of the group or study.",
-            show_default=False,
-        ),
-    ] = None,
-    as_json: Json = False,
-    permissions: Permissions = Permissions(),
-) -> None:
-    """Write the best values of a search into the scenario file."""
-    from deepbots_cli.cli.commands.rewriting import write_values  # this imports the rules of lint
-
-    source = Source.open(varied, permissions, SourceKind.GROUP, SourceKind.STUDY)
-    campaign = Group.open(source) if source.kind is SourceKind.GROUP else _open_study(varied, quiet=False)
-    best = campaign.best
-    path = quote(str(campaign.path))
-    if best is None:
-        if isinstance(campaign, Group):
-            raise UsageError(
-                f"{campaign.path} was not trained with --retry; train its scenario with: deepbots train"
-                " SCENARIO --retry 2"
-            )
-        raise UsageError(
-            f"{campaign.path} has no complete trial yet; continue it with: deepbots resume {path}"
-        )
-    if not best.values:
-        raise UsageError(
-            f"the best training of {campaign.path}, {best.path.name}, has the values of the scenario; there"
-            " is nothing to write"
-        )
-    name = scenario or campaign.record.source
-    file = write_values(name, best.values, f"set by {campaign.path.name}, {best.path.name}", permissions)
-    data: dict[str, Any] = {"file": file, "member": best.path.name, "values": best.values}
-    if isinstance(campaign, Study):
-        over_first = campaign.over_first(campaign.trials())
-        data |= {"over_first": over_first}
-        if over_first is not None and not over_first.is_clear:
-            terminal.note(
-                f"note: {best.path.name} is not clearly better than the values of the scenario itself"
-            )
-    rows = [{"key": key, "value": text} for key, text in best.values.items()]
-    first = max(campaign.record.seeds) + 1
-    further = [f"deepbots lint {quote(name)}", f"deepbots train {quote(name)} --seeds {first}..{first + 4}"]
-    terminal.show(
-        data, f"{file}: values of {best.path.name}\n{table(rows)}", as_json=as_json, next_commands=further
-    )

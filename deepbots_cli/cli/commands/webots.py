@@ -17,8 +17,8 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, Force, Json, integer, known_engine, option
-from deepbots_cli.cli.commands.view import Host, Open, Port
 from deepbots_cli.cli.exits import INTERRUPTED
+from deepbots_cli.cli.pages import Host, Open, Port
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError, counted
 

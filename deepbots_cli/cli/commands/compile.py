@@ -1,9 +1,7 @@
-"""The generated files of a scenario: `compile` prints a Python module or writes a project around it, and `lsp
---schema` prints a JSON Schema."""
+"""`deepbots compile`: the Python module of a scenario, or a project around it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import Annotated
@@ -12,21 +10,17 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
-from deepbots_cli.cli.commands.new import Files, modeline, write_new
+from deepbots_cli.cli.commands.new import Files, write_new
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.text import class_name
-from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
-from deepbots_cli.compiler.inventory import scenario_names
-from deepbots_cli.diagnostics.render import summary
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError, install_source
-from deepbots_cli.files import atomic_write, check_new_folder, check_output
+from deepbots_cli.files import check_new_folder
 from deepbots_cli.program import identity
-from deepbots_cli.scenario.json_schema import schema_text
 
 
-def compile_(
+def command(
     scenario: Scenario,
     overrides: Overrides = None,
     output: Annotated[
@@ -89,7 +83,7 @@ def compile_(
         text = terminal.json_text(data)
     else:
         text = f"{identity.to_json(compiled.program)}\n" if program else code
-    _write(text, output, force=force)
+    terminal.print_or_write(text, output, force=force)
 
 
 def project_files(compiled: api.Compiled) -> Files:
@@ -141,42 +135,3 @@ def _requirements() -> str:
         f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path"
         f" here{moved}\n{requirement}\n"
     )
-
-
-def schema(scenario: str | None, output: Path | None, *, force: bool, folders: Sequence[str | Path]) -> None:
-    """Print or write the JSON Schema of scenario files; with the names of a scenario, if there is one."""
-    if output == Path("-"):
-        output = None
-    if scenario is None:
-        _write(schema_text(), output, force=force)
-        return
-    checked = api.load(scenario, permissions=Permissions(folders))
-    if output is not None and _is_read(checked, output):
-        raise UsageError(f"{output} is an input of the scenario; name another output file")
-    _write(schema_text(scenario_names(checked)), output, force=force)
-    if checked.findings.errors:
-        terminal.note(
-            f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint"
-            f" {quote(scenario)}"
-        )
-    if output is not None and Path(scenario).is_file():
-        terminal.note(
-            f"write as the first line of {checked.document.path.name}:"
-            f" {modeline(checked.document.path, output)}"
-        )
-
-
-def _is_read(checked: CheckedScenario, output: Path) -> bool:
-    """Return whether the file is an input of the scenario, by its path or its content."""
-    if output.resolve() in checked.document.files:
-        return True
-    return output.is_file() and output.read_bytes() in checked.inputs.contents().values()
-
-
-def _write(text: str, output: Path | None, *, force: bool) -> None:
-    if output is None:
-        print(text, end="")
-    else:
-        check_output(output, force=force)
-        with atomic_write(output) as draft:
-            draft.write_text(text, encoding="utf-8")

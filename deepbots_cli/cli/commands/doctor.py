@@ -1,4 +1,4 @@
-"""The installation: `scenarios` lists scenarios, `doctor` checks packages and the simulator."""
+"""`deepbots doctor`: a check of the packages, the engines and the learner."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from deepbots_cli import api, engines
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.document import ScalarNode, load, shipped
+from deepbots_cli.cli.tables import table
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import DeepbotsError, install_hint
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import random_driver
@@ -44,17 +44,6 @@ _EXTRAS = {
 """The purpose of each extra. The metadata of the installation name its packages."""
 
 
-def scenarios(as_json: Json = False) -> None:
-    """List the scenarios that come with deepbots."""
-    rows: list[Row] = []
-    for name in shipped.scenario_names():
-        path = shipped.scenario_path(name)
-        root = load(path).root if path else None
-        summary = root.get("summary") if root else None
-        rows.append({"name": name, "summary": summary.text if isinstance(summary, ScalarNode) else ""})
-    terminal.show({"scenarios": rows}, table(rows), as_json=as_json)
-
-
 State = Literal["ok", "missing", "broken"]
 
 
@@ -66,7 +55,7 @@ class Check(NamedTuple):
     found: str
 
 
-def doctor(as_json: Json = False) -> None:
+def command(as_json: Json = False) -> None:
     """Check the installation."""
     rows = [check._asdict() for check in checks()]
     broken = [check["what"] for check in rows if check["state"] == "broken"]
