@@ -90,9 +90,9 @@ class EngineKind(NamedTuple):
 
     def limitation(self, feature: Feature) -> Limitation:
         """Return the limitation of an engine that does not support a feature."""
-        reason, help = _LIMITATIONS[feature]
+        reason, remedy = _LIMITATIONS[feature]
         engine = self.title if self.library is not None else f"the engine `{self.title}`"
-        return Limitation(reason.format(engine=engine), help)
+        return Limitation(reason.format(engine=engine), remedy)
 
     @property
     def is_installed(self) -> bool:

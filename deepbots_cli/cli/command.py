@@ -79,22 +79,22 @@ def _workers(text: str | int) -> int:
     return number
 
 
-def option(usage: str, help: str, group: str | None = None, **settings: Any) -> Any:
+def option(usage: str, text: str, group: str | None = None, **settings: Any) -> Any:
     """Return an option for `Annotated`, from its usage such as `--output -o FILE`: its names, and the word
     for its value; a flag has none.
 
-    `group` is its section in the help, by default `Options`.
+    `text` is its help, and `group` its section there, by default `Options`.
     """
     words = usage.split()
     metavar = None if words[-1].startswith("-") else words.pop()
-    return typer.Option(*words, metavar=metavar, help=help, rich_help_panel=group, **settings)
+    return typer.Option(*words, metavar=metavar, help=text, rich_help_panel=group, **settings)
 
 
 def integer(
-    usage: str, help: str, minimum: int = 1, maximum: int | None = None, group: str | None = None
+    usage: str, text: str, minimum: int = 1, maximum: int | None = None, group: str | None = None
 ) -> Any:
     """Return an option that takes a whole number."""
-    return option(usage, help, group, parser=whole_number(minimum, maximum))
+    return option(usage, text, group, parser=whole_number(minimum, maximum))
 
 
 def written_options(ctx: typer.Context) -> dict[str, str]:

@@ -605,8 +605,8 @@ def report_foreign_values(
             heads = [name.partition(".") for name in foreign if "." in name]
             if heads and value.span not in spans:
                 robot, _, sent = heads[0]
-                headline, help = _foreign_words(robot, sent, drivers[robot], agent)
-                document.findings.add("DB402", value.span, headline, help)
+                headline, remedy = _foreign_words(robot, sent, drivers[robot], agent)
+                document.findings.add("DB402", value.span, headline, remedy)
                 spans.add(value.span)
 
 
@@ -629,8 +629,8 @@ def findings_of_other_agents(
             f"`{finding.span.text}`" in finding.headline
         )  # and no name that a mirrored agent has instead
         if finding.code == "DB402" and dot and owner != agent and is_written:
-            headline, help = _foreign_words(robot, value, owner, agent)
-            finding = replace(finding, headline=headline, help=help)
+            headline, remedy = _foreign_words(robot, value, owner, agent)
+            finding = replace(finding, headline=headline, help=remedy)
         yield finding
 
 

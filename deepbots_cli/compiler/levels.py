@@ -42,8 +42,8 @@ class _LevelsReader(NamespaceReader):
         shared = sorted(up & down - {SUCCESS})
         if shared:
             headline = f"after `{shared[0]}` a world cannot be one level higher and one level lower"
-            help = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
-            self._values.add("DB407", (*spec.path, "down"), headline, help)
+            remedy = f"remove `{shared[0]}` from `up` or `down`, or name the single endings"
+            self._values.add("DB407", (*spec.path, "down"), headline, remedy)
         if len(self._values.findings.errors) > errors_before or start is None or None in values.values():
             return None
         return Levels(
@@ -94,23 +94,23 @@ class _LevelsReader(NamespaceReader):
         if entry is not None and not entry.changes:
             return entry
         if entry is not None:
-            help = f"draw it once for each episode: remove `every` from `{name}`"
-            self._values.add("DB407", span, f"`{name}` changes within an episode", help)
+            remedy = f"draw it once for each episode: remove `every` from `{name}`"
+            self._values.add("DB407", span, f"`{name}` changes within an episode", remedy)
         elif name not in self._spec.parameters:
             self._values.report_unknown(
                 span, "parameter", name, [*self._spec.parameters, *(entry.name for entry in draws)]
             )
         elif components := [entry.name for entry in draws if entry.name.startswith(f"{name}.")]:
-            help = f"set its components: {', '.join(f'`{component}`' for component in components)}"
-            self._values.add("DB404", span, f"`{name}` is a vector", help)
+            remedy = f"set its components: {', '.join(f'`{component}`' for component in components)}"
+            self._values.add("DB404", span, f"`{name}` is a vector", remedy)
         elif self._parameter(name) is not None:
-            help = "name those in place of it"
-            self._values.add("DB407", span, f"`{name}` is computed from other parameters", help)
+            remedy = "name those in place of it"
+            self._values.add("DB407", span, f"`{name}` is computed from other parameters", remedy)
         elif not self._is_assigned(name) and not self._values.is_invalid(name):
             text = self._values.text(path).text
-            help = f"draw it from all levels, for example `{name}: uniform({text})`"
+            remedy = f"draw it from all levels, for example `{name}: uniform({text})`"
             headline = f"`{name}` has one value in all episodes, so nothing uses the levels"
-            self._values.add("DB205", span, headline, help)
+            self._values.add("DB205", span, headline, remedy)
         return None
 
     def _is_assigned(self, name: str) -> bool:
@@ -133,15 +133,15 @@ class _LevelsReader(NamespaceReader):
             ]
             if missing:
                 headline = f"a level has `{name}` = {missing[0]:g}, which is none of its choices"
-                help = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
-                self._values.add("DB105", path, headline, help)
+                remedy = f"draw a number in place of a choice: `{name}: integer(0 .. 9)`"
+                self._values.add("DB105", path, headline, remedy)
             return not missing
         if kind == "integer" and any(abs(number - round(number)) > _TOLERANCE for number in numbers):
             count = round(abs(numbers[-1] - numbers[0])) + 1
             headline = f"{len(numbers)} levels do not divide the range into whole numbers"
             ends = f"{numbers[0]:g} .. {numbers[-1]:g}"
-            help = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
-            self._values.add("DB105", path, headline, help)
+            remedy = f"write `levels: {count}` for {ends}, or draw `{name}` from a `uniform` range"
+            self._values.add("DB105", path, headline, remedy)
             return False
         beyond = [
             number
@@ -150,8 +150,8 @@ class _LevelsReader(NamespaceReader):
         ]
         if beyond:
             headline = f"a level has `{name}` = {beyond[0]:g}, but the scenario draws {low:g} to {high:g}"
-            help = "keep the range within it, or draw the parameter from a wider range"
-            self._values.add("DB105", path, f"{headline} (SI units)", help)
+            remedy = "keep the range within it, or draw the parameter from a wider range"
+            self._values.add("DB105", path, f"{headline} (SI units)", remedy)
         return not beyond
 
     # The level of a world
@@ -171,8 +171,8 @@ class _LevelsReader(NamespaceReader):
             return None
         low, high = bounds
         if not (low.is_integer() and high.is_integer() and 0 <= low <= high < self._levels.levels):
-            help = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
-            self._values.add("DB105", text.span, f"`start` is {text.text}, which is no level", help)
+            remedy = f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`"
+            self._values.add("DB105", text.span, f"`start` is {text.text}, which is no level", remedy)
             return None
         return int(low), int(high)
 
@@ -207,8 +207,8 @@ class _LevelsReader(NamespaceReader):
                 defined = "a limit under `truncation`" if name == "truncation" else f"`termination.{name}`"
                 if name == "termination":
                     defined = "an ending under `termination`"
-                help = f"define {defined}, or name another ending"
-                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", help)
+                remedy = f"define {defined}, or name another ending"
+                self._values.add("DB407", path, f"no episode of the scenario ends by `{name}`", remedy)
             return outcomes
         if name not in single and not self._values.is_invalid("termination"):
             self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])

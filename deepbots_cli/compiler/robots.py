@@ -152,15 +152,15 @@ def report_unmatched(values: ValueReader, span: Span, pattern: str, noun: str, n
         values.report_unknown(span, noun, pattern, names, "DB302" if noun == "joint" else "DB201")
     else:
         suggestion = _without_regular_expression(pattern, names) or _similar_pattern(pattern, names)
-        help = (
+        remedy = (
             f"did you mean `{suggestion}`? {choices_help('', names)}"
             if suggestion
             else choices_help(pattern, names)
         )
         if ".*" in pattern:
-            help = f"patterns are no regular expressions: `*` stands for any characters; {help}"
+            remedy = f"patterns are no regular expressions: `*` stands for any characters; {remedy}"
         fix = Fix.replacing(span, pattern, suggestion, safe=False) if suggestion else None
-        values.add("DB206", span, f"`{pattern}` matches no {noun}", help, fix=fix)
+        values.add("DB206", span, f"`{pattern}` matches no {noun}", remedy, fix=fix)
 
 
 def _without_regular_expression(pattern: str, names: Sequence[str]) -> str | None:
@@ -203,16 +203,18 @@ def report_missing_joint(
 def report_follower(values: ValueReader, span: Span, joint: str, model: RobotModel) -> None:
     """Report DB303 for a joint that follows another one where one is moved on its own."""
     leader = model.followers[joint].joint
-    help = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
-    values.add("DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", help)
+    remedy = f"use `{leader}`, which moves both joints; patterns and groups skip `{joint}`"
+    values.add(
+        "DB303", span, f"the joint `{joint}` follows `{leader}` and cannot be moved on its own", remedy
+    )
 
 
 def report_motionless_joint(
     values: ValueReader, span: Span, joint: Joint, movable_names: Sequence[str]
 ) -> None:
     names = ", ".join(f"`{name}`" for name in movable_names)
-    help = f"joints that move are {names}" if names else "no joint of this robot can move"
-    values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", help)
+    remedy = f"joints that move are {names}" if names else "no joint of this robot can move"
+    values.add("DB303", span, f"the joint `{joint.name}` cannot move: it is {joint.type}", remedy)
 
 
 # Limits of the robot file
@@ -228,7 +230,7 @@ def warn_beyond_limits(
     allowed: Interval,
     description: str,
     actual: Interval,
-    help: str,
+    remedy: str,
 ) -> None:
     """Report DB304: `description` is `actual`, which is not all within the range that the robot file allows for
     the value that is written in `text`."""
@@ -253,7 +255,7 @@ def warn_beyond_limits(
         f"{description} {in_unit(actual)} {unit.text},"
         f" but the robot file allows {in_unit(limits)} {unit.text}"
     )
-    values.add("DB304", text.span, headline, help, fix=_clamping_fix(text, numbers, allowed))
+    values.add("DB304", text.span, headline, remedy, fix=_clamping_fix(text, numbers, allowed))
 
 
 def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Interval) -> Fix | None:
@@ -701,9 +703,9 @@ def _package_help(reference: str, document: Document, span: Span) -> str:
     """Return why `package://X/rest` names no file, and the path of a file of this name in the project."""
     package, _, inside = reference.removeprefix("package://").partition("/")
     if meshes.package_folder(package):
-        help = f"the Python package `{package}` is installed, but has no file `{inside}`"
+        remedy = f"the Python package `{package}` is installed, but has no file `{inside}`"
     else:
-        help = (
+        remedy = (
             "`package://` names a file of an installed Python package, and there is no package"
             f" `{package}`; write the path of the file"
         )
@@ -711,8 +713,8 @@ def _package_help(reference: str, document: Document, span: Span) -> str:
         files.find_in(document.roots[0], FilePath(inside).name) if document.roots and inside else None
     )
     if candidates is None:
-        return help
-    return f"{help}: `{FilePath(os.path.relpath(candidates, document.directory_of(span))).as_posix()}`"
+        return remedy
+    return f"{remedy}: `{FilePath(os.path.relpath(candidates, document.directory_of(span))).as_posix()}`"
 
 
 def _groups(model: RobotModel, spec: RobotSpec, values: ValueReader) -> dict[str, NameGroup]:

@@ -239,7 +239,7 @@ class ValueReader:
         code: str,
         span_or_path: Span | NodePath,
         headline: str,
-        help: str | None = None,
+        remedy: str | None = None,
         *,
         labels: tuple[Label, ...] = (),
         notes: tuple[str, ...] = (),
@@ -247,19 +247,19 @@ class ValueReader:
     ) -> None:
         """Add a finding at a span, or at the value at a path."""
         span = span_or_path if isinstance(span_or_path, Span) else self.span(span_or_path)
-        self.findings.add(code, span, headline, help=help, labels=labels, notes=notes, fix=fix)
+        self.findings.add(code, span, headline, remedy=remedy, labels=labels, notes=notes, fix=fix)
 
     def add_at_key(
         self,
         code: str,
         path: NodePath,
         headline: str,
-        help: str | None = None,
+        remedy: str | None = None,
         *,
         notes: tuple[str, ...] = (),
     ) -> None:
         """Add a finding at the last key of a path."""
-        self.add(code, self.key_span(path), headline, help, notes=notes)
+        self.add(code, self.key_span(path), headline, remedy, notes=notes)
 
     # Names
 
@@ -295,12 +295,12 @@ class ValueReader:
             suggestion = owned or suggest_replacement(name, names)
             fix = Fix.replacing(span, name, suggestion.text, safe=suggestion.safe) if suggestion else None
             section = _DEFINED_UNDER.get(noun)
-            help = choices_help(name, names) if names else f"no {noun} is defined"
+            remedy = choices_help(name, names) if names else f"no {noun} is defined"
             if owned:
-                help = f"write `{owned.text}`"
+                remedy = f"write `{owned.text}`"
             elif not names and section is not None:
-                help = f"define `{name}` under `{section}`"
-            self.add(code, span, f"there is no {noun} `{name}`", help, fix=fix)
+                remedy = f"define `{name}` under `{section}`"
+            self.add(code, span, f"there is no {noun} `{name}`", remedy, fix=fix)
 
     def report(self, text: SourceText) -> FindingReporter:
         """Return a function that takes findings at offsets of `text`."""
@@ -310,7 +310,7 @@ class ValueReader:
             start: int,
             end: int,
             headline: str,
-            help: str | None = None,
+            remedy: str | None = None,
             replacement: Replacement | None = None,
             names: Table[str, str | None] = NO_NAMES,
             corrected: Callable[[str], str] | None = None,
@@ -328,21 +328,21 @@ class ValueReader:
             is_insertion = replacement is not None and replacement.at is not None
             if (
                 code == "DB401"
-                and (help is None or is_insertion)
+                and (remedy is None or is_insertion)
                 and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
             ):
-                help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
+                remedy = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
                 replacement = None
-                help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
+                remedy += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
             if code == "DB402" and "_" in piece:
-                help = term_help(piece) or help
+                remedy = term_help(piece) or remedy
             word = self._word_replacement(text, piece) if code == "DB402" else None
-            if word and not (help or "").startswith("did you mean"):
-                help = f"write the word `{word}`, or a value; {help}"
+            if word and not (remedy or "").startswith("did you mean"):
+                remedy = f"write the word `{word}`, or a value; {remedy}"
                 replacement = Replacement(word, safe=False)
             if corrected is not None:
                 key = f"{text.path[-1]}: " if text.path and isinstance(text.path[-1], str) else ""
-                help = (help or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
+                remedy = (remedy or "").replace(CORRECTED_LINE, f"`{key}{corrected(text.text)}`")
             fix = None
             if replacement is not None and replacement.at is not None:
                 last_span = text.part(replacement.at - 1, replacement.at)
@@ -354,7 +354,7 @@ class ValueReader:
             labels = tuple(Label(self.span(path), f"`{path[1]}` is set here") for path in paths)
             if fix is None and len(paths) == 1:
                 fix = self._definition_fix(paths[0], names[paths[0][1]])
-            self.add(code, span, headline, help, labels=labels, fix=fix)
+            self.add(code, span, headline, remedy, labels=labels, fix=fix)
 
         return report
 
@@ -471,8 +471,8 @@ class ValueReader:
             return True
         unit = value.type.dimension
         example = f"0 0 -10 .. 0 0 -9 {unit}" if unit == ACCELERATION else f"-1 -1 0 .. 1 1 0 {unit}"
-        help = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
-        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", help)
+        remedy = f"write `vector(x, y, z)`, or draw all three components: `uniform({example})`"
+        self.add("DB404", text.span, f"{description} must be a vector; this is a single value", remedy)
         return False
 
     def _is_within(self, value: Typed, text: SourceText, description: str) -> bool:
@@ -498,23 +498,23 @@ class ValueReader:
             and (low < minimum or (kind.exclusive and low == minimum))
         ):
             odd = low
-            help = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
+            remedy = f"write {'more than' if kind.exclusive else 'at least'} {_with_unit(minimum, unit)}"
             if text.path[-1:] == ("noise",) and low == -high:
-                help = (
+                remedy = (
                     "noise is Gaussian, and `noise` is its standard deviation: write"
                     f" `noise: {_with_unit(float(f'{high / math.sqrt(3.0):.2g}'), unit)}`, which spreads as"
                     f" much as this uniform noise; `bias: {text.text}` is drawn once per episode"
                 )
         elif maximum is not None and math.isfinite(high) and high > maximum:
             odd = high
-            help = f"write at most {_with_unit(maximum, unit)}"
+            remedy = f"write at most {_with_unit(maximum, unit)}"
         elif (
             kind.whole
             and constants
             and (broken := [number for number in constants if not float(number).is_integer()])
         ):
             odd = broken[0]
-            help = "write a whole number"
+            remedy = "write a whole number"
         else:
             return True
         if constants is None:
@@ -523,7 +523,7 @@ class ValueReader:
             verb = "is"
         else:
             verb = "contains"
-        self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", help)
+        self.add("DB105", text.span, f"{description} {verb} {_with_unit(odd, unit)}", remedy)
         return False
 
     def fixed(self, value: Typed, text: SourceText, description: str) -> tuple[float | bool, ...] | None:
@@ -531,11 +531,11 @@ class ValueReader:
         computed."""
         values = constant_values(value)
         if values is None:
-            help = (
+            remedy = (
                 "correct it: the expression divides by zero, leaves the domain of a function, or gives"
                 " too large a number"
             )
-            self.add("DB105", text.span, f"{description} cannot be computed", help)
+            self.add("DB105", text.span, f"{description} cannot be computed", remedy)
         return values
 
     def ends(

@@ -130,14 +130,14 @@ class _Problem:
     def finding(
         self,
         headline: str,
-        help: str,
+        remedy: str,
         start: int,
         length: int = 1,
         fix: Fix | None = None,
         labels: tuple[Label, ...] = (),
     ) -> Finding:
         span = Span(self.source, start, min(start + length, len(self.source.text)))
-        return Finding("DB001", span, headline, help, labels=labels, fix=fix)
+        return Finding("DB001", span, headline, remedy, labels=labels, fix=fix)
 
 
 def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
@@ -167,10 +167,10 @@ def _tab(problem: _Problem) -> Finding | None:
             spaces = ""
             if above is not None:
                 spaces = " " * (above.indent + 2 if above.opens else above.indent)
-            help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
+            remedy = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
             indent = _INDENT.match(text, start)
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
-            return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
+            return problem.finding("a tab in the indentation", remedy, match.end() - 1, fix=fix)
     return None
 
 
@@ -180,8 +180,8 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
     if match is None:
         return None
     headline = "`!` does not negate: YAML reads it as the beginning of a tag"
-    help = "write `not` to negate a condition"
-    return problem.finding(headline, help, problem.line_start + match.end() - 2, 2)
+    remedy = "write `not` to negate a condition"
+    return problem.finding(headline, remedy, problem.line_start + match.end() - 2, 2)
 
 
 def _bracket_behind_key(problem: _Problem) -> Finding | None:
@@ -243,8 +243,10 @@ def _brackets(problem: _Problem) -> Finding | None:
             return None
     hidden = _HIDDEN_IN_BRACKETS.search(text, opening, problem.at)
     if hidden and hidden[1].count("#") == 1:
-        help = f'put the value in quotes: "{hidden[1]}"'
-        return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
+        remedy = f'put the value in quotes: "{hidden[1]}"'
+        return problem.finding(
+            "a `#` after a space begins a comment", remedy, hidden.start(1), len(hidden[1])
+        )
     character = text[problem.at : problem.at + 1]
     missing = _missing_comma(problem, opening)
     if character == ":" and opening >= problem.line_start:
@@ -261,11 +263,11 @@ def _brackets(problem: _Problem) -> Finding | None:
             return finding
         closing = _CLOSING[text[opening]]
         if _is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
-            headline, help = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
+            headline, remedy = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
             span = Span(problem.source, problem.at, problem.at + 1)
-            return problem.finding(headline, help, problem.at, fix=Fix((Edit(span, closing),), safe=False))
-        help = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
-        return problem.finding(f"this `{character}` closes no bracket", help, problem.at)
+            return problem.finding(headline, remedy, problem.at, fix=Fix((Edit(span, closing),), safe=False))
+        remedy = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
+        return problem.finding(f"this `{character}` closes no bracket", remedy, problem.at)
     return missing or problem.finding(
         f"unexpected `{character}` between brackets",
         "separate items by commas, or put the value in quotes",
@@ -286,9 +288,9 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
     corrected = " ".join(f"{text[start:at].strip()},{problem.rest_of_line(at)}".split())
-    help = f"separate keys by commas: `{corrected[:_MAX_SHOWN]}`, or put the value in quotes"
+    remedy = f"separate keys by commas: `{corrected[:_MAX_SHOWN]}`, or put the value in quotes"
     fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
-    return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
+    return problem.finding("a comma is missing before this key", remedy, problem.at, fix=fix)
 
 
 def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
@@ -299,11 +301,11 @@ def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
     end = text.find("\n", at)
     line = text[text.rfind("\n", 0, at) + 1 : end if end >= 0 else len(text)]
     closed_line = re.split(r"\s#", line.strip(), maxsplit=1)[0].rstrip()
-    help, fix = f"add the closing `{closing}`", None
+    remedy, fix = f"add the closing `{closing}`", None
     if len(closed_line) <= _MAX_WRITTEN and _is_readable(text, problem.at + len(closing)):
-        help = f"{help}: `{closed_line}`"
+        remedy = f"{remedy}: `{closed_line}`"
         fix = Fix((Edit(Span(problem.source, at, at), closing),), safe=False)
-    return problem.finding(f"this `{sign}` is not closed", help, opening, fix=fix)
+    return problem.finding(f"this `{sign}` is not closed", remedy, opening, fix=fix)
 
 
 def _is_readable(text: str, end: int) -> bool:
@@ -318,7 +320,7 @@ def _is_readable(text: str, end: int) -> bool:
     return True
 
 
-def _second_colon(problem: _Problem, help: str) -> Finding:
+def _second_colon(problem: _Problem, remedy: str) -> Finding:
     line = problem.rest_of_line(problem.line_start)
     key = _KEY.match(line)
     replacement = foreign.conditional(line[key.end() :]) if key else None
@@ -329,8 +331,8 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
             problem.line_start + key.end(),
             len(line) - key.end(),
         )
-    help = "write `a if condition else b`" if " ? " in problem.before else help
-    return problem.finding("a second colon in one value", help, problem.at)
+    remedy = "write `a if condition else b`" if " ? " in problem.before else remedy
+    return problem.finding("a second colon in one value", remedy, problem.at)
 
 
 def _colon(problem: _Problem) -> Finding | None:
@@ -338,8 +340,8 @@ def _colon(problem: _Problem) -> Finding | None:
     if problem.says("could not find expected ':'"):
         return _line_without_key(problem, problem.since, problem.rest_of_line(problem.since))
     if problem.says("sequence entries are not allowed"):
-        help = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
-        return problem.finding("a list item on the line of its key", help, problem.at)
+        remedy = "begin the list on the next line, or write [a, b]; put a lone `- ` in quotes"
+        return problem.finding("a list item on the line of its key", remedy, problem.at)
     if not problem.says("mapping values are not allowed"):
         return None
     key = problem.before.lstrip()
@@ -363,21 +365,21 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         if missing_colon(line_text) and _is_first(problem, above):
             return _line_without_key(problem, above.start + above.indent, line_text)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
-        help = (
+        remedy = (
             "align it with the other keys of its section; a key has either a value or an indented block"
             " of keys"
         )
         return problem.finding(
-            "this line belongs to the value above, so it cannot begin with a key", help, at, length
+            "this line belongs to the value above, so it cannot begin with a key", remedy, at, length
         )
     if misplaced := _value_out_of_place(problem, line, above):
         return misplaced
     line_text = problem.rest_of_line(problem.line_start).strip()[:_MAX_SHOWN]
     headline = f"{line.name} is indented deeper than {above.name} above it, which has a value"
-    help = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
+    remedy = f"indent it like the line above: `{' ' * above.indent}{line_text}`"
     fix = _indented(problem, line.start, line.indent, above.indent)
     return problem.finding(
-        headline, help, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
+        headline, remedy, at, length, fix, (problem.label(above, _indented_by(above.indent)),)
     )
 
 
@@ -393,10 +395,10 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
     value = problem.rest_of_line(above.start).strip()[:_MAX_SHOWN]
     word = "below" if is_first else "like"
     headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
-    help = f"indent it like the line below: `{' ' * line.indent}{value}`"
+    remedy = f"indent it like the line below: `{' ' * line.indent}{value}`"
     fix = _indented(problem, above.start, above.indent, line.indent)
     labels = (problem.label(line, _indented_by(line.indent)),)
-    return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
+    return problem.finding(headline, remedy, above.start + above.indent, len(above.key), fix, labels)
 
 
 def _is_first(problem: _Problem, line: _Line) -> bool:
@@ -418,28 +420,28 @@ def _indented_by(spaces: int) -> str:
 
 def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     """Report a comment of another language, or a key without its colon."""
-    help, edit = "write `key: value`, or indent the line if it belongs to the value above", None
+    remedy, edit = "write `key: value`, or indent the line if it belongs to the value above", None
     if line.startswith("//"):
-        help, edit = "begin a comment with `#`", (0, 2, "#")
+        remedy, edit = "begin a comment with `#`", (0, 2, "#")
     elif match := _GLUED.match(line):
-        help = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:_MAX_SHOWN]}`"
+        remedy = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:_MAX_SHOWN]}`"
         edit = (match.end(), match.end(), " ")
     elif match := _ASSIGNED.match(line):
-        help = f"write a colon: `{f'{match[1]}: {match[2][:_MAX_SHOWN]}'.rstrip()}`"
+        remedy = f"write a colon: `{f'{match[1]}: {match[2][:_MAX_SHOWN]}'.rstrip()}`"
         edit = (match.end(1), match.start(2), ": " if match[2] else ":")
     elif correction := missing_colon(line):
         key, corrected = correction
         otherwise = (
             "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
         )
-        help = f"write a colon after the key: `{corrected[:_MAX_SHOWN]}`{otherwise}"
+        remedy = f"write a colon after the key: `{corrected[:_MAX_SHOWN]}`{otherwise}"
         edit = (0, len(key), f"{key}:")
     fix = (
         Fix((Edit(Span(problem.source, start + edit[0], start + edit[1]), edit[2]),), safe=False)
         if edit
         else None
     )
-    return problem.finding(_NO_KEY, help, start, max(1, len(line)), fix)
+    return problem.finding(_NO_KEY, remedy, start, max(1, len(line)), fix)
 
 
 def _behind_value(problem: _Problem) -> Finding | None:
@@ -469,8 +471,8 @@ def _behind_value(problem: _Problem) -> Finding | None:
         return problem.finding("a list item among keys", "indent the list below its key", at, length)
     line, levels = problem.line_at(problem.line_start), _levels_above(problem)
     if line is None or not levels:
-        help = "give keys of one mapping the same indentation"
-        return problem.finding("this line does not align with the lines above", help, at, length)
+        remedy = "give keys of one mapping the same indentation"
+        return problem.finding("this line does not align with the lines above", remedy, at, length)
     above = problem.line_above(line.start)
     if above is not None and above.key and not above.opens:
         misplaced = _value_out_of_place(problem, line, above)
@@ -483,16 +485,16 @@ def _behind_value(problem: _Problem) -> Finding | None:
         near, *others = sorted([near, *others], key=lambda level: level.indent >= below.indent)
     fix = _indented(problem, line.start, line.indent, near.indent)
     headline = f"{line.name} is indented by {line.indent}, which is the indentation of no section above"
-    help = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:_MAX_SHOWN]}`"
+    remedy = f"indent it like {near.name}: `{' ' * near.indent}{text_behind[:_MAX_SHOWN]}`"
     if _is_first(problem, near) and near == problem.line_above(line.start) and _continues(line, below):
         fix = _indented(problem, near.start, near.indent, line.indent)
         value = problem.rest_of_line(near.start).strip()[:_MAX_SHOWN]
-        help = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
+        remedy = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
     elif others:
         other = others[0]
-        help += f"; or by {other.indent}, like {other.name}"
+        remedy += f"; or by {other.indent}, like {other.name}"
     labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
-    return problem.finding(headline, help, at, length, fix, labels)
+    return problem.finding(headline, remedy, at, length, fix, labels)
 
 
 def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:
@@ -553,9 +555,9 @@ def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
     text = key.span.source.text
     end = text.find("\n", key.span.end)
     value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
-    help = f"write a colon after the key: `{name}: {value[:_MAX_SHOWN]}`"
+    remedy = f"write a colon after the key: `{name}: {value[:_MAX_SHOWN]}`"
     fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
-    findings.add("DB001", key.span, _NO_KEY, help, fix=fix)
+    findings.add("DB001", key.span, _NO_KEY, remedy, fix=fix)
     return True
 
 
@@ -581,14 +583,14 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
     for span in cut:
         text = " ".join(span.text.split())
         quoted = f': "{text}"' if len(text) <= _MAX_SHOWN and '"' not in text else ""
-        help = f"put the value in quotes{quoted}, or on a line of its own"
+        remedy = f"put the value in quotes{quoted}, or on a line of its own"
         fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
         if draw := _DRAW.fullmatch(text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
-            help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
+            remedy, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
         elif call := _WHERE.fullmatch(text):
-            help, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
+            remedy, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
     return cut
 
 
@@ -616,12 +618,12 @@ def report_decimal_commas(
             last = None
     for span in cut:
         text, fix = span.text.replace(",", "."), None
-        help = f"write a decimal point: `{text}`"
+        remedy = f"write a decimal point: `{text}`"
         if _THOUSANDS.search(span.text):
-            help = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
+            remedy = f"write a decimal point, `{text}`, or group the digits, `{span.text.replace(',', '_')}`"
         else:
             fix = Fix((Edit(span, text),), safe=False)
-        findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
+        findings.add("DB001", span, "a comma inside brackets cuts this value in two", remedy, fix=fix)
     return cut
 
 
@@ -630,33 +632,33 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     text, end = key.span.source.text, key.span.end
     hidden = _HIDDEN.match(text, end)
     following = _NEXT_LINE.match(text, end)
-    help, fix = GIVE_A_VALUE, None
+    remedy, fix = GIVE_A_VALUE, None
     if value.style != "plain":
-        help = (
+        remedy = (
             f"a leading `{value.span.text[0]}` begins a block of text; put the value in quotes:"
             f' "{value.span.text}"'
         )
     elif value.text:
-        help = "remove the key: deepbots has no null value"
+        remedy = "remove the key: deepbots has no null value"
     elif is_flow and _GLUED.match(key.text):
-        help = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
+        remedy = f"put a space after the colon: `{key.text.replace(':', ': ', 1)}`"
     elif (
         is_flow
         and (" " in key.text or "=" in key.text)
         and not _HAS_COLON.match(text, end)
         and (correction := missing_colon(key.text))
     ):
-        help = f"write a colon after the key: `{correction[1]}`"
+        remedy = f"write a colon after the key: `{correction[1]}`"
         fix = Fix.replacing(key.span, key.text, correction[1], safe=False)
     elif is_flow and not _HAS_COLON.match(text, end):
-        help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
+        remedy = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:
-        help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
+        remedy = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
         if _COLOR.fullmatch(hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
-        help = "write a value, or indent the lines that belong to this key"
-    findings.add("DB107", key.span, f"`{key.text}` has no value", help, fix=fix)
+        remedy = "write a value, or indent the lines that belong to this key"
+    findings.add("DB107", key.span, f"`{key.text}` has no value", remedy, fix=fix)
 
 
 def help_for_key(key: ScalarNode) -> str:
@@ -692,17 +694,17 @@ def report_unusual_value(scalar: ScalarNode, findings: Findings) -> None:
     """Report a plain value that YAML 1.1 reads differently, or a text that looks like a number."""
     text, span = scalar.text, scalar.span
     if text in _YAML11:
-        help = f"write {_YAML11[text]}, or put it in quotes if you mean text"
+        remedy = f"write {_YAML11[text]}, or put it in quotes if you mean text"
         headline = f"`{text}` is text, but YAML 1.1 reads it as {_YAML11[text]}"
         # Where a truth value is needed, a later pass reports an error, whose fix comes first.
-        findings.add("DB003", span, headline, help, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
+        findings.add("DB003", span, headline, remedy, fix=Fix((Edit(span, f'"{text}"'),), safe=True))
     elif (odd := _odd_number(text)) is not None:
-        headline, help, number = odd
+        headline, remedy, number = odd
         if isinstance(scalar.value, str):
-            help = f"{help}, or put it in quotes if you mean text"
+            remedy = f"{remedy}, or put it in quotes if you mean text"
             number = f'"{text}"'  # where a number is needed, a later pass reports an error with its own fix
         findings.add(
-            "DB004", span, headline, help, fix=Fix((Edit(span, number),), safe=True) if number else None
+            "DB004", span, headline, remedy, fix=Fix((Edit(span, number),), safe=True) if number else None
         )
 
 

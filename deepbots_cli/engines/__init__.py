@@ -77,8 +77,8 @@ def create(name: str, world: WorldModel) -> Engine:
     for feature, needing in _features(world):
         if feature not in engine.capabilities:
             engine.close()
-            reason, help = ALL[name].limitation(feature)
-            raise EngineError(f"{reason}, such as {needing}; {help}")
+            reason, remedy = ALL[name].limitation(feature)
+            raise EngineError(f"{reason}, such as {needing}; {remedy}")
     return engine
 
 

@@ -274,7 +274,7 @@ class FindingReporter(Protocol):
         start: int,
         end: int,
         headline: str,
-        help: str | None = None,
+        remedy: str | None = None,
         replacement: Replacement | None = None,
         names: Mapping[str, str | None] = NO_NAMES,
         corrected: Callable[[str], str] | None = None,

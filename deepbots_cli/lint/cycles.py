@@ -375,14 +375,14 @@ def _finding(context: RuleContext, success: Expression, best: Earned) -> Finding
         " in half an episode"
     )
     headline += f"; going on to `{success.name}` earns {best.finishing:.3g}"
-    help = (
+    remedy = (
         "pay at the end of the episode, as in `10 when success`, or pay progress, as in `-10 *"
         " delta(distance) / m`"
     )
-    help = help.replace("success", success.name)
+    remedy = remedy.replace("success", success.name)
     labels = (Label(success.span, "never comes true in the cycle"),)
     return Finding(
-        "DB716", term.span, headline, help, notes=(_description(context, best.cycle),), labels=labels
+        "DB716", term.span, headline, remedy, notes=(_description(context, best.cycle),), labels=labels
     )
 
 

@@ -107,8 +107,10 @@ def command_cut_off(context: RuleContext) -> Iterator[Finding]:
                 changed = (
                     " or ".join(f"`{name}`" for name in names) or "the command or the range of the action"
                 )
-                help = f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
-                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", help)
+                remedy = (
+                    f"change {changed} so that the commands stay within `{range_text(limits, dimension)}`"
+                )
+                yield Finding("DB312", command.target.span, f"`{command.actuator.name}` {able}", remedy)
 
 
 def _limits(actuator: Actuator, model: RobotModel) -> Interval | None:
@@ -219,7 +221,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                     f"`{motor.name}` exerts no torque for the first {with_unit(wait, TIME)}, and"
                     f" `{sunk[0].name}` sinks by about {by}"
                 )
-                help = "hold the joint with a `position_motor`, or shorten the delay of the first command"
+                remedy = "hold the joint with a `position_motor`, or shorten the delay of the first command"
                 late = ("messages", "to_robot", "latency")
                 also = (
                     (Label(values.span(late), "delays the first command"),) if values.is_present(late) else ()
@@ -228,7 +230,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
                     "DB314",
                     values.key_span(("robots", robot.name, "actuators", motor.name)),
                     headline,
-                    help,
+                    remedy,
                     labels=also,
                 )
 
@@ -378,12 +380,12 @@ def _shaking(
         if kind is not None and kind.supports("armature")
         else ""
     )
-    help = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
+    remedy = f"{rotor}lower the stiffness and the damping, or write `substeps: {substeps}` under `world`"
     return Finding(
         "DB325",
         context.values.key_span(("robots", robot.name, "actuators", motor.name)),
         headline,
-        help,
+        remedy,
     )
 
 
@@ -428,14 +430,14 @@ def _missed(simulation: Simulation, miss: UnreachedPose) -> Finding:
         if miss.commands > 1
         else []
     )
-    remedy = (
+    change = (
         "change `rpy`, or remove it if the orientation does not matter"
         if is_turned
         else "send positions within the reach of the arm"
     )
     headline = f"`{miss.actuator}` is commanded to a pose that its inverse kinematics misses by {by}"
-    help = f"{remedy}; `deepbots inspect` prints the pose of the link at the start of an episode"
-    return Finding("DB315", span, headline, help, notes=tuple(notes))
+    remedy = f"{change}; `deepbots inspect` prints the pose of the link at the start of an episode"
+    return Finding("DB315", span, headline, remedy, notes=tuple(notes))
 
 
 def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
@@ -445,14 +447,14 @@ def _turned_in_place(simulation: Simulation, miss: UnreachedPose) -> Finding:
     angles = [round(degrees(angle)) for angle in miss.start]
     start = " ".join(str(180 if angle == -180 else angle) for angle in angles)
     headline = f"the first command turns `{miss.actuator}` by {degrees(miss.turn):.3g} deg in place"
-    help = (
+    remedy = (
         f"write `rpy: {start} deg`, which is near the initial orientation, or start the arm in another pose"
     )
     notes = (
         simulation.when(SimulationPosition(miss.policy, miss.seed, miss.step)),
         "the joints may move far before the link reaches the pose",
     )
-    return Finding("DB315", span, headline, help, notes=notes)
+    return Finding("DB315", span, headline, remedy, notes=notes)
 
 
 @rule("DB322")
@@ -475,7 +477,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
             headline = (
                 f"`{robot}` stays in its place although its wheels turn: it moves by less than {moved} mm"
             )
-            help = (
+            remedy = (
                 "let the driven wheels carry the robot: raise its skids and casters, or reduce their"
                 " friction under `links`"
             )
@@ -483,7 +485,7 @@ def robot_stays(simulation: Simulation) -> Iterator[Finding]:
                 "DB322",
                 simulation.values.key_span(("robots", robot)),
                 headline,
-                help,
+                remedy,
                 notes=(*_links_beside_wheels(body.model, wheels), simulation.summary),
             )
 
@@ -500,12 +502,12 @@ def topples(simulation: Simulation) -> Iterator[Finding]:
             f"`{name}` topples: its base is free, and tilts by {degrees(tilt):.0f} deg within"
             f" {TOPPLING_S:g} s of doing nothing"
         )
-        help = (
+        remedy = (
             f"an arm needs `base: fixed` under `{name}`, which bolts it to the world; "
             f"for a robot that has to balance, end the episode with `tilt({name}) > 45 deg`"
         )
         span = simulation.values.span_of_first(("robots", name), "base", "urdf")
-        yield Finding("DB324", span, headline, help, notes=(simulation.summary,))
+        yield Finding("DB324", span, headline, remedy, notes=(simulation.summary,))
 
 
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
@@ -576,12 +578,12 @@ def unlimited_motor(context: RuleContext) -> Iterator[Finding]:
                 f"`{actuator.name}` has no limit of {quantity}:"
                 f" the robot file states no effort for {joint_names}"
             )
-            help = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
+            remedy = f"write `max_torque` with the {quantity} of the motor, such as `max_torque: 10 {unit}`"
             notes = ('an effort of 0 in a robot file is read as "not stated"',)
             span = context.values.span_of_first(
                 ("robots", robot.name, "actuators", actuator.name), *_JOINT_KEYS
             )
-            yield Finding("DB319", span, headline, help, notes=notes)
+            yield Finding("DB319", span, headline, remedy, notes=notes)
 
 
 @rule("DB317")
@@ -610,12 +612,12 @@ def limits_in_degrees(context: RuleContext) -> Iterator[Finding]:
                     f"the limits {low:g} and {high:g} rad of joint `{joint.name}` are"
                     f" {(high - low) / (2 * pi):.3g} turns apart"
                 )
-                help = (
+                remedy = (
                     f'if they are degrees, write lower="{radians(low):.5g}" upper="{radians(high):.5g}"'
                     " in the robot file"
                 )
-                help += f", or `range: {low:g} .. {high:g} deg` under `joints`"
-                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, help)
+                remedy += f", or `range: {low:g} .. {high:g} deg` under `joints`"
+                yield Finding("DB317", resolved.file.limit_spans[joint.name], headline, remedy)
 
 
 # Rays
@@ -893,13 +895,13 @@ def _passing_over(
         with_unit(length, LENGTH)
         for length in (clearance.lowest, clearance.top, clearance.lowest - clearance.top)
     )
-    help = f"lower the `pose` of the sensor by more than {lower}"
+    remedy = f"lower the `pose` of the sensor by more than {lower}"
     if clearance.tallest == ARENA:
         subject = "the walls of the arena"
         span = values.span_of_first(("world", "arena"), "wall_height")
-        help = (
+        remedy = (
             f"write `wall_height: {with_unit(float(f'{_RANGE_FACTOR * clearance.lowest:.2g}'), LENGTH)}`"
-            f" for the arena, or {help}"
+            f" for the arena, or {remedy}"
         )
     else:
         wall = base.rpartition(" ")[0]  # `stub 1` is a piece of the wall `stub`
@@ -915,7 +917,7 @@ def _passing_over(
         "DB615",
         values.key_span(("robots", robot, "sensors", sensor)),
         headline,
-        help,
+        remedy,
         notes=notes,
         labels=also,
     )
@@ -926,9 +928,9 @@ def _buried(
 ) -> Finding:
     lower = with_unit(float(f"{depth:.3g}"), LENGTH)
     headline = f"the rays of `{sensor}` meet nothing: they begin {lower} below the ground"
-    help = f"raise the `pose` of the sensor by more than {lower}"
+    remedy = f"raise the `pose` of the sensor by more than {lower}"
     return Finding(
-        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, help, notes=notes
+        "DB615", values.key_span(("robots", robot, "sensors", sensor)), headline, remedy, notes=notes
     )
 
 

@@ -185,8 +185,8 @@ def mesh_resolver(folder: Path, allowed: Iterable[Path] = ()) -> ResolveMesh:
             return path
         within = [*roots, *map(os.path.realpath, package_folders(reference))]
         if not any(path.is_relative_to(root) for root in within):
-            help = "move it into the folder of the robot file, or allow its folder with --allow-path"
-            return UnusableMesh("the mesh lies outside the folder of the robot", help)
+            remedy = "move it into the folder of the robot file, or allow its folder with --allow-path"
+            return UnusableMesh("the mesh lies outside the folder of the robot", remedy)
         return path if "://" in reference or path.exists() else _above(reference, folder, roots) or path
 
     return resolve

@@ -301,9 +301,9 @@ class Kinds:
             raise mismatch("a mapping", f"write it like `{self._example(value)}`", value=value)
         if self.key not in value:
             keys = " or ".join(f"`{key}`" for key in (self.key, *self.models_by_key))
-            help = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
-            help = next((remedy for key, remedy in self.remedies.items() if key in value), help)
-            raise error("DB102", f"missing key {keys}", help, missing=(self.key, *self.models_by_key))
+            remedy = f"write `{self.key}`: one of {', '.join(f'`{name}`' for name in self.names)}"
+            remedy = next((text for key, text in self.remedies.items() if key in value), remedy)
+            raise error("DB102", f"missing key {keys}", remedy, missing=(self.key, *self.models_by_key))
         word = value[self.key]
         if not isinstance(word, str):
             raise error_at(

@@ -70,21 +70,23 @@ GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 def error(
     code: str,
     headline: str,
-    help: str | None = None,
+    remedy: str | None = None,
     *,
     missing: tuple[str, ...] = (),
     replacement: Replacement | None = None,
 ) -> PydanticCustomError:
     """Return an error with the parts of a finding: `missing` keys, and a `replacement` of the whole value."""
-    context = {"headline": headline, "help": help, "missing": missing, "replacement": replacement}
-    return PydanticCustomError(code, "{headline}; {help}" if help else "{headline}", context)
+    context = {"headline": headline, "help": remedy, "missing": missing, "replacement": replacement}
+    return PydanticCustomError(code, "{headline}; {help}" if remedy else "{headline}", context)
 
 
 def mismatch(
-    expected: str, help: str | None = None, replacement: Replacement | None = None, *, value: object
+    expected: str, remedy: str | None = None, replacement: Replacement | None = None, *, value: object
 ) -> PydanticCustomError:
     """Return an error about a value of the wrong type; `validate` shows how it is written in the file."""
-    refused = error("DB103", f"expected {expected}, found {str(value)[:60]!r}", help, replacement=replacement)
+    refused = error(
+        "DB103", f"expected {expected}, found {str(value)[:60]!r}", remedy, replacement=replacement
+    )
     refused.context["expected"] = expected  # type: ignore[index]
     return refused
 
@@ -201,13 +203,13 @@ def check_bounds(
         is_nan = isinstance(value, float) and math.isnan(value)
         raise error("DB105", "the value is not a number" if is_nan else "the number is implausibly large")
     if minimum is not None and (value < minimum or (exclusive and value == minimum)):
-        help = f"write {'more than' if exclusive else 'at least'} {minimum:g}"
-        raise error("DB105", f"`{value}` is below the smallest allowed value", help)
+        remedy = f"write {'more than' if exclusive else 'at least'} {minimum:g}"
+        raise error("DB105", f"`{value}` is below the smallest allowed value", remedy)
     if maximum is not None and value > maximum:
-        help = f"write at most {maximum:g}"
+        remedy = f"write at most {maximum:g}"
         if is_share and value <= 100:
-            help += f", or a percentage: `{value:g} %`"
-        raise error("DB105", f"`{value}` is above the largest allowed value", help)
+            remedy += f", or a percentage: `{value:g} %`"
+        raise error("DB105", f"`{value}` is above the largest allowed value", remedy)
 
 
 def count_literal(text: str) -> int | None:
@@ -564,9 +566,15 @@ class Parsed(FieldType):
         """Return the tree of an expression; raises its first syntax error."""
 
         def report(
-            code: str, start: int, end: int, headline: str, help: str | None = None, *_: object, **__: object
+            code: str,
+            start: int,
+            end: int,
+            headline: str,
+            remedy: str | None = None,
+            *_: object,
+            **__: object,
         ) -> None:
-            raise error(code, headline, help)
+            raise error(code, headline, remedy)
 
         return parser.parse(text, report)
 
@@ -961,10 +969,10 @@ class Name(FieldType):
     def check(self, value: Any) -> None:
         if not re.fullmatch(NAME_PATTERN, value):
             suggestion = suggested_name(value)
-            help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
+            remedy = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
             if re.fullmatch(NAME_PATTERN, suggestion):
-                help = f"write `{suggestion}`: {help}"
-            raise error("DB105", f"`{value[:40]}` cannot be a name", help)
+                remedy = f"write `{suggestion}`: {remedy}"
+            raise error("DB105", f"`{value[:40]}` cannot be a name", remedy)
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
         if self.shared:
@@ -995,9 +1003,9 @@ class ColorValue(FieldType):
     def check(self, value: Any) -> None:
         for word in color_options(value):
             if word not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", word):
-                help = f"{choices_help(word, tuple(COLORS))}, or write `'#ffa500'`"
+                remedy = f"{choices_help(word, tuple(COLORS))}, or write `'#ffa500'`"
                 near = suggest_replacement(word, tuple(COLORS), of_language=True) if word == value else None
-                raise error("DB104", f"unknown color `{word[:40]}`", help, replacement=near)
+                raise error("DB104", f"unknown color `{word[:40]}`", remedy, replacement=near)
 
     def json_schema(self) -> JsonSchema:
         words = "|".join(COLORS)

@@ -151,8 +151,8 @@ def misspelled_key(
             near = nearest_word(word, missing, _LIKE_A_MISSING_KEY)
             if near is not None:
                 key = (*path, word)
-                help = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
-                return key, Suggestion(help, Replacement(near, safe=False))
+                remedy = f"did you mean `{near}`? Write `{_line(root, key, near)}`"
+                return key, Suggestion(remedy, Replacement(near, safe=False))
     return None
 
 
@@ -164,11 +164,11 @@ def _is_lacking(root: nodes.MappingNode, path: NodePath, section: type[Section],
     )
 
 
-def _beside(help: str, section: type[Section]) -> str:
+def _beside(remedy: str, section: type[Section]) -> str:
     """Return a suggestion, with the keys of a section that has few."""
     if len(section.model_fields) > MAX_BESIDE:
-        return help
-    return f"{help}; {keys_of(section)}"
+        return remedy
+    return f"{remedy}; {keys_of(section)}"
 
 
 def _renamed(

@@ -184,21 +184,21 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     )
     kind = context.get("code", kind)
     headline = context["headline"]
-    help = context["help"]
+    remedy = context["help"]
     near = context["replacement"]
     if expected := context.get("expected"):
         headline = f"expected {expected}, found {_describe(node)}"
-        help = help or keys_of(shape_at(Scenario, data, path))
+        remedy = remedy or keys_of(shape_at(Scenario, data, path))
         if hint := _typing_hint(node, data, path, takes_mapping=expected == "a mapping"):
-            help = hint[0]
+            remedy = hint[0]
             near = near or hint[1]
     elif kind == "DB102":
         headline = f"{headline} {_place(path)}"
-        help = ". ".join(
+        remedy = ". ".join(
             filter(
                 None,
                 (
-                    help,
+                    remedy,
                     sentence_about_key(data, (*path, context["missing"][0])) if context["missing"] else None,
                 ),
             )
@@ -214,7 +214,7 @@ def _problem(root: nodes.MappingNode, data: Any, error: ErrorDetails) -> _Proble
     fix = _fix(key_node if at_key else node, near)
     return _Problem(
         path,
-        Finding(kind, span, headline, help or sentence_about_key(data, path), fix=fix),
+        Finding(kind, span, headline, remedy or sentence_about_key(data, path), fix=fix),
         context["missing"],
     )
 
@@ -331,10 +331,10 @@ def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:
 
 def _merge_forms_of_isaac_lab(root: nodes.MappingNode, data: Any, problems: list[_Problem]) -> list[_Problem]:
     """Replace all problems of a section that is written as in Isaac Lab by a single one."""
-    for path, paths, headline, help in advice(data):
+    for path, paths, headline, remedy in advice(data):
         inside = [problem for problem in problems if any(problem.path[: len(at)] == at for at in paths)]
         if inside:
-            finding = Finding("DB101", _key_span(root, path), headline, help)
+            finding = Finding("DB101", _key_span(root, path), headline, remedy)
             merged = _Problem(path, finding)
             problems = [merged, *(problem for problem in problems if problem not in inside)]
     return problems
@@ -438,9 +438,9 @@ def _merge_missing_sections(root: nodes.MappingNode, problems: list[_Problem]) -
         return problems
     missing = tuple(key for problem in lacking for key in problem.missing)
     headline = f"missing keys {listed(missing)} {_place(())}"
-    help, *notes = (problem.finding.help or "" for problem in lacking)
+    remedy, *notes = (problem.finding.help or "" for problem in lacking)
     together = _Problem(
-        (), Finding("DB102", _key_span(root, ()), headline, help, notes=tuple(filter(None, notes))), missing
+        (), Finding("DB102", _key_span(root, ()), headline, remedy, notes=tuple(filter(None, notes))), missing
     )
     return [together, *(problem for problem in problems if problem not in lacking)]
 

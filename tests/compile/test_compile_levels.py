@@ -15,7 +15,7 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
 
 
 @pytest.mark.parametrize(
-    ("override", "code", "place", "headline", "help"),
+    ("override", "code", "place", "headline", "remedy"),
     [
         ("set={lvl: 0 .. 5}", "DB201", "lvl", "there is no parameter `lvl`", "level"),
         (
@@ -41,12 +41,12 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
     ],
 )
 def test_a_mistake_is_found_where_it_is(
-    override: str, code: str, place: str, headline: str, help: str
+    override: str, code: str, place: str, headline: str, remedy: str
 ) -> None:
     findings = check(load(SCENARIO, overrides=[f"curriculum.{override}"])).findings.errors
     assert [(finding.code, finding.span.text) for finding in findings] == [(code, place)]
     assert headline in findings[0].headline
-    assert help in (findings[0].help or "")
+    assert remedy in (findings[0].help or "")
 
 
 def test_a_scenario_without_success_cannot_go_up_by_it() -> None:
