@@ -116,7 +116,7 @@ class EngineKind(NamedTuple):
     @property
     def remedy(self) -> str:
         """The way to install it, or the engine to use instead."""
-        others = [name for name, kind in ENGINES.own.items() if kind is not self and kind.is_installed]
+        others = [name for name, kind in ENGINES.built_in.items() if kind is not self and kind.is_installed]
         instead = f", or the engine `{others[0]}`" if others else ""
         if others and sys.platform == "win32" and not self.on_windows:
             return f"use the engine `{others[0]}`"
@@ -128,8 +128,8 @@ class EngineKind(NamedTuple):
 class Engines(Mapping[str, EngineKind]):
     """The physics engines: our own first, then those of other packages, which a look-up does not import."""
 
-    def __init__(self, own: Mapping[str, EngineKind]) -> None:
-        self.own = own
+    def __init__(self, built_in: Mapping[str, EngineKind]) -> None:
+        self.built_in = built_in
 
     __hash__ = object.__hash__  # a field type that has a table is a key of caches
 
@@ -141,10 +141,10 @@ class Engines(Mapping[str, EngineKind]):
             entry.name: EngineKind(f"Of {entry.value}.", entry.name, entry.value)
             for entry in plugins.entry_points_of(ENTRY_POINT_GROUP)
         }
-        return {**self.own, **{name: kind for name, kind in added.items() if name not in self.own}}
+        return {**self.built_in, **{name: kind for name, kind in added.items() if name not in self.built_in}}
 
     def __getitem__(self, name: str) -> EngineKind:
-        return self.own[name] if name in self.own else self._all()[name]
+        return self.built_in[name] if name in self.built_in else self._all()[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._all())
@@ -190,7 +190,7 @@ ENGINES = Engines(
 def diagonal_of(engine: str) -> Diagonal:
     """Return the diagonal along which an engine divides the cells of the ground; that of PyBullet for an
     engine of another package."""
-    kind = ENGINES.own.get(engine)
+    kind = ENGINES.built_in.get(engine)
     return "falling" if kind is None else kind.diagonal
 
 
@@ -212,17 +212,17 @@ def chosen(name: str | None) -> str:
 
 @cache
 def _default() -> str:
-    usual = ENGINES.own[DEFAULT_ENGINE]
+    usual = ENGINES.built_in[DEFAULT_ENGINE]
     if usual.is_installed:
         return DEFAULT_ENGINE
-    alternative = next((name for name, kind in ENGINES.own.items() if kind.is_installed), None)
+    alternative = next((name for name, kind in ENGINES.built_in.items() if kind.is_installed), None)
     if alternative is None:
         return DEFAULT_ENGINE  # its error explains how to install it
     logging.getLogger("deepbots").warning(
         "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
         " world.engine)",
         usual.missing,
-        ENGINES.own[alternative].title,
+        ENGINES.built_in[alternative].title,
         usual.title,
     )
     return alternative

@@ -79,10 +79,10 @@ class PluginTable(Mapping[str, T], Generic[T]):
     """
 
     def __init__(
-        self, group: str, own: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]
+        self, group: str, built_in: Mapping[str, T], read: Callable[[str, Any], Iterable[tuple[str, T]]]
     ) -> None:
         self.group = group
-        self.own = own
+        self.built_in = built_in
         self._read = read
         self._all: dict[str, T] | None = None
 
@@ -93,7 +93,7 @@ class PluginTable(Mapping[str, T], Generic[T]):
 
     def _loaded(self) -> Mapping[str, T]:
         if self._all is None:
-            self._all = dict(self.own)  # set first: a plug-in may ask for the table while it is loaded
+            self._all = dict(self.built_in)  # set first: a plug-in may ask for the table while it is loaded
             for entry in entry_points_of(self.group):
                 try:
                     for name, plugin in self._read(entry.name, entry.load()):
@@ -107,10 +107,10 @@ class PluginTable(Mapping[str, T], Generic[T]):
     @property
     def from_plugins(self) -> Mapping[str, T]:
         """The entries of plug-ins."""
-        return {name: plugin for name, plugin in self._loaded().items() if name not in self.own}
+        return {name: plugin for name, plugin in self._loaded().items() if name not in self.built_in}
 
     def __getitem__(self, name: str) -> T:
-        return self.own[name] if name in self.own else self._loaded()[name]
+        return self.built_in[name] if name in self.built_in else self._loaded()[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._loaded())

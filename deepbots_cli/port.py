@@ -424,9 +424,9 @@ class EngineProxy:
     def _reader(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
         return self.bound(self._pass(method, parts, *args, **kwargs))
 
-    def place(self, body: str, *given: Any, **named: Any) -> None:
+    def place(self, body: str, *args: Any, **kwargs: Any) -> None:
         if engine := self.changing(body):
-            engine.place(self.body(body), *given, **named)
+            engine.place(self.body(body), *args, **kwargs)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         if engine := self.changing(robot):

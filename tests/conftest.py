@@ -38,7 +38,7 @@ hypothesis.settings.register_profile("few", deadline=None, max_examples=20)
 hypothesis.settings.register_profile("nightly", deadline=None, max_examples=200)
 hypothesis.settings.load_profile("few")
 
-WITHOUT = None if ENGINES.own["pybullet"].is_installed else ENGINES.own["pybullet"].missing
+WITHOUT = None if ENGINES.built_in["pybullet"].is_installed else ENGINES.built_in["pybullet"].missing
 _NEEDS = (
     "No module named 'pybullet",
     "the engine 'pybullet' cannot be used",

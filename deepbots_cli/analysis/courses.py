@@ -240,8 +240,8 @@ class Course(Ranges):
     def _set_clock(self, ticks: float) -> None:
         repeat = self.analysis.program.action_repeat
         self._ticks = min(ticks, self.steps[1] * repeat)
-        self.given = {
-            **self.given,
+        self.assumed = {
+            **self.assumed,
             "time": single(self._ticks * self._tick),
             "step": single(float(floor(self._ticks / repeat))),
         }
@@ -283,7 +283,7 @@ class Course(Ranges):
         self._forget()
 
     def _forget(self) -> None:
-        self._known.clear()
+        self._computed.clear()
         self._names.clear()
 
     def _of(self, node: Scalar) -> Interval:

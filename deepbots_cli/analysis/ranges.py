@@ -37,12 +37,12 @@ class Ranges:
     def __init__(
         self,
         analysis: Analysis,
-        given: Mapping[str, Interval] = _NO_RANGES,
+        assumed: Mapping[str, Interval] = _NO_RANGES,
         steps: tuple[float, float] | None = None,
         condition: tuple[int, Interval] | None = None,
     ) -> None:
-        """Create ranges in which the names in `given` have these values; the quantity with the identity
-        `kept[0]` stays within `kept[1]`.
+        """Create ranges in which the names in `assumed` have these values; the quantity with the
+        identity `condition[0]` stays within `condition[1]`.
 
         `steps` are the first and the last step, by default all steps of an episode.
         """
@@ -50,31 +50,31 @@ class Ranges:
         first, last = self.steps = steps or (0.0, float(analysis.last_step))
         before = max(0.0, first - 1.0) * analysis.period + (analysis.program.world.timestep if first else 0.0)
         self._time = Interval(before, last * analysis.period)
-        self.given = {"step": Interval(first, last), "time": self._time, **given}
-        self._kept = condition
+        self.assumed = {"step": Interval(first, last), "time": self._time, **assumed}
+        self._condition = condition
         self._base = analysis.ranges if steps and not condition and type(self) is Ranges else None
-        self._known: dict[int, tuple[Scalar, Interval]] = {}
+        self._computed: dict[int, tuple[Scalar, Interval]] = {}
         self._names: dict[Name, Interval] = {}
 
     def where(self, quantity: int, interval: Interval) -> Ranges:
         """Return the ranges while the quantity of this identity stays within `interval`."""
-        return type(self)(self.analysis, self.given, self.steps, (quantity, interval))
+        return type(self)(self.analysis, self.assumed, self.steps, (quantity, interval))
 
     def of(self, node: Scalar) -> Interval:
         """Return the range of a value. Trees are looked up by their id: hashing a tree walks it."""
-        cached = self._known.get(id(node))
+        cached = self._computed.get(id(node))
         if cached is None:
             # The tree is kept, so that no other tree gets its id.
-            cached = self._known[id(node)] = (node, self._of(node))
+            cached = self._computed[id(node)] = (node, self._of(node))
         return cached[1]
 
     def _of(self, node: Scalar) -> Interval:
         if isinstance(node, Const):
             return single(float(node.value))
-        if self._base is not None and self.analysis.dependencies(node).isdisjoint(self.given):
+        if self._base is not None and self.analysis.dependencies(node).isdisjoint(self.assumed):
             return self._base.of(node)  # worked out once for all steps
-        if self._kept is not None and self.analysis.identity(node) == self._kept[0]:
-            return self._kept[1]
+        if self._condition is not None and self.analysis.identity(node) == self._condition[0]:
+            return self._condition[1]
         match node:
             case Op(op, args):
                 return self._op(op, args)
@@ -88,8 +88,8 @@ class Ranges:
                 return FUNCTIONS[distribution].interval(*(self.of(arg) for arg in args))
 
     def _name(self, node: Name) -> Interval:
-        if node.name in self.given:
-            return self.given[node.name]
+        if node.name in self.assumed:
+            return self.assumed[node.name]
         if node not in self._names:
             meaning = self.analysis.resolve_aliases(node)
             interval = self._leaf(meaning) if isinstance(meaning, Name) else self.of(meaning)
@@ -103,8 +103,8 @@ class Ranges:
         return self._names[node]
 
     def _leaf(self, node: Name) -> Interval:
-        if node.name in self.given:
-            return self.given[node.name]
+        if node.name in self.assumed:
+            return self.assumed[node.name]
         if self.analysis.is_noisy(node.name):
             return EVERYTHING
         foreign = self.analysis.expression_named(node.name)

@@ -46,7 +46,7 @@ def known_engine(name: str | None) -> str | None:
         hint = f"did you mean '{suggestion}'? The" if suggestion else "the"
         raise typer.BadParameter(f"there is no engine '{name}'; {hint} engines are: {', '.join(ENGINES)}")
     kind = ENGINES[name]
-    if not kind.is_installed and any(candidate.is_installed for candidate in ENGINES.own.values()):
+    if not kind.is_installed and any(candidate.is_installed for candidate in ENGINES.built_in.values()):
         raise typer.BadParameter(f"{kind.missing}; {kind.remedy}")
     return name
 
@@ -113,7 +113,7 @@ def written_options(ctx: typer.Context) -> dict[str, str]:
     }
 
 
-def start_values(given: Sequence[str] | None) -> dict[str, Any]:
+def start_values(texts: Sequence[str] | None) -> dict[str, Any]:
     """Return the `options` of `reset` from `--start`: a number, a word, or several numbers with commas
     between them.
 
@@ -122,7 +122,7 @@ def start_values(given: Sequence[str] | None) -> dict[str, Any]:
             or without commas.
     """
     values: dict[str, Any] = {}
-    for text in given or ():
+    for text in texts or ():
         name, _, value = (part.strip() for part in text.partition("="))
         if not name or not value:
             raise UsageError(f"--start {text}: write NAME=VALUE, such as --start mark.x=0.5")

@@ -645,13 +645,12 @@ def _print_rewards(supervisor: SupervisorPrinter, printer: Printer) -> None:
         for term in supervisor.scenario.members[agent].terms.values()
     }
     for name, term in zip(names, terms, strict=True):
-        code = (
-            Code(f"{function_attribute(supervisor, 'reward term', term.name)}(self)")
-            if term.foreign is not None
-            else printer.code(term.scalar)
-            if term.name in acting
-            else Code(printer.value(term.scalar))
-        )
+        if term.foreign is not None:
+            code = Code(f"{function_attribute(supervisor, 'reward term', term.name)}(self)")
+        elif term.name in acting:
+            code = printer.code(term.scalar)
+        else:
+            code = Code(printer.value(term.scalar))
         if term.name in acting:
             code = printer.operation("where", [Code(acting[term.name]), code, Code("0.0")])
         lines += with_comment(f"{name} = {code.text}", term.text)

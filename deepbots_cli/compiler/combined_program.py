@@ -199,7 +199,7 @@ class Renaming:
             ),
             observation=tuple(map(self._observation, agent.observation)),
             critic=tuple(map(self._observation, agent.critic)),
-            reward=tuple(self._names.expression(term, own=True) for term in agent.reward),
+            reward=tuple(self._names.expression(term, of_agent=True) for term in agent.reward),
             scripts=tuple(
                 Script(
                     qualified_name(self._names.agent, script.name), tuple(map(self._scripted, script.parts))
@@ -214,7 +214,7 @@ class Renaming:
 
     def endings(self) -> Iterator[Expression]:
         """Yield the endings; one that ends the episode of this agent alone may use names of the agent."""
-        return (self._names.expression(ending, own=False) for ending in self._program.endings)
+        return (self._names.expression(ending, of_agent=False) for ending in self._program.endings)
 
     def robot(self, robot: Robot) -> Robot:
         """Return a robot that the agent drives: its action variables have other names in its messages, and
@@ -243,8 +243,10 @@ class Renaming:
         noise = entry.noise
         return replace(
             entry,
-            value=self._names.expression(entry.value, own=True),
-            noise=None if noise is None else replace(noise, std=self._names.expression(noise.std, own=False)),
+            value=self._names.expression(entry.value, of_agent=True),
+            noise=None
+            if noise is None
+            else replace(noise, std=self._names.expression(noise.std, of_agent=False)),
         )
 
     def _option(self, option: Option) -> Option:
@@ -252,18 +254,19 @@ class Renaming:
         return (
             option
             if forbidden is None
-            else replace(option, forbidden=self._names.expression(forbidden, own=False))
+            else replace(option, forbidden=self._names.expression(forbidden, of_agent=False))
         )
 
     def _scripted(self, part: ScriptedChoice | ScriptedRange) -> ScriptedChoice | ScriptedRange:
         if isinstance(part, ScriptedRange):
             return replace(
-                part, values=tuple(self._names.expression(value, own=False) for value in part.values)
+                part, values=tuple(self._names.expression(value, of_agent=False) for value in part.values)
             )
         return replace(
             part,
             branches=tuple(
-                (option, self._names.expression(condition, own=False)) for option, condition in part.branches
+                (option, self._names.expression(condition, of_agent=False))
+                for option, condition in part.branches
             ),
         )
 

@@ -95,7 +95,7 @@ class RobotBuilder:
         self.path: NodePath = ("robots", self.robot.name)
         self.sensing = SensorsCompiler(self.robot, self.namespace)
         self.poses = poses(self.robot, self.namespace)
-        self.own: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
+        self.symbols: dict[str, Symbol] = {**self.poses, **self.sensing.symbols}
         self.fields: dict[str, Expression] = {}
         self.heard: dict[str, Expression] = {}
         self.received: dict[str, Expression] = {}
@@ -202,7 +202,7 @@ class RobotBuilder:
     def _sensor_field(self, name: str, path: NodePath) -> Symbol:
         """Return the field of a sensor that no `emit` lists."""
         full = f"{self.robot.name}.{name}"
-        sensor = self.own[name]
+        sensor = self.symbols[name]
         if sensor.type is None:
             return Symbol(full, None)
         typed = Reference(sensor.type, 0, len(name), sensor)
@@ -215,14 +215,14 @@ class RobotBuilder:
         full = f"{self.robot.name}.{name}"
         emit = self.robot.spec.emit or ()
         text = self.values.text(path, emit[name] if isinstance(emit, dict) else name)
-        if not isinstance(emit, dict) and name not in self.own:
+        if not isinstance(emit, dict) and name not in self.symbols:
             sensors = list(self.robot.spec.sensors)
             self.values.report_unknown(text.span, "sensor", name, sensors)
             if nearest := nearest_word(name, sensors):
                 self.values.mark_invalid(f"{self.robot.name}.{nearest}")
             return Symbol(full, None)
         typed = self.values.expression(
-            text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.own)
+            text, RobotScope(self.namespace, Context.EMIT, self.robot.name, self.symbols)
         )
         if typed is None:
             return Symbol(full, None)
@@ -257,7 +257,7 @@ class RobotBuilder:
         The fields that the robot sends are added later (`sent`).
         """
         received = self._receive()
-        scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.own, **received})
+        scope = RobotScope(self.namespace, Context.APPLY, self.robot.name, {**self.symbols, **received})
         actuators = Actuators(self.robot, self.namespace)
         driven = {
             name: actuator

@@ -498,19 +498,19 @@ MAX_ENDINGS = 200
 NO_SUCCESS_DEFINED = "a success rate needs a success, but the scenario does not define one"
 
 
-def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
+def python_term(name: str, term: PythonTerm, namespace: Namespace, *, boolean: bool) -> Expression:
     """Return a term of which nothing is known but whether it is a truth value."""
     values = namespace.values
-    text = namespace.values.field(given, "python")
+    text = namespace.values.field(term, "python")
     if namespace.document.permissions.code:
-        headline = f"`{name}` runs Python code: {given.python}"
+        headline = f"`{name}` runs Python code: {term.python}"
         values.add(
             "DB410", text.span, headline, "write it as an expression, if the language has its functions"
         )
     else:
         remedy = "write an expression, or allow it with --allow-code if you trust the package"
-        values.add("DB409", text.span, f"`{name}` would run Python code: {given.python}", remedy)
-    module, _, function = given.python.partition(":")
+        values.add("DB409", text.span, f"`{name}` would run Python code: {term.python}", remedy)
+    module, _, function = term.python.partition(":")
     kind = Type(
         boolean=boolean,
         interval=TRUTH if boolean else Interval(float("-inf"), float("inf")),
@@ -518,7 +518,7 @@ def python_term(name: str, given: PythonTerm, namespace: Namespace, *, boolean: 
     )
     nothing = Constant(kind, 0, len(text.text), (False if boolean else 0.0,))
     return Expression(
-        name, text.span, text.text, nothing, ".".join(map(str, given.path)), foreign=Foreign(module, function)
+        name, text.span, text.text, nothing, ".".join(map(str, term.path)), foreign=Foreign(module, function)
     )
 
 

@@ -155,8 +155,8 @@ def _with_combined_names(test: ScenarioTest, member: Member) -> ScenarioTest:
             expectation,
             condition=None
             if expectation.condition is None
-            else member.names.expression(expectation.condition, own=False),
-            compared=tuple(member.names.expression(value, own=False) for value in expectation.compared),
+            else member.names.expression(expectation.condition, of_agent=False),
+            compared=tuple(member.names.expression(value, of_agent=False) for value in expectation.compared),
         )
         for expectation in test.expected
     )

@@ -293,14 +293,14 @@ class _Scope:
 
 @dataclass(frozen=True)
 class ParameterScope(_Scope):
-    """Parameters only: for values of the world, resets, ranges. `own` are names of the place itself, such as
-    poses."""
+    """Parameters only: for values of the world, resets, ranges. `symbols` are names of the place itself, such
+    as poses."""
 
-    own: Mapping[str, Symbol] = field(default_factory=dict)
+    symbols: Mapping[str, Symbol] = field(default_factory=dict)
 
     def lookup(self, name: str) -> Symbol | None:
-        if name in self.own:
-            return self.own[name]
+        if name in self.symbols:
+            return self.symbols[name]
         origin = self.namespace.origin(name)
         if origin in (None, Origin.PARAMETER, Origin.ROBOT, Origin.OBJECT, Origin.WALL, Origin.LINE):
             return self.namespace.use(name)
@@ -319,7 +319,7 @@ class ParameterScope(_Scope):
         )
 
     def names(self) -> Iterable[str]:
-        return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
+        return [*self.symbols, *self.namespace.names_of(Origin.PARAMETER)]
 
 
 @dataclass(frozen=True)
@@ -425,15 +425,15 @@ class SupervisorScope(_Scope):
 
 @dataclass(frozen=True)
 class RobotScope(_Scope):
-    """The names on board of one robot. `own` has its sensors, received fields and poses by name."""
+    """The names on board of one robot. `symbols` has its sensors, received fields and poses by name."""
 
     robot: str
-    own: dict[str, Symbol]
+    symbols: dict[str, Symbol]
 
     def lookup(self, name: str) -> Symbol | None:
-        if name in self.own:
+        if name in self.symbols:
             self.namespace.mark_used(name)
-            return self.own[name]
+            return self.symbols[name]
         origin = self.namespace.origin(name)
         resolved = self.namespace.robots.get(self.robot)
         arrives = origin is Origin.ACTION or (resolved is not None and name in (resolved.spec.receive or {}))
@@ -471,4 +471,4 @@ class RobotScope(_Scope):
         return f"to send `{name}` to the robot, write `receive: {{{name}: {name}}}`"
 
     def names(self) -> Iterable[str]:
-        return [*self.own, *self.namespace.names_of(Origin.PARAMETER)]
+        return [*self.symbols, *self.namespace.names_of(Origin.PARAMETER)]

@@ -666,23 +666,23 @@ class Decisions(NamespaceReader):
         self._called = ""
 
     def read(
-        self, path: NodePath, given: Mapping[str, object], description: str
+        self, path: NodePath, entries: Mapping[str, object], description: str
     ) -> tuple[ScriptedChoice | ScriptedRange, ...] | None:
         """Return the decisions at `path`, which is called `description` in findings; None after a
         finding."""
         self._called = description
-        strange = [part for part in given if part not in self._names]
+        strange = [part for part in entries if part not in self._names]
         for part in strange:
             self._values.report_unknown(self._values.key_span((*path, part)), "action", part, self._names)
         for part in self._names:
-            if part not in given and not strange and not self._values.is_invalid(part):
+            if part not in entries and not strange and not self._values.is_invalid(part):
                 self._values.add_at_key(
                     "DB102", path, f"{description} sets no value for `{part}`", self._example(part)
                 )
         decided = {
-            part: self._decision((*path, part), self._parts[part], given[part])
+            part: self._decision((*path, part), self._parts[part], entries[part])
             for part in self._parts
-            if part in given
+            if part in entries
         }
         parts = [decided.get(part) for part in self._names]
         return tuple(part for part in parts if part is not None) if all(parts) else None

@@ -282,13 +282,13 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     return boxes
 
 
-def terrain(given: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
+def terrain(spec: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
     """Return the terrain; None after a finding."""
     friction = namespace.fields.scalar_or_randomized(
-        given, "friction", "lateral_friction", OfLink(GROUND), 1.0
+        spec, "friction", "lateral_friction", OfLink(GROUND), 1.0
     )
-    paint = namespace.fields.color(given, OfLink(GROUND))
-    relief = _relief(given, namespace)
+    paint = namespace.fields.color(spec, OfLink(GROUND))
+    relief = _relief(spec, namespace)
     return None if relief is None else Terrain(relief, friction, paint)
 
 

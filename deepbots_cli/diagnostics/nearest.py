@@ -1,4 +1,4 @@
-"""The word that was meant: the known word that is most like a misspelled one."""
+"""The word that was meant: the candidates word that is most like a misspelled one."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Replacement(NamedTuple):
     at: int | None = None
 
 
-def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """Return the `known` word most like `word`, ignoring case, or else the only one that begins with it; None
+def nearest_word(word: str, candidates: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """Return the candidate most like `word`, ignoring case, or else the only one that begins with it; None
     if there is none."""
     from difflib import get_close_matches  # its import takes 4 ms, and only messages need it
 
-    by_lower = {name.lower(): name for name in islice(known, _MAX_COMPARED)}
+    by_lower = {name.lower(): name for name in islice(candidates, _MAX_COMPARED)}
     close = get_close_matches(word[:_MAX_LENGTH].lower(), by_lower, 1, cutoff)
     if close:
         return by_lower[close[0]]
@@ -51,10 +51,10 @@ def nearest_word(word: str, known: Iterable[str], cutoff: float = 0.6) -> str | 
     return longer[0] if len(longer) == 1 else None
 
 
-def nearest_first(word: str, known: Iterable[str], limit: int) -> list[str]:
-    """Return the `known` words; of more than `limit`, those like `word` come first, so that a shortened list
+def nearest_first(word: str, candidates: Iterable[str], limit: int) -> list[str]:
+    """Return the candidates; of more than `limit`, those like `word` come first, so that a shortened list
     has them."""
-    words = list(known)
+    words = list(candidates)
     if len(words) <= limit or not word:
         return words
     from difflib import SequenceMatcher  # as above
@@ -71,19 +71,21 @@ def nearest_first(word: str, known: Iterable[str], limit: int) -> list[str]:
     return [*like, *(name for name in words if by_likeness.get(name, 0.0) < _LIKE)]
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ` (did you mean x?)` with the nearest of the `known` words; empty if there is none."""
-    near = nearest_word(word, known)
+def did_you_mean(word: str, candidates: Iterable[str]) -> str:
+    """Return ` (did you mean x?)` with the nearest of the candidates; empty if there is none."""
+    near = nearest_word(word, candidates)
     return f" (did you mean {near}?)" if near else ""
 
 
-def suggest_replacement(word: str, known: Iterable[str], *, of_language: bool = False) -> Replacement | None:
-    """Return the nearest of the `known` words as a replacement.
+def suggest_replacement(
+    word: str, candidates: Iterable[str], *, of_language: bool = False
+) -> Replacement | None:
+    """Return the nearest of the candidates as a replacement.
 
     It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip
     away. Names that a user chose may differ by a letter on purpose (`left_1`, `left_2`).
     """
-    words = tuple(islice(known, _MAX_COMPARED))
+    words = tuple(islice(candidates, _MAX_COMPARED))
     near = nearest_word(word, words)
     if near is None:
         return None

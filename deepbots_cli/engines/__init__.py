@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from deepbots_cli.port import BatchEngine, Engine, EngineFactory
     from deepbots_cli.program.world import WorldModel
 
-ENGINES = ALL.own
+ENGINES = ALL.built_in
 """Our own engines."""
 BATCHES = {name: kind.batch for name, kind in ENGINES.items() if kind.batch is not None}
 """The engines that step many worlds of one model at once."""

@@ -223,7 +223,9 @@ def engine_speeds(
 
     with ExitStack() as stack:
         worlds: dict[str, Supervisor] = {}
-        for name in dict.fromkeys((used, *(name for name, kind in ENGINES.own.items() if kind.is_installed))):
+        for name in dict.fromkeys(
+            (used, *(name for name, kind in ENGINES.built_in.items() if kind.is_installed))
+        ):
             with errors_of(name):
                 world = api.make(program, engine=name, permissions=permissions)
                 worlds[name] = stack.enter_context(closing(world))
@@ -250,7 +252,7 @@ def engine_worth_naming(
     """
     training = program.agent.training
     planned = timesteps or (training.total_timesteps if training else 0)
-    installed = sum(kind.is_installed for kind in ENGINES.own.values())
+    installed = sum(kind.is_installed for kind in ENGINES.built_in.values())
     if planned < MEASURED_FROM_STEPS or program.engine is not None or installed < 2:
         return None
     used = chosen(None)

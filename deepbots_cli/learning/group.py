@@ -356,7 +356,7 @@ def _train_seeds(
                 for number, seed in enumerate(seeds, 1)
             }
             arguments = {"progress": progress, "build": build, "on_evaluation": on_evaluation}
-            items = [replace(item, own=arguments, begin=begins[item.seed]) for item in items]
+            items = [replace(item, local=arguments, begin=begins[item.seed]) for item in items]
         else:
             if build is not None or on_evaluation is not None or isinstance(progress, Reporter):
                 raise UsageError(
@@ -399,7 +399,7 @@ class _SeedTraining:
     """A training of a group: it begins with the `options` of the group, or continues, both with `changes` of
     these.
 
-    `own` are further arguments of `train` and `resume` in this process; on workers they are None.
+    `local` are further arguments of `train` and `resume` in this process; on workers they are None.
     """
 
     path: Path
@@ -407,7 +407,7 @@ class _SeedTraining:
     compiled: Compiled
     options: Mapping[str, Any]
     changes: Mapping[str, Any]
-    own: Mapping[str, Any] | None = None
+    local: Mapping[str, Any] | None = None
     begin: Callable[[], object] | None = None
 
 
@@ -464,7 +464,7 @@ def _train_seed(item: _SeedTraining, attempt: Attempt) -> TrainingResult | None:
     group ends before."""
     if item.begin is not None and item.begin() is False:
         return None
-    arguments = {"progress": _AttemptReporter(attempt)} if item.own is None else item.own
+    arguments = {"progress": _AttemptReporter(attempt)} if item.local is None else item.local
     is_repeated = attempt.number > 1
     return train_member(
         item.path, item.compiled, item.seed, item.options, item.changes, is_repeated=is_repeated, **arguments

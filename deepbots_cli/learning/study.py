@@ -215,7 +215,7 @@ class StudyReporter:
 class Journal:
     """Optuna's study, read from its journal and written to it."""
 
-    known: optuna.Study
+    study: optuna.Study
     storage: optuna.storages.JournalStorage
     file: JournalFile
 
@@ -227,7 +227,7 @@ class Journal:
             RunError: The journal is damaged.
         """
         with self.file.checked():
-            return self.known.get_trials(deepcopy=False)
+            return self.study.get_trials(deepcopy=False)
 
     def importances(self, seeds: int, *, lower_is_better: bool) -> list[dict[str, float]]:
         """Return the importance of each key for the best quarter of the complete trials, by the scores of one
@@ -243,7 +243,7 @@ class Journal:
                 return seed_score if lower_is_better else -seed_score
 
             return get_param_importances(
-                self.known, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost
+                self.study, evaluator=PedAnovaImportanceEvaluator(target_quantile=0.25), target=cost
             )
 
         # Optuna warns that low values are good, which they are here.
@@ -259,9 +259,9 @@ class Journal:
         import optuna
 
         with self.file.checked():
-            study_id = self.storage.get_study_id_from_name(self.known.study_name)
+            study_id = self.storage.get_study_id_from_name(self.study.study_name)
             trial_id = self.storage.get_trial_id_from_study_id_trial_number(study_id, number)
-            return optuna.trial.Trial(self.known, trial_id)
+            return optuna.trial.Trial(self.study, trial_id)
 
 
 @dataclass(frozen=True)

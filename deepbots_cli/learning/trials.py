@@ -233,13 +233,13 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
             # A sampler for each trial: that of a process would begin again with the same numbers after an
             # interruption.
             seed = derive_seed(study.record.seed, "trial", len(trials) if number is None else number)
-            journal.known.sampler = TPESampler(seed=seed)
+            journal.study.sampler = TPESampler(seed=seed)
             is_waiting = any(trial.state.name == "WAITING" for trial in trials)
             with journal.file.checked():
                 if number is None and (is_waiting or len(trials) < study.record.trials):
                     if not trials and study.record.present:
-                        journal.known.enqueue_trial(dict(study.record.present))
-                    number = journal.known.ask().number
+                        journal.study.enqueue_trial(dict(study.record.present))
+                    number = journal.study.ask().number
                     stack.enter_context(lock(number))
                 if number is not None:
                     _suggest(journal.trial(number), study.record.search)
@@ -268,9 +268,9 @@ def end_trial(journal: Journal, number: int, result: TrialResult) -> None:
         if result.reason is not None:
             trial.set_user_attr("reason", result.reason)
         if result.state == "complete":
-            journal.known.tell(trial, fmean(seed.score for seed in result.seeds), skip_if_finished=True)
+            journal.study.tell(trial, fmean(seed.score for seed in result.seeds), skip_if_finished=True)
         else:
-            journal.known.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
+            journal.study.tell(trial, state=TrialState.PRUNED, skip_if_finished=True)
 
 
 def run_trial(taken: TakenTrial, attempt: Attempt) -> TrialResult:

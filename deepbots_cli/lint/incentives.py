@@ -441,7 +441,7 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
             Interval(low - 0.2 * abs(low), low) if threshold.above else Interval(high, high + 0.2 * abs(high))
         )
         restriction = (ranges.analysis.identity(threshold.quantity), side)
-    return _StillRanges(ranges.analysis, ranges.given, ranges.steps, restriction)
+    return _StillRanges(ranges.analysis, ranges.assumed, ranges.steps, restriction)
 
 
 @rule("DB708")

@@ -66,7 +66,7 @@ def _multiples(member: Member) -> Iterator[tuple[Multiple, Expression]]:
         expressions |= {(signal.name, part): tree for part, tree in zip(parts, signal.scalars, strict=True)}
     for term in member.program.agent.reward:
         if term.foreign is None:
-            multiple = multiple_of(member.names.expression(term, own=False).scalar, expressions)
+            multiple = multiple_of(member.names.expression(term, of_agent=False).scalar, expressions)
             if multiple.of is not None:
                 yield multiple, term
 

@@ -200,7 +200,7 @@ def require_simulator(option: str = "lint --deep") -> None:
         MissingExtraError: A package that simulating needs is not installed.
     """
     if any(find_spec(name) is None for name in _REQUIRED) or not any(
-        kind.is_installed for kind in ENGINES.own.values()
+        kind.is_installed for kind in ENGINES.built_in.values()
     ):
         raise MissingExtraError("sim", option)
 

@@ -92,7 +92,7 @@ def beyond_engine(context: RuleContext) -> Iterator[Finding]:
     terrain = world.terrain
     if kind is None:
         return
-    if not kind.is_installed and any(engine.is_installed for engine in ENGINES.own.values()):
+    if not kind.is_installed and any(engine.is_installed for engine in ENGINES.built_in.values()):
         headline = f"the engine `{context.program.engine}` cannot be used here: {kind.missing}"
         yield Finding("DB316", context.values.span(("world", "engine")), headline, kind.remedy)
     if kind.mesh_terrain is not None and terrain is not None and isinstance(terrain.shape, Mesh):

@@ -369,7 +369,7 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
         if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot
     ]
     same = next((scope for scope in scopes if scope.context is context), scopes[0] if scopes else None)
-    return RobotScope(checked.namespace, context, robot, dict(same.own) if same else {})
+    return RobotScope(checked.namespace, context, robot, dict(same.symbols) if same else {})
 
 
 def _word_before(text: str) -> str:

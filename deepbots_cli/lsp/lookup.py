@@ -559,9 +559,9 @@ def _defined_name_text(view: CursorView, target: KeyOrValue) -> str | None:
         )
         symbol = next(
             (
-                board.own[target.text]
+                board.symbols[target.text]
                 for board in boards
-                if board.robot == target.path[1] and target.text in board.own
+                if board.robot == target.path[1] and target.text in board.symbols
             ),
             None,
         )

@@ -104,7 +104,7 @@ class _Published(NamedTuple):
     """The diagnostics of the last analysis of a document, by URI."""
 
     analysis: DocumentAnalysis
-    found: dict[str, list[types.Diagnostic]]
+    diagnostics: dict[str, list[types.Diagnostic]]
 
     def is_about(self, document: Document | None) -> bool:
         """Return whether the analysis read the current text of a document; None stands for a file that is not
@@ -139,7 +139,7 @@ class Checker:
         """Withdraw the diagnostics that a document's analysis published."""
         self._queue.pop(uri, None)
         if uri in self._published:
-            self._publish_all(self._published.pop(uri).found)
+            self._publish_all(self._published.pop(uri).diagnostics)
 
     def stop(self) -> None:
         self._queue.clear()
@@ -181,12 +181,12 @@ class Checker:
         uri = analysis.document.uri
         if analysis.settings_error:
             self._warn(analysis.settings_error)
-        before = self._published[uri].found if uri in self._published else {}
+        before = self._published[uri].diagnostics if uri in self._published else {}
         now = self._published[uri] = _Published(analysis, diagnostics(analysis, self._workspace.open_uris))
         # A file that has changed meanwhile is published by the next analysis of the documents that read it.
         self._publish_all(
             affected_uri
-            for affected_uri in {*before, *now.found}
+            for affected_uri in {*before, *now.diagnostics}
             if now.is_about(self._workspace.documents.get(affected_uri))
         )
 
@@ -200,7 +200,7 @@ class Checker:
             document = self._workspace.documents.get(uri)
             order = sorted(self._published, key=lambda reader: (reader == uri, reader))
             groups = [
-                self._published[reader].found.get(uri, ())
+                self._published[reader].diagnostics.get(uri, ())
                 for reader in order
                 if self._published[reader].is_about(document)
             ]

@@ -61,20 +61,20 @@ class MemberNames:
     def scalars(self, scalars: Iterable[Scalar]) -> tuple[Scalar, ...]:
         return tuple(renamed(scalar, self._name, self._slot) for scalar in scalars)
 
-    def expression(self, value: Expression, *, own: bool) -> Expression:
-        """Return a value with the names of the program of all; the value itself has a name of its `own`
-        agent, or one that all agents share."""
+    def expression(self, value: Expression, *, of_agent: bool) -> Expression:
+        """Return a value with the names of the program of all; its own name is that of a value of the
+        agent (`of_agent`), or one that all agents share."""
         noise = value.noise
         return replace(
             value,
-            name=qualified_name(self.agent, value.name) if own else value.name,
+            name=qualified_name(self.agent, value.name) if of_agent else value.name,
             owner=self._owner(value.owner),
             lowered=None if value.foreign is not None else self.scalars(value.scalars),
-            noise=None if noise is None else replace(noise, std=self.expression(noise.std, own=False)),
+            noise=None if noise is None else replace(noise, std=self.expression(noise.std, of_agent=False)),
         )
 
     def signal(self, value: Expression) -> Expression:
-        return self.expression(value, own=value.name in self.signals)
+        return self.expression(value, of_agent=value.name in self.signals)
 
     def _name(self, name: Name) -> Name:
         if name.name == PREVIOUS_ACTION:

@@ -52,7 +52,7 @@ class Response:
         self.time_constant = time_constant
         self._substep = substep
         self._initial_value = initial_value
-        self._most = [rate * substep for rate in rates]
+        self._max_changes = [rate * substep for rate in rates]
         self._sent: deque[tuple[int, Sequence[float]]] = deque()
         self.reset()
 
@@ -62,7 +62,7 @@ class Response:
         self._now = 0
         self._wait = max(0, ceil(self.delay / self._substep - _TIME_TOLERANCE))
         self._share = 1.0 - exp(-self._substep / self.time_constant) if self.time_constant > 0.0 else 1.0
-        self._jumps = self._share == 1.0 and not self._most
+        self._jumps = self._share == 1.0 and not self._max_changes
         self._goal: Sequence[float] = ()
         self._value: Sequence[float] | None = None
         self._still = True
@@ -90,14 +90,18 @@ class Response:
         before = self._initial_value() if self._value is None else self._value
         share = self._share
         after = [old + share * (goal - old) for old, goal in zip(before, self._goal, strict=True)]
-        if self._most:
-            after = [
-                old + most if new - old > most else old - most if new - old < -most else new
-                for old, new, most in zip(before, after, self._most, strict=True)
-            ]
+        if self._max_changes:
+            after = list(map(_within_rate, before, after, self._max_changes))
         self._still = self._value is not None and after == before
         self._value = after
         return after
+
+
+def _within_rate(old: float, new: float, max_change: float) -> float:
+    """Return `new`, at most `max_change` away from `old`."""
+    if new - old > max_change:
+        return old + max_change
+    return old - max_change if new - old < -max_change else new
 
 
 class Motor:

@@ -24,6 +24,7 @@ from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import Engine
 from deepbots_cli.program.robots import NoiseModel, Sensor
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.runtime.formulas import clamp
 from deepbots_cli.runtime.streams import Streams
 
 Values = Sequence[float]
@@ -128,8 +129,7 @@ class SensorErrors:
             values = [x if x == x else unseen for x in values]  # NaN differs from itself
         spec = self.spec
         if spec.low:
-            ends = zip(values, spec.low, spec.high, strict=True)
-            values = [low if x < low else high if x > high else x for x, low, high in ends]
+            values = list(map(clamp, values, spec.low, spec.high))
         if spec.resolution:
             values = [step * round(x / step) for x, step in zip(values, spec.resolution, strict=True)]
         return values

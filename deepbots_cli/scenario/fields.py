@@ -428,11 +428,11 @@ class Word(FieldType):
     """One of several words: a `Literal`, which pydantic validates itself, or a name of a table with
     plug-ins."""
 
-    known: Collection[str]
+    choices: Collection[str]
 
     @property
     def words(self) -> tuple[str, ...]:
-        return tuple(self.known)
+        return tuple(self.choices)
 
     @property
     def noun(self) -> str:
@@ -440,7 +440,7 @@ class Word(FieldType):
         return f"one of {words}" if len(self.words) > 1 else words
 
     def check(self, value: Any) -> None:
-        if value not in self.known:
+        if value not in self.choices:
             raise error(
                 "DB104",
                 f"unknown word `{value[:40]}`",
@@ -450,8 +450,8 @@ class Word(FieldType):
 
     def json_schema(self) -> JsonSchema:
         summaries = (
-            [getattr(entry, "summary", "") for entry in self.known.values()]
-            if isinstance(self.known, Mapping)
+            [getattr(entry, "summary", "") for entry in self.choices.values()]
+            if isinstance(self.choices, Mapping)
             else []
         )
         return {"enum": list(self.words), **({"enumDescriptions": summaries} if any(summaries) else {})}
@@ -541,11 +541,11 @@ def measure_dimension(measure: str) -> Dimension | None:
     return None if " " in unit else _dimension(unit)
 
 
-def dimension_of(measure: str, own: Dimension, *, second: bool = False) -> Dimension | None:
-    """Return the dimension of a measure: `own` of a `reading`, None of `any`; of a measure such as `torque or
+def dimension_of(measure: str, of_reading: Dimension, *, second: bool = False) -> Dimension | None:
+    """Return the dimension of a measure: `of_reading` of a `reading`, None of `any`; of a measure such as `torque or
     force` the first or the second."""
     if measure in ("reading", "any"):
-        return own if measure == "reading" else None
+        return of_reading if measure == "reading" else None
     return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])
 
 

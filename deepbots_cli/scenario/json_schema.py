@@ -138,19 +138,19 @@ def names_key_of(shape: Shape) -> str:
 # Shapes
 
 
-def json_schema(known: ScenarioNames | None = None) -> Json:
+def json_schema(names: ScenarioNames | None = None) -> Json:
     """Return the schema (draft 2020-12), in stable order; without names of a scenario it is the committed
     schema."""
     definitions: Json = {"include": {**_INCLUDE}}
     _Writer(
-        definitions, known or ScenarioNames(), {**_LANGUAGE, **(known.shared if known else {})}
+        definitions, names or ScenarioNames(), {**_LANGUAGE, **(names.shared if names else {})}
     ).reference(Scenario)
     below = {
         name: _required(shape) for name, shape in section_fields(Scenario).items() if isinstance(shape, type)
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **({} if known else {"$id": FILE_NAME}),
+        **({} if names else {"$id": FILE_NAME}),
         "title": "deepbots scenario",
         "$ref": f"#/$defs/{Scenario.__name__}",
         "if": {"not": {"anyOf": [{"required": ["extends"]}, {"required": ["include"]}]}},
@@ -176,9 +176,9 @@ def _required(section: type[Section]) -> list[str]:
     return [name for name, info in section.model_fields.items() if info.is_required()]
 
 
-def schema_text(known: ScenarioNames | None = None) -> str:
+def schema_text(names: ScenarioNames | None = None) -> str:
     """Return the text of the schema; the keywords of a key are on one line."""
-    return re.sub(r"\n {5,}", "", json.dumps(json_schema(known), indent=1, separators=(",", ":"))) + "\n"
+    return re.sub(r"\n {5,}", "", json.dumps(json_schema(names), indent=1, separators=(",", ":"))) + "\n"
 
 
 _ACROSS_FILES: Json = {

@@ -157,10 +157,10 @@ def listening_socket(host: str, port: int | None, first: int = FIRST_PORT) -> so
     )
 
 
-def may_be_called(asked: str, host: str, port: int) -> bool:
+def may_be_called(host_header: str, host: str, port: int) -> bool:
     """Return whether a Host header names this server. Beyond loopback, where the token protects the page,
     addresses and the name of the machine are accepted too."""
-    name, _, number = asked.rpartition(":")
+    name, _, number = host_header.rpartition(":")
     if number != str(port):
         return False
     if name in (LOOPBACK, "localhost", "[::1]", host, f"[{host}]"):

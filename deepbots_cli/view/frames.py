@@ -441,8 +441,8 @@ class FrameReader:
                 for key, (channel, tap) in self._message_recorders.items()
             },
             cameras={
-                key: np.asarray(seen[0] if isinstance(seen, list | tuple) else seen)
-                for key, seen in images.items()
+                key: np.asarray(image[0] if isinstance(image, list | tuple) else image)
+                for key, image in images.items()
             },
             drawn=env.present_values(),
             agents=agents,
@@ -460,12 +460,16 @@ class FrameReader:
         """Return the positions of the moving joints of each robot."""
         return {name: tuple(float(state[0]) for state in read()) for name, read in self._joints.items()}
 
-    def _agent(self, agent: Supervisor, seen: Any, action: Any, episode_return: float) -> AgentFrame:
-        vector = seen
+    def _agent(self, agent: Supervisor, observation: Any, action: Any, episode_return: float) -> AgentFrame:
+        vector = observation
         goal = []
-        if isinstance(seen, dict):
-            vector = seen.get("observation", np.zeros(0, np.float32))
-            goal = [*seen["achieved_goal"], *seen["desired_goal"]] if "desired_goal" in seen else []
+        if isinstance(observation, dict):
+            vector = observation.get("observation", np.zeros(0, np.float32))
+            goal = (
+                [*observation["achieved_goal"], *observation["desired_goal"]]
+                if "desired_goal" in observation
+                else []
+            )
         masks = agent.allowed() if agent.ended_by is None else ()
         mapped = [*np.asarray(vector)[self._newest], *goal]
         values = tuple(

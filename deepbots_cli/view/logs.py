@@ -146,12 +146,12 @@ class LogPlayer(ReplayPlayer):
 
     def _agent(self, step: LoggedStep) -> AgentFrame:
         times = (step.answer or math.nan, *(step.ages.get(name, math.nan) for name in self._aged))
-        seen = (
+        values = (
             *(column.of(step.inputs) for column in self._inputs),
             float(step.posture == _SAFE),
             *(1e3 * time for time in times),
         )
-        return AgentFrame(seen, tuple(column.of(step.commands) for column in self._commands), 0.0, 0.0, {})
+        return AgentFrame(values, tuple(column.of(step.commands) for column in self._commands), 0.0, 0.0, {})
 
     # The world
 

@@ -44,9 +44,9 @@ class Viewpoint:
 
 def _solid(simulation: Simulation, name: str) -> Node | None:
     """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
-    wanted = name.rpartition(":")[2]
+    solid_name = name.rpartition(":")[2]
     for node in walk(simulation.scene.nodes):
-        if wanted and node in simulation.scene.attachments and _name(node) == wanted:
+        if solid_name and node in simulation.scene.attachments and _name(node) == solid_name:
             return node
     return None
 

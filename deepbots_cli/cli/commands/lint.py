@@ -484,7 +484,7 @@ class LintOptions:
         )
 
 
-def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
+def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
     """Return the scenarios that the arguments name, each once. Files in folders that the project excludes are
     left out.
 
@@ -492,7 +492,7 @@ def scenario_names(given: Iterable[str], project: Settings) -> list[str]:
         UsageError: A scenario does not exist, or a folder has no scenario.
     """
     names: dict[str, None] = {}
-    for argument in given:
+    for argument in arguments:
         is_folder = argument != STDIN and Path(argument).is_dir()
         names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
     for name in names:

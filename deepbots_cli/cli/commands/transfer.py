@@ -227,7 +227,7 @@ def _other_scenario(
 
 def _other_engine(name: str) -> str:
     return next(
-        (engine for engine, kind in ENGINES.own.items() if engine != name and kind.is_installed), name
+        (engine for engine, kind in ENGINES.built_in.items() if engine != name and kind.is_installed), name
     )
 
 

@@ -268,7 +268,7 @@ class ModelBuilder:
     def _relief(self, terrain: Terrain) -> HeightGrid:
         relief = height_grid(terrain.shape)
         if relief is None:
-            lack = ENGINES.own["mujoco"].mesh_terrain
+            lack = ENGINES.built_in["mujoco"].mesh_terrain
             assert lack is not None
             raise EngineError(f"{lack.reason}; {lack.help}")
         rows, columns = relief.heights.shape
@@ -424,7 +424,7 @@ class ModelBuilder:
             if not inertial.is_stated:
                 tensor = self._made_up(link, mass)
             elif not inertial.is_plausible:
-                lack = ENGINES.own["mujoco"].implausible_inertia
+                lack = ENGINES.built_in["mujoco"].implausible_inertia
                 assert lack is not None
                 raise EngineError(f"link '{link.name}' of '{body}' {lack.reason}; {lack.help}")
             else:

@@ -128,11 +128,7 @@ class Springs:
         targets = self._targets
         if targets is not None:
             self.torques = torques = [
-                high
-                if (torque := k * (target - state[0]) - d * state[1]) > high
-                else low
-                if torque < low
-                else torque
+                _limited(k * (target - state[0]) - d * state[1], low, high)
                 for k, d, low, high, target, state in zip(*self._columns, targets, self._read(), strict=True)
             ]
             self._exert(torques)
@@ -175,6 +171,12 @@ class CurvedMotor(Springs):
             min(max(torque, low), high) for torque, (low, high) in zip(efforts, bounds, strict=True)
         ]
         self._exert(self.torques)
+
+
+def _limited(torque: float, low: float, high: float) -> float:
+    if torque > high:
+        return high
+    return low if torque < low else torque
 
 
 def _plain_torques(client: int, body: int, indices: Sequence[int]) -> Callable[[list[float]], object]:

@@ -53,21 +53,21 @@ def likeliest_actions(policy: Any, observations: Any) -> Array | None:
 
 
 def sampled_actions(
-    policy: Any, seen: torch.Tensor
+    policy: Any, observations: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor] | None:
     """Draw actions for rows of observations. Returns actions, values and log-probabilities, equal to the bit
-    to those of `policy(seen)`.
+    to those of `policy(observations)`.
 
     The random numbers are the same, too. A call of the policy makes modules and distributions ready: 0.32 ms
     for 8 rows, where this takes 0.17. None for a policy that is more than layers over an array, and if an
     output is not finite, which the policy then reports.
     """
-    if not _is_layers(policy) or seen.ndim != 2 or seen.dtype != torch.float32:
+    if not _is_layers(policy) or observations.ndim != 2 or observations.dtype != torch.float32:
         return None
     layers, extractor = policy.mlp_extractor, policy.pi_features_extractor
-    inputs = extractor.own(seen) if isinstance(extractor, PolicyColumns) else seen
+    inputs = extractor.own(observations) if isinstance(extractor, PolicyColumns) else observations
     scores = policy.action_net(layers.policy_net(inputs))
-    values = policy.value_net(layers.value_net(seen))
+    values = policy.value_net(layers.value_net(observations))
     if not scores.isfinite().all():
         return None
     if isinstance(policy.action_space, spaces.Discrete):  # as `Categorical` does
