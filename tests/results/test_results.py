@@ -263,9 +263,9 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
         "curve": curve,
         "evaluations": {},
     }
-    asked = measure.asked_training("cartpole", Training(), 101)
-    for digest, marked in ((asked.digest, False), ("of another world", True)):
-        entry = {"digest": digest, "command": asked.command, **measure.circumstances(), **counts, **rest}
+    request = measure.training_request("cartpole", Training(), 101)
+    for digest, marked in ((request.digest, False), ("of another world", True)):
+        entry = {"digest": digest, "command": request.command, **measure.circumstances(), **counts, **rest}
         measure.put(places.record("cartpole"), entry, "trainings", "main", "101")
         texts = {path: " ".join(text.split()) for path, text in page.pages(places, chosen).items()}
         warning = "**Measured on an earlier version of the scenario or of the experiment:** seed 101."
@@ -274,20 +274,20 @@ def test_figures_of_an_earlier_version_of_a_scenario_are_marked(tmp_path: Path):
 
 
 def test_a_new_case_asks_for_an_evaluation_and_for_no_new_training(monkeypatch: pytest.MonkeyPatch):
-    def asked() -> tuple[object, object]:
+    def requests() -> tuple[object, object]:
         training = Training()
         name = "find_ball_random"
-        return measure.asked_training(name, training, 101), measure.asked_evaluation(
+        return measure.training_request(name, training, 101), measure.evaluation_request(
             name, training, Evaluation()
         )
 
     program = measure.compiled("find_ball_random")
-    before = asked()
+    before = requests()
     monkeypatch.setattr(
         measure, "compiled", lambda scenario, sets=(): replace(program, cases=program.cases[:-1])
     )
-    assert asked()[0] == before[0]
-    assert asked()[1] != before[1]
+    assert requests()[0] == before[0]
+    assert requests()[1] != before[1]
 
 
 def logged(folder: Path, returns: list[float], stages: list[str] | None = None) -> list[measure.Point]:

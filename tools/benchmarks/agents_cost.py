@@ -129,10 +129,10 @@ def row(what: str, sides: list[Callable[[], float]], bar: float, count: int) -> 
 
 
 def main() -> None:
-    given = options(__doc__, pairs=15, steps=400, worlds=256)
+    arguments = options(__doc__, pairs=15, steps=400, worlds=256)
     random = np.random.default_rng(0)
-    actions = random.uniform(-1, 1, (given.steps, 2)).astype(np.float32)
-    of_worlds = random.uniform(-1, 1, (max(1, given.steps // 10), given.worlds, 2)).astype(np.float32)
+    actions = random.uniform(-1, 1, (arguments.steps, 2)).astype(np.float32)
+    of_worlds = random.uniform(-1, 1, (max(1, arguments.steps // 10), arguments.worlds, 2)).astype(np.float32)
     with tempfile.TemporaryDirectory() as folder:
         two, one = Path(folder, "two.yaml"), Path(folder, "one.yaml")
         two.write_text(TWO, encoding="utf-8")
@@ -144,11 +144,11 @@ def main() -> None:
         ]
         batches = [
             BatchWorlds(
-                lambda _, program=program: api.build_batch(program, given.worlds, engine="mujoco"),
-                range(given.worlds),
-                agent_terms=own,
+                lambda _, program=program: api.build_batch(program, arguments.worlds, engine="mujoco"),
+                range(arguments.worlds),
+                agent_terms=agent_terms,
             )
-            for program, own in zip(programs, terms, strict=True)
+            for program, agent_terms in zip(programs, terms, strict=True)
         ]
         with (
             closing(deepbots_cli.parallel_env(two)) as agents,
@@ -160,17 +160,20 @@ def main() -> None:
             plain = of_environment(single, actions)
             rows = [
                 row(
-                    "supervisor, two agents / one", [of_environment(joint, actions), plain], 1.15, given.pairs
+                    "supervisor, two agents / one",
+                    [of_environment(joint, actions), plain],
+                    1.15,
+                    arguments.pairs,
                 ),
-                row("PettingZoo / Gymnasium", [of_agents(agents, actions), plain], 1.15, given.pairs),
+                row("PettingZoo / Gymnasium", [of_agents(agents, actions), plain], 1.15, arguments.pairs),
                 row(
-                    f"batch of {given.worlds}, two agents / one",
+                    f"batch of {arguments.worlds}, two agents / one",
                     [of_batch(batch, of_worlds) for batch in batches],
                     1 / 0.85,
-                    given.pairs,
+                    arguments.pairs,
                 ),
             ]
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -64,8 +64,8 @@ def share(name: str, rounds: int) -> tuple[float, float, float]:
         taken.append((alone / spent, *(cpu / STEPS / WORLDS * 1e6 for cpu in (spent, alone))))
     env.close()
     single.close()
-    found: Any = np.median(taken[1:], axis=0).tolist()
-    return tuple(found)
+    medians: Any = np.median(taken[1:], axis=0).tolist()
+    return tuple(medians)
 
 
 if __name__ == "__main__":

@@ -61,7 +61,7 @@ def row(what: str, program: Program, worlds: int, steps: int, count: int) -> Row
 
 
 def main() -> None:
-    given = options(__doc__, pairs=9, steps=40, worlds=64)
+    arguments = options(__doc__, pairs=9, steps=40, worlds=64)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for scenario, (agent, other, script) in AGENTS.items():
@@ -71,9 +71,9 @@ def main() -> None:
                 allowed = Permissions(folders=(run,))
                 program = api.compile(scenario, overrides=[role], permissions=allowed).program
                 kind = "script" if driver == script else "policy"
-                what = f"{scenario}, {other} by a {kind}: single worlds / batch of {given.worlds}"
-                rows.append(row(what, program, given.worlds, given.steps, given.pairs))
-    show(rows, as_json=given.json)
+                what = f"{scenario}, {other} by a {kind}: single worlds / batch of {arguments.worlds}"
+                rows.append(row(what, program, arguments.worlds, arguments.steps, arguments.pairs))
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -151,8 +151,8 @@ def wrong_ages(rows: np.ndarray, age: float) -> float:  # type: ignore[type-arg]
 
 
 def main() -> None:
-    given = options(__doc__)
-    show([*delays_and_orders(), *losses(), *scenarios()], as_json=given.json)
+    arguments = options(__doc__)
+    show([*delays_and_orders(), *losses(), *scenarios()], as_json=arguments.json)
 
 
 if __name__ == "__main__":

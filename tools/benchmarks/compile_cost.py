@@ -27,14 +27,14 @@ print(time.process_time() - start)
 
 
 def main() -> None:
-    given = options(__doc__, runs=11)
-    found = [
+    arguments = options(__doc__, runs=11)
+    seconds = [
         float(
             subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True).stdout
         )
-        for _ in range(given.runs)
+        for _ in range(arguments.runs)
     ]
-    show([Row("compile CartPole, text to code", 1e3 * median(found), "ms", 60.0)], as_json=given.json)
+    show([Row("compile CartPole, text to code", 1e3 * median(seconds), "ms", 60.0)], as_json=arguments.json)
 
 
 if __name__ == "__main__":

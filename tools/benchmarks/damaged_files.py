@@ -19,11 +19,11 @@ from tools.benchmarks.report import Row, options, show
 
 
 def main() -> None:
-    given = options(__doc__, count=500_000)
+    arguments = options(__doc__, count=500_000)
     failed = 0
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder, Workbench(Path(folder)) as bench:
-        for number in range(given.count):
+        for number in range(arguments.count):
             if number % 200 == 0:
                 gc.collect()
             try:
@@ -33,13 +33,13 @@ def main() -> None:
                 print(f"{number}: {type(error).__name__}: {error}", file=sys.stderr)
         took = time.process_time() - start
         rows = [
-            Row("damaged files", given.count, "", 500_000, at_least=True),
+            Row("damaged files", arguments.count, "", 500_000, at_least=True),
             Row("of them not answered by findings, in time, as often as asked", failed, "", 0),
             Row("the slowest of them", bench.slowest[0], "s", 1),
-            Row("on average", 1000 * took / given.count, "ms"),
+            Row("on average", 1000 * took / arguments.count, "ms"),
             Row("memory at most, all in one process", peak_memory() / 1e6, "MB", 300),
         ]
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -44,13 +44,13 @@ def episode(env: Any, choose: Any, seed: int) -> Episode:
     pose, velocity = engine.pose(ROBOT), engine.velocity(ROBOT)
     heights = [engine.pose(ROBOT, foot) for foot in FEET]
     touches = [engine.contact((ROBOT, foot), (("ground", None),)) for foot in FEET]
-    seen, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed)
     speeds: list[float] = []
     tracks: list[list[tuple[float, bool]]] = [[] for _ in FEET]
     ended = cut = False
     time = 0.0
     while not (ended or cut):
-        seen, _, ended, cut, info = env.step(choose(seen))
+        observation, _, ended, cut, info = env.step(choose(observation))
         time += env.scenario.period
         if time > BEGINNING:
             speeds.append(rotate_back(pose()[1], velocity()[0])[0])
@@ -69,16 +69,16 @@ def swings(track: list[tuple[float, bool]]) -> list[float]:
     standing = [height for height, touching in track if touching]
     if not standing:
         return []
-    level, found, rising = median(standing), [], []
+    level, clearances, rising = median(standing), [], []
     begun = False
     for height, touching in track:
         if not touching:
             rising.append(height)
             continue
         if begun and len(rising) >= 2:
-            found.append(max(rising) - level)
+            clearances.append(max(rising) - level)
         begun, rising = True, []
-    return found
+    return clearances
 
 
 def main() -> None:
@@ -87,29 +87,29 @@ def main() -> None:
     parser.add_argument("--case", default="half_speed")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
-    given = parser.parse_args()
-    run = Run.open(given.run)
-    program = run.program.case(given.case).program
-    policy = load_policy(given.run)
+    arguments = parser.parse_args()
+    run = Run.open(arguments.run)
+    program = run.program.case(arguments.case).program
+    policy = load_policy(arguments.run)
     env = api.build(program, engine=run.engine_for(program))
-    done = [
+    episodes = [
         episode(env, policy.predict, derive_seed(run.record.seed, "evaluation", number))
-        for number in range(given.episodes)
+        for number in range(arguments.episodes)
     ]
     env.close()
-    held = [each.whole and abs(each.speed - SPEED) <= WITHIN * SPEED for each in done]
+    held = [each.whole and abs(each.speed - SPEED) <= WITHIN * SPEED for each in episodes]
     rows = [
         Row("episodes at 0.5 m/s within 20 %", 100 * float(np.mean(held)), "%", bar=95, at_least=True),
-        Row("mean speed", float(np.mean([each.speed for each in done])), "m/s"),
-        Row("slowest and fastest episode: slowest", min(each.speed for each in done), "m/s"),
-        Row("slowest and fastest episode: fastest", max(each.speed for each in done), "m/s"),
+        Row("mean speed", float(np.mean([each.speed for each in episodes])), "m/s"),
+        Row("slowest and fastest episode: slowest", min(each.speed for each in episodes), "m/s"),
+        Row("slowest and fastest episode: fastest", max(each.speed for each in episodes), "m/s"),
     ]
     for place, foot in enumerate(FEET):
-        found = [clearance for each in done for clearance in each.clearances[place]]
-        middle = 100 * median(found) if found else 0.0
+        clearances = [clearance for each in episodes for clearance in each.clearances[place]]
+        middle = 100 * median(clearances) if clearances else 0.0
         rows.append(
             Row(
-                f"{foot}: clearance, median of {len(found)} swings",
+                f"{foot}: clearance, median of {len(clearances)} swings",
                 middle,
                 "cm",
                 bar=100 * CLEARANCE,
@@ -119,11 +119,11 @@ def main() -> None:
         rows.append(
             Row(
                 f"{foot}: swings of at least 3 cm",
-                100 * float(np.mean(np.array(found) >= CLEARANCE)) if found else 0.0,
+                100 * float(np.mean(np.array(clearances) >= CLEARANCE)) if clearances else 0.0,
                 "%",
             )
         )
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -116,33 +116,36 @@ def cost(what: str, texts: tuple[str, str], bar: float, worlds: int, steps: int,
         shape = environments[0].action_space.shape
         actions = list(np.random.default_rng(0).uniform(-0.3, 0.3, (steps, *shape)).astype(np.float32))
         rewards: list[list[Any]] = [[], []]
-        sides = [timed(each, actions, seen) for each, seen in zip(environments, rewards, strict=True)]
-        found = pairs(sides[0], sides[1], count)
+        sides = [
+            timed(each, actions, side_rewards)
+            for each, side_rewards in zip(environments, rewards, strict=True)
+        ]
+        times = pairs(sides[0], sides[1], count)
         np.testing.assert_allclose(np.array(rewards[0]), np.array(rewards[1]), rtol=1e-9, atol=1e-9)
-    first, second = (1e6 * np.median(side) for side in zip(*found, strict=True))
-    return Row(f"{what} ({first:.0f} us / {second:.0f} us)", ratio(found), "", bar)
+    first, second = (1e6 * np.median(side) for side in zip(*times, strict=True))
+    return Row(f"{what} ({first:.0f} us / {second:.0f} us)", ratio(times), "", bar)
 
 
 def main() -> None:
-    given = options(__doc__, pairs=15, steps=400, worlds=256)
-    batch = f"batch of {given.worlds}"
+    arguments = options(__doc__, pairs=15, steps=400, worlds=256)
+    batch = f"batch of {arguments.worlds}"
     groups = GROUPS + BY_GROUP, BY_LINK
-    few = max(1, given.steps // 10)
+    few = max(1, arguments.steps // 10)
     show(
         [
-            cost("one world, groups / links", groups, 1.0, 0, given.steps, given.pairs),
-            cost(f"{batch}, groups / links", groups, 1.0, given.worlds, few, given.pairs),
-            cost(f"{batch}, 45 rays / none, plane", (SCAN, ""), 1.25, given.worlds, few, given.pairs),
+            cost("one world, groups / links", groups, 1.0, 0, arguments.steps, arguments.pairs),
+            cost(f"{batch}, groups / links", groups, 1.0, arguments.worlds, few, arguments.pairs),
+            cost(f"{batch}, 45 rays / none, plane", (SCAN, ""), 1.25, arguments.worlds, few, arguments.pairs),
             cost(
                 f"{batch}, 45 rays / none, rough tiles",
                 ("".join((SCAN, ON_TILES)), ON_TILES),
                 1.25,
-                given.worlds,
+                arguments.worlds,
                 few,
-                given.pairs,
+                arguments.pairs,
             ),
         ],
-        as_json=given.json,
+        as_json=arguments.json,
     )
 
 

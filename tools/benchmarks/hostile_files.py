@@ -14,7 +14,7 @@ from tools.benchmarks.report import Row, options, show
 
 
 def main() -> None:
-    given = options(__doc__)
+    arguments = options(__doc__)
     count = sum(1 for _ in cases())
     tried = list(outcomes())
     answered = sum(
@@ -29,7 +29,7 @@ def main() -> None:
             "memory at most, all in one process", max(outcome.memory for _, outcome in tried) / 1e6, "MB", 300
         ),
     ]
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

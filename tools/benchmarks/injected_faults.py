@@ -20,7 +20,7 @@ from tools.benchmarks.report import Row, options, show
 
 
 def main() -> None:
-    given = options(__doc__)
+    arguments = options(__doc__)
     cases = everything()
     right: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -37,7 +37,7 @@ def main() -> None:
         for kind in sorted(counts)
     ]
     rows.append(Row("of them right: all", right.total(), "", len(cases), at_least=True))
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -58,14 +58,16 @@ def heavy_imports(target: Path) -> list[str]:
 
 
 def main() -> None:
-    given = options(__doc__, runs=11)
+    arguments = options(__doc__, runs=11)
     papers = {name: ROOT / "scenarios" / f"{name}.yaml" for name in PAPERS}
     with tempfile.TemporaryDirectory() as compiled, tempfile.TemporaryDirectory() as folder:
         environment, batch = with_bytecode(compiled), lint_batch.write(Path(folder))
         for path in papers.values():
             cost(path, environment)  # the first run writes bytecode
         # In turn, so that what else the machine does slows all alike.
-        rounds = [{name: cost(path, environment) for name, path in papers.items()} for _ in range(given.runs)]
+        rounds = [
+            {name: cost(path, environment) for name, path in papers.items()} for _ in range(arguments.runs)
+        ]
         whole = median(cost(batch, environment) for _ in range(3))
     rows = [
         Row(f"deepbots lint scenarios/{name}.yaml, cold", median(times[name] for times in rounds), "s", 0.30)
@@ -80,7 +82,7 @@ def main() -> None:
         ),
         Row(f"of {', '.join(HEAVY)} it imports", len(heavy_imports(papers["cartpole"])), "", 0),
     ]
-    show(rows, as_json=given.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -102,8 +102,8 @@ def rows(count: int) -> Iterator[Row]:
 
 
 def main() -> None:
-    given = options(__doc__, requests=100)
-    show(rows(given.requests), as_json=given.json)
+    arguments = options(__doc__, requests=100)
+    show(rows(arguments.requests), as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from tools.benchmarks.report import options, show
 
 
 def main() -> None:
-    given = options(__doc__)
-    show((row for experiment in EXPERIMENTS.values() for row in experiment()), as_json=given.json)
+    arguments = options(__doc__)
+    show((row for experiment in EXPERIMENTS.values() for row in experiment()), as_json=arguments.json)
 
 
 if __name__ == "__main__":

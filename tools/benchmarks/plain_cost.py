@@ -144,11 +144,11 @@ def timed(environment: Any, choose: Choose, steps: int) -> tuple[float, float]:
 def compared(what: str, drive: Callable[[int], Choose], steps: int, count: int) -> list[Row]:
     sides: list[list[tuple[float, float]]] = [[], []]
     for index in range(count):
-        made = (ours(), plain())
+        environments = (ours(), plain())
         for side in (0, 1) if index % 2 else (1, 0):
-            timed(made[side], drive(index), steps // 5)  # caches warm up
-            sides[side].append(timed(made[side], drive(index), steps))
-        for environment in made:
+            timed(environments[side], drive(index), steps // 5)  # caches warm up
+            sides[side].append(timed(environments[side], drive(index), steps))
+        for environment in environments:
             environment.close()
     rows = []
     for which, (kind, bar) in enumerate((("a step", 1.15), ("a reset and its first step", None))):
@@ -169,13 +169,13 @@ def episode(environment: Any, seed: int) -> list[bytes]:
     """All observations of an episode of random actions."""
     choose = at_random(seed)
     observation, _ = environment.reset(seed=seed)
-    seen = [observation.tobytes()]
+    observations = [observation.tobytes()]
     over = False
     while not over:
         observation, _, terminated, truncated, _ = environment.step(choose(observation))
-        seen.append(observation.tobytes())
+        observations.append(observation.tobytes())
         over = terminated or truncated
-    return seen
+    return observations
 
 
 def differing(episodes: int) -> Row:
@@ -192,10 +192,10 @@ def differing(episodes: int) -> Row:
 
 
 def main() -> None:
-    given = options(__doc__, pairs=15, steps=1000, episodes=300)
-    rows = compared("random actions", at_random, given.steps, given.pairs)
-    rows += compared("a balancing rule", balancing, given.steps, given.pairs)
-    show([*rows, differing(given.episodes)], as_json=given.json)
+    arguments = options(__doc__, pairs=15, steps=1000, episodes=300)
+    rows = compared("random actions", at_random, arguments.steps, arguments.pairs)
+    rows += compared("a balancing rule", balancing, arguments.steps, arguments.pairs)
+    show([*rows, differing(arguments.episodes)], as_json=arguments.json)
 
 
 if __name__ == "__main__":

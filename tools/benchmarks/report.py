@@ -53,13 +53,13 @@ def options(description: str | None, *, parts: Iterable[str] = (), **counts: int
     parser.add_argument("--json", action="store_true", help="print the rows as JSON")
     for name, default in counts.items():
         parser.add_argument(f"--{name}", type=int, default=default, help=f"by default {default}")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     if names:
-        unknown = [name for name in asked.parts if name not in names]
+        unknown = [name for name in arguments.parts if name not in names]
         if unknown:
             parser.error(f"there is no part {unknown[0]}; the parts are {', '.join(names)}")
-        asked.parts = asked.parts or names
-    return asked
+        arguments.parts = arguments.parts or names
+    return arguments
 
 
 def show(rows: Iterable[Row], *, as_json: bool) -> None:
@@ -87,24 +87,24 @@ def pairs(first: Callable[[], float], second: Callable[[], float], count: int) -
     gc.collect()
     gc.disable()
     try:
-        found = []
+        measured = []
         for index in range(count):
             if index % 2:
                 b = second()
-                found.append((first(), b))
+                measured.append((first(), b))
             else:
                 a = first()
-                found.append((a, second()))
-        return found
+                measured.append((a, second()))
+        return measured
     finally:
         gc.enable()
 
 
-def ratio(found: list[tuple[float, float]]) -> float:
+def ratio(measured: list[tuple[float, float]]) -> float:
     """The median of the ratios of the pairs."""
-    return median(a / b for a, b in found)
+    return median(a / b for a, b in measured)
 
 
-def difference(found: list[tuple[float, float]]) -> float:
+def difference(measured: list[tuple[float, float]]) -> float:
     """The median of the differences of the pairs."""
-    return median(a - b for a, b in found)
+    return median(a - b for a, b in measured)

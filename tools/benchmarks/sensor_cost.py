@@ -93,11 +93,11 @@ def cost(folder: Path, what: str, sensor: str, steps: int, count: int) -> Row:
 
 
 def main() -> None:
-    given = options(__doc__, pairs=9, steps=1000)
+    arguments = options(__doc__, pairs=9, steps=1000)
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "pyproject.toml").touch()
-        rows = [cost(Path(folder), *entry, given.steps, given.pairs) for entry in SENSORS]
-    show(rows, as_json=given.json)
+        rows = [cost(Path(folder), *entry, arguments.steps, arguments.pairs) for entry in SENSORS]
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -102,16 +102,16 @@ def opened(source: str, *overrides: str) -> Iterator[Supervisor]:
 @contextmanager
 def rays_bound() -> Iterator[list[Callable[[], object]]]:
     """Collects the ray readers of the worlds that are made meanwhile."""
-    found: list[Callable[[], object]] = []
+    readers: list[Callable[[], object]] = []
     bind = PyBulletEngine.rays
 
     def collecting(engine: PyBulletEngine, *arguments: Any) -> Any:
-        found.append(bind(engine, *arguments))
-        return found[-1]
+        readers.append(bind(engine, *arguments))
+        return readers[-1]
 
     PyBulletEngine.rays = collecting  # type: ignore[method-assign]
     try:
-        yield found
+        yield readers
     finally:
         PyBulletEngine.rays = bind  # type: ignore[method-assign]
 
@@ -199,11 +199,11 @@ def against_physics(
         episodes = plan(environment, steps, 0)
         blind(other)
         require_same_motion(environment, other, episodes[0])
-        found = pairs(
+        times = pairs(
             whole(environment, episodes), bare(other, episodes, tuple(rays) if with_rays else ()), count
         )
-    step, physics = (median(side) for side in zip(*found, strict=True))
-    return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(found), "x", bar)
+    step, physics = (median(side) for side in zip(*times, strict=True))
+    return Row(f"{what} ({step:.2f} / {physics:.2f} us)", ratio(times), "x", bar)
 
 
 def csv_beside_struct(steps: int, count: int) -> Row:
@@ -215,8 +215,8 @@ def csv_beside_struct(steps: int, count: int) -> Row:
     ):
         episodes = plan(struct, steps, 0)
         csv.physics = struct.physics = lambda substeps: None
-        found = pairs(whole(csv, episodes), whole(struct, episodes), count)
-    return Row("CartPole, csv minus struct", difference(found), "us", 4.0)
+        times = pairs(whole(csv, episodes), whole(struct, episodes), count)
+    return Row("CartPole, csv minus struct", difference(times), "us", 4.0)
 
 
 def beside_layered(steps: int, count: int) -> list[Row]:
@@ -240,7 +240,7 @@ def beside_layered(steps: int, count: int) -> list[Row]:
 
 
 def main() -> None:
-    given = options(__doc__, pairs=15, steps=4000)
+    arguments = options(__doc__, pairs=15, steps=4000)
     rail = [
         (
             f"rail, {substeps} substep{'s' * (substeps > 1)}, {format}",
@@ -256,19 +256,25 @@ def main() -> None:
     ]
     rows = [
         against_physics(
-            "CartPole, struct", 1.10, "cartpole", ("messages.format=struct",), given.steps, given.pairs
+            "CartPole, struct",
+            1.10,
+            "cartpole",
+            ("messages.format=struct",),
+            arguments.steps,
+            arguments.pairs,
         )
     ]
     rows += [
-        against_physics(what, bar, RAIL, overrides, given.steps, given.pairs) for what, bar, overrides in rail
+        against_physics(what, bar, RAIL, overrides, arguments.steps, arguments.pairs)
+        for what, bar, overrides in rail
     ]
     for name, bar, with_rays, what in TASKS:
         if shipped.scenario_path(name):
-            steps = given.steps // (2 * api.compile(name).program.action_repeat)
-            rows.append(against_physics(what, bar, name, (), steps, given.pairs, with_rays=with_rays))
-    rows.append(csv_beside_struct(given.steps, given.pairs))
-    rows += beside_layered(given.steps, given.pairs)
-    show(rows, as_json=given.json)
+            steps = arguments.steps // (2 * api.compile(name).program.action_repeat)
+            rows.append(against_physics(what, bar, name, (), steps, arguments.pairs, with_rays=with_rays))
+    rows.append(csv_beside_struct(arguments.steps, arguments.pairs))
+    rows += beside_layered(arguments.steps, arguments.pairs)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -114,10 +114,10 @@ def keystrokes(page: StudioTab, count: int) -> list[float]:
     page.tab.run(_WATCH)
     seconds = []
     for number in range(count):
-        wanted = _KEY * (number + 1)
-        page.tab.run(f"window.wanted = '{wanted}'; window.answer = null")
+        letters = _KEY * (number + 1)
+        page.tab.run(f"window.wanted = '{letters}'; window.answer = null")
         page.type(_KEY)
-        wait(page, "window.answer !== null", 30, f"underline of {wanted!r}")
+        wait(page, "window.answer !== null", 30, f"underline of {letters!r}")
         seconds.append(float(page.tab.run("window.answer")) / 1000)
     page.press(BACKSPACE, count + 3)
     return seconds
@@ -332,19 +332,19 @@ def training_rows(count: int, steps: int) -> Iterator[Row]:
 
 def main() -> None:
     names = ("page", "keystroke", "save", "curve", "training", "idle")
-    asked = options(__doc__, parts=names, letters=50, saves=10, pairs=3, steps=30_000)
+    arguments = options(__doc__, parts=names, letters=50, saves=10, pairs=3, steps=30_000)
     parts: dict[str, Callable[[], Iterator[Row]]] = {
         "page": page_rows,
-        "keystroke": lambda: keystroke_rows(asked.letters),
-        "save": lambda: save_rows(asked.saves),
-        "curve": lambda: curve_rows(asked.steps),
-        "training": lambda: training_rows(asked.pairs, asked.steps),
+        "keystroke": lambda: keystroke_rows(arguments.letters),
+        "save": lambda: save_rows(arguments.saves),
+        "curve": lambda: curve_rows(arguments.steps),
+        "training": lambda: training_rows(arguments.pairs, arguments.steps),
         "idle": idle_rows,
     }
     rows = [Row("load of the machine", os.getloadavg()[0], "")]
-    for name in asked.parts:
+    for name in arguments.parts:
         rows += parts[name]()
-    show(rows, as_json=asked.json)
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -46,8 +46,8 @@ def dijkstra(blocked: NDArray[np.bool_], starts: NDArray[np.float64], cell: floa
     )  # 0 is no edge
     here, there, length = (np.concatenate(parts) for parts in zip(*edges, strict=True))
     graph = csr_matrix((length, (here, there)), shape=(blocked.size + 1, blocked.size + 1))
-    found = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
-    return np.minimum(found, paths.UNREACHABLE_LENGTH).reshape(blocked.shape)
+    lengths = dijkstra(graph, directed=False, indices=blocked.size)[:-1]
+    return np.minimum(lengths, paths.UNREACHABLE_LENGTH).reshape(blocked.shape)
 
 
 def layouts(count: int, generator: np.random.Generator) -> Iterator[tuple[list[Patch], tuple[float, float]]]:
@@ -76,14 +76,14 @@ def main() -> None:
     methods: tuple[Callable[..., NDArray[np.float64]], ...] = (paths.path_lengths, dijkstra)
     for solids, goal in layouts(count, generator):
         places = generator.uniform(-0.5, 0.5, (20, 2)).tolist()
-        found = []
+        lengths = []
         for number, method in enumerate(methods):
             with mock.patch.object(paths, "path_lengths", method):
                 started = time.process_time()
                 field = paths.DistanceField(ARENA, RADIUS, solids, goal, GOAL)
                 spent[number] += time.process_time() - started
-                found.append([field.length(x, y) for x, y in places])
-        largest = max(largest, *(abs(a - b) for a, b in zip(*found, strict=True)))
+                lengths.append([field.length(x, y) for x, y in places])
+        largest = max(largest, *(abs(a - b) for a, b in zip(*lengths, strict=True)))
     ours, theirs = (total / count * 1e3 for total in spent)
     print(
         f"{count} layouts: lengths differ by up to {largest:.1e} m; a field takes {ours:.1f} ms,"

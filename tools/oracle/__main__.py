@@ -50,21 +50,21 @@ def write_inputs(folder: Path) -> None:
     is."""
     if folder.exists():
         return
-    made = folder.with_name(f"{folder.name}.part")
-    shutil.rmtree(made, ignore_errors=True)
-    write_golden(made / "golden")
-    shutil.copytree(ROOT / "scenarios", made / "scenarios")
-    for place in (made, made / "faults"):
+    part_folder = folder.with_name(f"{folder.name}.part")
+    shutil.rmtree(part_folder, ignore_errors=True)
+    write_golden(part_folder / "golden")
+    shutil.copytree(ROOT / "scenarios", part_folder / "scenarios")
+    for place in (part_folder, part_folder / "faults"):
         shutil.copytree(ROOT / "robots", place / "robots")
-    (made / "deepbots.toml").touch()  # the folder is a project of its own
-    listed = [*(made / "golden").rglob("*.yaml"), *(made / "scenarios").glob("*.yaml")]
+    (part_folder / "deepbots.toml").touch()  # the folder is a project of its own
+    listed = [*(part_folder / "golden").rglob("*.yaml"), *(part_folder / "scenarios").glob("*.yaml")]
     for number, case in enumerate(drawn(everything(), FAULTS)):
         name = re.sub(r"\W+", "-", f"{number:04}-{case.kind}-{case.style}")
-        write_case(made / "faults" / name, case)
-        listed.append(made / "faults" / name / case.source)
-    names = sorted(path.relative_to(made).as_posix() for path in listed)
-    (made / "inputs.json").write_text(json.dumps(names, indent=0), encoding="utf-8")
-    made.rename(folder)
+        write_case(part_folder / "faults" / name, case)
+        listed.append(part_folder / "faults" / name / case.source)
+    names = sorted(path.relative_to(part_folder).as_posix() for path in listed)
+    (part_folder / "inputs.json").write_text(json.dumps(names, indent=0), encoding="utf-8")
+    part_folder.rename(folder)
 
 
 def drawn(cases: list[Injected], count: int) -> list[Injected]:
@@ -132,12 +132,12 @@ def main() -> int:
     compared = verbs.add_parser("compare", help="compare two records")
     compared.add_argument("before", type=Path, metavar="DIR_A")
     compared.add_argument("after", type=Path, metavar="DIR_B")
-    given = parser.parse_args()
-    if given.verb == "compare":
-        return 0 if compare(given.before, given.after) else 1
-    target = given.target.resolve()
-    inputs = (given.inputs or target.parent / "inputs").resolve()
-    record(target, given.source.resolve(), inputs, (given.only,) if given.only else PARTS)
+    arguments = parser.parse_args()
+    if arguments.verb == "compare":
+        return 0 if compare(arguments.before, arguments.after) else 1
+    target = arguments.target.resolve()
+    inputs = (arguments.inputs or target.parent / "inputs").resolve()
+    record(target, arguments.source.resolve(), inputs, (arguments.only,) if arguments.only else PARTS)
     return 0
 
 

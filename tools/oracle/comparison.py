@@ -110,19 +110,19 @@ def _compare_findings(before: Record, after: Record) -> bool:
                 print(f"    {sign} {code} {severity} {file}:{line}:{column}")
                 counts[code] += 1
         files.update({finding[0] for finding in (*lost, *gained)})
-    known = [name for name in differing if name in accepted]
-    for name in known:
+    explained = [name for name in differing if name in accepted]
+    for name in explained:
         print(f"{name}: accepted, {accepted[name]}")
     if files:
         print(f"\n{'code':<12}{'went':>8}{'came':>8}{'files':>8}")
         for code in sorted(files):
             print(f"{code:<12}{went[code]:>8}{came[code]:>8}{files[code]:>8}")
         print()
-    total = len(names) - len(known)
+    total = len(names) - len(explained)
     identical = len(names) - len(differing)
     share = identical / total if total else 0.0
     print(
-        f"findings: {identical} of {total} files are identical ({100 * share:.2f} %), beside {len(known)}"
+        f"findings: {identical} of {total} files are identical ({100 * share:.2f} %), beside {len(explained)}"
         " accepted"
     )
     return share >= LEAST_IDENTICAL

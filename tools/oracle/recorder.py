@@ -125,10 +125,10 @@ def _moved(name: str, path: Path, steps: int) -> dict[str, Any]:
             action = _action(environment.action_space, generator, info.get("action_mask"))
             observation, reward, terminated, truncated, info = environment.step(action)
             ending = exact({key: info[key] for key in INFO if key in info})
-            seen = exact(observation)
+            content = exact(observation)
             outcome = f"{float(reward).hex()} {terminated} {truncated} {info.get('ended_by')}"
-            whole.update(b"%b|%b|%b|" % (seen, outcome.encode(), ending))
-            taken.append(f"{_short(seen)} {_short(ending)} {outcome}")
+            whole.update(b"%b|%b|%b|" % (content, outcome.encode(), ending))
+            taken.append(f"{_short(content)} {_short(ending)} {outcome}")
             if step % SAMPLE_EVERY == 0:
                 samples[str(step)] = {"reward": repr(float(reward)), "observation": _prefix(observation)}
             if terminated or truncated:

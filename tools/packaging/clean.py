@@ -123,12 +123,12 @@ def _files(folder: Path, package: str) -> Iterator[Path]:
 def required(package: str, extras: Sequence[str] = ()) -> dict[str, None]:
     """The packages that one requires on this machine, with what they require themselves, by the metadata of
     this environment."""
-    found: dict[str, None] = {}
+    packages: dict[str, None] = {}
     for requirement in _requirements(package, extras):
         name = re.match(r"[\w.-]+", requirement)
         assert name is not None, requirement
-        found |= {name[0].lower(): None} | required(name[0])
-    return found
+        packages |= {name[0].lower(): None} | required(name[0])
+    return packages
 
 
 def _requirements(package: str, extras: Sequence[str]) -> Iterator[str]:
@@ -238,10 +238,13 @@ def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
     shutil.rmtree(empty / "runs")
     serve(alone, bundle, empty)
     heavy = {"numpy": None, "onnxruntime": None, **required("onnxruntime")}
-    own = ["deepbots-robot", *(name for name in required("deepbots-robot", ["zmq"]) if name not in heavy)]
-    size = alone.size(own)
+    packages = [
+        "deepbots-robot",
+        *(name for name in required("deepbots-robot", ["zmq"]) if name not in heavy),
+    ]
+    size = alone.size(packages)
     print(f"{robot.name} checks and serves a bundle in a new environment: {monotonic() - start:.0f} s")
-    print(f"  {size:.1f} MB of {', '.join(own)}; {alone.size(list(heavy)):.0f} MB of {', '.join(heavy)}")
+    print(f"  {size:.1f} MB of {', '.join(packages)}; {alone.size(list(heavy)):.0f} MB of {', '.join(heavy)}")
     assert size <= MAX_ROBOT_MB
 
 

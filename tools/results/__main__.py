@@ -40,33 +40,33 @@ def main(arguments: list[str] | None = None, places: Places | None = None) -> in
     parser.add_argument(
         "--list", action="store_true", help="what there is, and how many pieces of it are missing"
     )
-    given = parser.parse_args(arguments)
-    known: dict[str, Experiment | Part] = {
+    options = parser.parse_args(arguments)
+    subjects: dict[str, Experiment | Part] = {
         **experiments(),
         **{part.name: part for part in PARTS},
         **benchmark.experiments(),
     }
     names = [
         one
-        for name in given.names
+        for name in options.names
         for one in (benchmark.experiments() if name == benchmark.GROUP else (name,))
     ]
-    unknown = [name for name in names if name not in known]
+    unknown = [name for name in names if name not in subjects]
     if unknown:
-        print(f"there is no {' and no '.join(unknown)}; there are: {', '.join(known)}", file=sys.stderr)
+        print(f"there is no {' and no '.join(unknown)}; there are: {', '.join(subjects)}", file=sys.stderr)
         return WRONG_USAGE
-    chosen = names or list(known)
-    if given.list:
+    chosen = names or list(subjects)
+    if options.list:
         for name in chosen:
-            print(f"{name:<22} {sum(piece.missing() for piece in pieces(known[name], places))} missing")
+            print(f"{name:<22} {sum(piece.missing() for piece in pieces(subjects[name], places))} missing")
         return 0
     code = 0
-    if not given.render:
-        for name in chosen if given.anew else ():
+    if not options.render:
+        for name in chosen if options.anew else ():
             places.record(name).unlink(missing_ok=True)
             shutil.rmtree(places.runs / name, ignore_errors=True)
         for name in chosen:
-            code = code if code == INTERRUPTED else max(code, measured(known[name], places))
+            code = code if code == INTERRUPTED else max(code, measured(subjects[name], places))
     print(page.write(places, experiments()), file=sys.stderr)
     print(benchmark_page.write(places, benchmark.TASKS), file=sys.stderr)
     return code

@@ -90,14 +90,14 @@ class Row:
 
 def rows(task: Task, record: Entry) -> list[Row]:
     standing = Standing.of(task.experiment, record)
-    found = []
+    result = []
     for cell in task.cells:
         seeds = standing.seeds(cell.training) if cell.training else {}
-        known = {seed: entry for seed, entry in seeds.items() if HELD_OUT in entry["evaluations"]}
-        places = {f"seed {seed} ({cell.algorithm})" for seed in known}
+        evaluated = {seed: entry for seed, entry in seeds.items() if HELD_OUT in entry["evaluations"]}
+        places = {f"seed {seed} ({cell.algorithm})" for seed in evaluated}
         places |= {f"{HELD_OUT} of {place}" for place in places}
-        found.append(Row(task, cell, list(known.values()), not places.isdisjoint(standing.outdated)))
-    return found
+        result.append(Row(task, cell, list(evaluated.values()), not places.isdisjoint(standing.outdated)))
+    return result
 
 
 def own_algorithm(task: Task) -> str:
@@ -117,14 +117,14 @@ def success_interval(held: Sequence[Entry]) -> Interval:
 
 def return_interval(held: Sequence[Entry], bounds: Interval = UNBOUNDED) -> Interval | None:
     """Of the mean return, within the possible returns; None if no spread is known."""
-    known = [entry["return_interval"] for entry in held]
-    if None in known:
+    intervals = [entry["return_interval"] for entry in held]
+    if None in intervals:
         return mean_interval([entry["mean_return"] for entry in held], bounds)
     # The means of the seeds are independent: the squares of half the widths add up.
     mean = fmean(entry["mean_return"] for entry in held)
     low, high = (
         math.hypot(
-            *(entry["mean_return"] - interval[side] for entry, interval in zip(held, known, strict=True))
+            *(entry["mean_return"] - interval[side] for entry, interval in zip(held, intervals, strict=True))
         )
         for side in (0, 1)
     )
@@ -152,34 +152,34 @@ def write(places: Places, tasks: Sequence[Task]) -> str:
 
 def page(places: Places, tasks: Sequence[Task]) -> str:
     records = {task.scenario: measure.read(places.record(task.experiment.name)) for task in tasks}
-    found = {task.scenario: rows(task, records[task.scenario]) for task in tasks}
+    rows_of = {task.scenario: rows(task, records[task.scenario]) for task in tasks}
     lines = [
         HEAD,
         "## Summary",
         "",
-        *wrapped(_headline([row for each in found.values() for row in each])),
+        *wrapped(_headline([row for each in rows_of.values() for row in each])),
         "",
-        *_summary(tasks, found),
+        *_summary(tasks, rows_of),
         "",
     ]
     for task in tasks:
-        lines += _section(task, found[task.scenario], records[task.scenario])
+        lines += _section(task, rows_of[task.scenario], records[task.scenario])
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _headline(found: Sequence[Row]) -> str:
-    asked = [row for row in found if row.cell.training]
-    whole = sum(len(row.entries) == len(SEEDS) for row in asked)
-    part = sum(0 < len(row.entries) < len(SEEDS) for row in asked)
-    if whole == len(asked):
+def _headline(rows: Sequence[Row]) -> str:
+    pairs = [row for row in rows if row.cell.training]
+    whole = sum(len(row.entries) == len(SEEDS) for row in pairs)
+    part = sum(0 < len(row.entries) < len(SEEDS) for row in pairs)
+    if whole == len(pairs):
         return f"All {whole} pairs of a task and an algorithm are measured with {len(SEEDS)} seeds."
     text = (
-        f"Of {len(asked)} pairs of a task and an algorithm, {whole} are measured with all {len(SEEDS)} seeds"
+        f"Of {len(pairs)} pairs of a task and an algorithm, {whole} are measured with all {len(SEEDS)} seeds"
     )
-    return f"{text}, {part} with fewer, and {len(asked) - whole - part} are not measured yet."
+    return f"{text}, {part} with fewer, and {len(pairs) - whole - part} are not measured yet."
 
 
-def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[str]:
+def _summary(tasks: Sequence[Task], rows_of: Mapping[str, list[Row]]) -> Iterator[str]:
     """A row for each task: what is held out, and the CPU time until solved."""
     names = list(dict.fromkeys(cell.algorithm for task in tasks for cell in task.cells))
     text = (
@@ -190,7 +190,7 @@ def _summary(tasks: Sequence[Task], found: Mapping[str, list[Row]]) -> Iterator[
     yield ""
     body = []
     for task in tasks:
-        cells = {row.cell.algorithm: _in_short(row) for row in found[task.scenario]}
+        cells = {row.cell.algorithm: _in_short(row) for row in rows_of[task.scenario]}
         body.append(
             (
                 f"[{task.title}](#{slug(task.title)})",
@@ -210,10 +210,10 @@ def _in_short(row: Row) -> str:
     return f"{value}; {cost}{seeds}{' *' if row.is_own else ''}"
 
 
-def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
+def _section(task: Task, rows: Sequence[Row], record: Entry) -> Iterator[str]:
     yield from (f"## {task.title}", "")
     speeds = record.get("engines", {})
-    measured = [entry for row in found for entry in (*row.entries, *row.held)]
+    measured = [entry for row in rows for entry in (*row.entries, *row.held)]
     if speeds:
         rates = " and ".join(
             f"{count(round(1e6 / micro))} steps/s in {ENGINE_NAMES[name]}"
@@ -238,16 +238,16 @@ def _section(task: Task, found: Sequence[Row], record: Entry) -> Iterator[str]:
             "CPU of a training",
             "limit",
         ),
-        [_cells(row) for row in found],
+        [_cells(row) for row in rows],
     )
     yield ""
-    yield from wrapped(_advice(task, found))
+    yield from wrapped(_advice(task, rows))
     yield ""
-    for row in found:
+    for row in rows:
         if row.cell.training:
-            command = measure.asked_training(task.scenario, row.cell.training, "N").command
+            command = measure.training_request(task.scenario, row.cell.training, "N").command
             yield f"- {row.cell.algorithm}, {row.cell.learner}: `{command}`"
-    missing = [row.cell.algorithm for row in found if row.cell.training and len(row.entries) < len(SEEDS)]
+    missing = [row.cell.algorithm for row in rows if row.cell.training and len(row.entries) < len(SEEDS)]
     again = f"`python -m tools.results {task.experiment.name}`"
     yield ""
     yield from wrapped(
@@ -326,17 +326,17 @@ def _seeds(number_of_seeds: int) -> str:
     return f"{number_of_seeds} seed{'' if number_of_seeds == 1 else 's'}"
 
 
-def first(found: Sequence[Row]) -> Row | None:
+def first(rows: Sequence[Row]) -> Row | None:
     """The row that solved the task with most seeds, of several in the least CPU time; None if none did."""
-    solved = [row for row in found if row.solved]
+    solved = [row for row in rows if row.solved]
     return min(solved, key=lambda row: row.rank) if solved else None
 
 
-def _advice(task: Task, found: Sequence[Row]) -> str:
+def _advice(task: Task, rows: Sequence[Row]) -> str:
     """What the `train` section of the scenario has to do with the table."""
-    best, algorithm = first(found), own_algorithm(task)
-    measured = [row.cell.algorithm for row in found if row.entries]
-    missing = any(row.cell.training and len(row.entries) < len(SEEDS) for row in found)
+    best, algorithm = first(rows), own_algorithm(task)
+    measured = [row.cell.algorithm for row in rows if row.entries]
+    missing = any(row.cell.training and len(row.entries) < len(SEEDS) for row in rows)
     if not measured:
         how = ". Nothing is measured yet"
     elif best is None:

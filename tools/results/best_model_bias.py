@@ -43,11 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("first", type=int)
     parser.add_argument("last", type=int)
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     chosen, printed, held = [], [], 0
     with TemporaryDirectory() as folder:
-        for seed in range(given.first, given.last + 1):
+        for seed in range(options.first, options.last + 1):
             by, mean, (low, high), fresh = measure(seed, Path(folder))
             chosen.append(by - fresh)
             printed.append(mean - fresh)

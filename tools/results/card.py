@@ -104,7 +104,9 @@ def card(standing: Standing) -> str:
         ]
     if any(standing.record["trainings"].values()):
         lines += [f"![Learning curves of {experiment.title}](../images/results/{experiment.name}.svg)", ""]
-    rows = [(verdict.what, verdict.asked, verdict.measured, verdict.word) for verdict in standing.verdicts()]
+    rows = [
+        (verdict.what, verdict.requirement, verdict.measured, verdict.word) for verdict in standing.verdicts()
+    ]
     lines += [*table(("figure", "bar", "measured", ""), rows), ""]
     for training in experiment.trainings:
         lines += _seeds(standing, training)
@@ -132,24 +134,24 @@ def card(standing: Standing) -> str:
 
 def _headline(standing: Standing) -> Iterator[str]:
     """A table of a single row."""
-    found = Headline.of(standing)
-    if found:
-        what = "success" if found.held["success_defined"] else "mean return"
+    headline = Headline.of(standing)
+    if headline:
+        what = "success" if headline.held["success_defined"] else "mean return"
         case = f", case `{standing.experiment.case}`" if standing.experiment.case else ""
         head = [
-            f"{what} in {count(found.held['episodes'])} held-out episodes{case}",
+            f"{what} in {count(headline.held['episodes'])} held-out episodes{case}",
             "seeds",
             "simulated hours",
             "CPU of a training",
         ]
         row = [
-            f"**{outcome(found.held)}**",
-            str(found.seeds),
-            number(found.simulated_hours, 3),
-            f"{number(found.cpu_seconds, 3)} s",
+            f"**{outcome(headline.held)}**",
+            str(headline.seeds),
+            number(headline.simulated_hours, 3),
+            f"{number(headline.cpu_seconds, 3)} s",
         ]
-        if found.random:
-            head[1:1], row[1:1] = ["random policy"], [outcome(found.random)]
+        if headline.random:
+            head[1:1], row[1:1] = ["random policy"], [outcome(headline.random)]
         yield from (*table(head, [row]), "")
 
 
@@ -229,8 +231,10 @@ def _episodes(standing: Standing) -> list[str]:
             )
             rows += _held(name, held)
             for case in dict.fromkeys(case for entry in held.values() for case in entry["cases"]):
-                known = {seed: entry["cases"][case] for seed, entry in held.items() if case in entry["cases"]}
-                rows += _held(f"{name}, `{case}`", known)
+                by_seed = {
+                    seed: entry["cases"][case] for seed, entry in held.items() if case in entry["cases"]
+                }
+                rows += _held(f"{name}, `{case}`", by_seed)
     tried = standing.record["baselines"]
     for baseline in standing.experiment.baselines:
         if baseline.name in tried:
@@ -262,7 +266,8 @@ def _commands(standing: Standing) -> list[str]:
     """Of trainings, evaluations and baselines, each once."""
     scenario = standing.experiment.scenario
     trained = [
-        measure.asked_training(scenario, training, "N").command for training in standing.experiment.trainings
+        measure.training_request(scenario, training, "N").command
+        for training in standing.experiment.trainings
     ]
     held = [
         entry["command"] for entry in standing.entries() if "episodes" in entry and "evaluations" not in entry

@@ -67,14 +67,14 @@ class Evaluation:
     @property
     def options(self) -> tuple[str, ...]:
         """Of `deepbots eval`."""
-        given = (
+        values = (
             ("--scenario", self.scenario),
             ("--case", self.case),
             ("--episodes", self.episodes),
             ("--seed", self.seed),
         )
-        found = tuple(word for option, value in given if value is not None for word in (option, str(value)))
-        return (*found, *(("--last",) if self.last else ()))
+        words = tuple(word for option, value in values if value is not None for word in (option, str(value)))
+        return (*words, *(("--last",) if self.last else ()))
 
 
 @dataclass(frozen=True)
@@ -96,9 +96,9 @@ class Training:
     @property
     def options(self) -> tuple[str, ...]:
         """Of `deepbots train`, the seed apart."""
-        found = [word for text in self.sets for word in ("--set", text)]
-        found += [] if self.timesteps is None else ["--timesteps", str(self.timesteps)]
-        return (*found, *(("--full",) if self.full else ()))
+        words = [word for text in self.sets for word in ("--set", text)]
+        words += [] if self.timesteps is None else ["--timesteps", str(self.timesteps)]
+        return (*words, *(("--full",) if self.full else ()))
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,8 @@ def _named(key: str) -> str:
     return _NAMES.get(key, key.replace("_", " "))
 
 
-def _when(found: Record | None, what: str) -> float:
-    return math.inf if found is None else float(found[what])
+def _when(record: Record | None, what: str) -> float:
+    return math.inf if record is None else float(record[what])
 
 
 @dataclass(frozen=True)
@@ -210,8 +210,8 @@ class Crossed:
         return f"{_named(self.what)} until {goal} over 100 episodes"
 
     def values(self, record: Record) -> list[float]:
-        found = [seed["crossings"] for seed in seeds_of(record, self.training)]
-        return [_when(crossings[self.key], self.what) for crossings in found if self.key in crossings]
+        by_seed = [seed["crossings"] for seed in seeds_of(record, self.training)]
+        return [_when(crossings[self.key], self.what) for crossings in by_seed if self.key in crossings]
 
 
 @dataclass(frozen=True)
@@ -243,21 +243,17 @@ class Held:
 
     @property
     def words(self) -> str:
-        place = (
-            f"case {self.case}"
-            if self.case
-            else ""
-            if self.evaluation == "held_out"
-            else self.evaluation.replace("_", " ")
-        )
+        place = "" if self.evaluation == "held_out" else self.evaluation.replace("_", " ")
+        if self.case:
+            place = f"case {self.case}"
         return f"{_named(self.what)}, held out{place and f', {place}'}"
 
     def entries(self, record: Record) -> list[Record]:
         """What was evaluated, for each seed that was."""
-        found = [seed["evaluations"].get(self.evaluation) for seed in seeds_of(record, self.training)]
+        evaluations = [seed["evaluations"].get(self.evaluation) for seed in seeds_of(record, self.training)]
         return [
             e if self.case is None else e["cases"][self.case]
-            for e in found
+            for e in evaluations
             if e and (self.case is None or self.case in e["cases"])
         ]
 
@@ -425,9 +421,9 @@ def experiments() -> dict[str, Experiment]:
         for path in (Path(__file__).parent / "experiments").glob("*.py")
         if path.stem != "not_measured"
     )
-    found = {
+    by_name = {
         one.name: one
         for name in names
         for one in import_module(f"tools.results.experiments.{name}").EXPERIMENTS
     }
-    return {name: found[name] for name in (*_FIRST, *sorted(set(found) - set(_FIRST)))}
+    return {name: by_name[name] for name in (*_FIRST, *sorted(set(by_name) - set(_FIRST)))}

@@ -112,29 +112,29 @@ def dumps(value: Any, indent: str = "") -> str:
 def circumstances() -> dict[str, Any]:
     """When and on what something is measured."""
     machine = f"{os.cpu_count()} cores of {platform.machine()} under {platform.system()}"
-    found = {"deepbots": deepbots_cli.__version__, **versions()}
-    return {"date": datetime.now(UTC).date().isoformat(), "machine": machine, "versions": found}
+    packages = {"deepbots": deepbots_cli.__version__, **versions()}
+    return {"date": datetime.now(UTC).date().isoformat(), "machine": machine, "versions": packages}
 
 
-# What is asked for
+# Requests
 
 
-class Asked(NamedTuple):
+class Request(NamedTuple):
     """The digest of a scenario or of the sources, and a command as the page has it: with RUN for what a
     training made."""
 
     digest: str
     command: str
 
-    def is_of(self, entry: Mapping[str, Any] | None) -> bool:
-        """Whether an entry of a record is what is asked for."""
+    def is_answered_by(self, entry: Mapping[str, Any] | None) -> bool:
+        """Whether an entry of a record answers the request."""
         return bool(entry) and entry is not None and (entry["digest"], entry["command"]) == self
 
 
-def asked_training(scenario: str, training: Training, seed: int | str) -> Asked:
-    """Knows nothing of the evaluation, so that a new case does not ask for a new training."""
+def training_request(scenario: str, training: Training, seed: int | str) -> Request:
+    """The request does not depend on the evaluation, so that a new case needs no new training."""
     command = shlex.join(["deepbots", "train", scenario, "--seed", str(seed), *training.options])
-    return Asked(_training_digest(scenario, training.sets), command)
+    return Request(_training_digest(scenario, training.sets), command)
 
 
 @cache
@@ -144,26 +144,26 @@ def _training_digest(scenario: str, sets: tuple[str, ...]) -> str:
     return digest(program if sets else _with(program, {}, cases=(), evaluation=EvaluationSettings()))
 
 
-def asked_evaluation(scenario: str, training: Training, wanted: Evaluation) -> Asked:
-    """Knows nothing of the training."""
-    program = compiled(wanted.scenario) if wanted.scenario else compiled(scenario, training.sets)
-    program = program if wanted.case is None else program.case(wanted.case).program
-    found = digest(_with(program, {"scripts": (), "training": None}, curriculum=()))
-    return Asked(found, shlex.join(["deepbots", "eval", "RUN", *wanted.options]))
+def evaluation_request(scenario: str, training: Training, evaluation: Evaluation) -> Request:
+    """The request does not depend on the training."""
+    program = compiled(evaluation.scenario) if evaluation.scenario else compiled(scenario, training.sets)
+    program = program if evaluation.case is None else program.case(evaluation.case).program
+    program_digest = digest(_with(program, {"scripts": (), "training": None}, curriculum=()))
+    return Request(program_digest, shlex.join(["deepbots", "eval", "RUN", *evaluation.options]))
 
 
-def asked_baseline(scenario: str, wanted: Baseline) -> Asked:
+def baseline_request(scenario: str, baseline: Baseline) -> Request:
     program = compiled(scenario)
-    program = program if wanted.case is None else program.case(wanted.case).program
-    is_scripted = not {script.name for script in program.agent.scripts}.isdisjoint(wanted.options)
+    program = program if baseline.case is None else program.case(baseline.case).program
+    is_scripted = not {script.name for script in program.agent.scripts}.isdisjoint(baseline.options)
     policy = {"scripts": program.agent.scripts if is_scripted else (), "training": None}
-    found = digest(_with(program, policy, curriculum=(), cases=(), evaluation=EvaluationSettings()))
-    return Asked(found, shlex.join(["deepbots", "try", scenario, *wanted.all_options]))
+    program_digest = digest(_with(program, policy, curriculum=(), cases=(), evaluation=EvaluationSettings()))
+    return Request(program_digest, shlex.join(["deepbots", "try", scenario, *baseline.all_options]))
 
 
-def asked_speeds(scenario: str, engines: tuple[str, ...]) -> Asked:
+def speeds_request(scenario: str, engines: tuple[str, ...]) -> Request:
     """Steps of the world, with whatever policy; `--quick` takes a few seconds."""
-    found = digest(
+    program_digest = digest(
         _with(
             compiled(scenario),
             {"scripts": (), "training": None},
@@ -172,7 +172,9 @@ def asked_speeds(scenario: str, engines: tuple[str, ...]) -> Asked:
             evaluation=EvaluationSettings(),
         )
     )
-    return Asked(found, shlex.join(["deepbots", "bench", scenario, "--engine", ",".join(engines), "--quick"]))
+    return Request(
+        program_digest, shlex.join(["deepbots", "bench", scenario, "--engine", ",".join(engines), "--quick"])
+    )
 
 
 @cache
@@ -205,10 +207,10 @@ def _plain(value: object) -> Any:
     inside = identity.record_members(value)
     if inside is not None:
         defaults = _defaults(type(value))
-        known = {
-            name: _plain(given) for name, given in inside.items() if given != defaults.get(name, MISSING)
+        changed = {
+            name: _plain(member) for name, member in inside.items() if member != defaults.get(name, MISSING)
         }
-        return {"is": type(value).__name__} | known
+        return {"is": type(value).__name__} | changed
     if isinstance(value, Mapping):
         return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
@@ -227,7 +229,7 @@ def _defaults(kind: type) -> dict[str, Any]:
 @cache
 def sources() -> str:
     """SHA-256, in hexadecimal, of all that a table of a part depends on."""
-    found = hashlib.sha256()
+    content = hashlib.sha256()
     for folder in WATCHED:
         for path in sorted((ROOT / folder).rglob("*")):
             inside = path.relative_to(ROOT).as_posix()
@@ -236,8 +238,8 @@ def sources() -> str:
                 and "__pycache__" not in inside
                 and not re.match("(tests|tools)/results/", inside)
             ):
-                found.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
-    return found.hexdigest()
+                content.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
+    return content.hexdigest()
 
 
 # Pieces
@@ -250,18 +252,20 @@ class Piece:
     words: str
     record: Path
     keys: tuple[str, ...]
-    asked: Callable[[], Asked]
+    request: Callable[[], Request]
     measure: Callable[[], dict[str, Any]]
     crossings: frozenset[str] = frozenset()
 
     def missing(self) -> bool:
-        found: Any = read(self.record)
+        entry: Any = read(self.record)
         for key in self.keys:
-            found = found.get(key, {})
-        return not self.asked().is_of(found) or not self.crossings <= set(found.get("crossings", ()))
+            entry = entry.get(key, {})
+        return not self.request().is_answered_by(entry) or not self.crossings <= set(
+            entry.get("crossings", ())
+        )
 
     def complete(self) -> None:
-        entry = {**self.asked()._asdict(), **circumstances(), **self.measure()}
+        entry = {**self.request()._asdict(), **circumstances(), **self.measure()}
         put(self.record, entry, *self.keys)
 
 
@@ -270,19 +274,23 @@ def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
     record = places.record(subject.name)
     if isinstance(subject, Part):
         for table in subject.tables:
-            asked = partial(lambda command: Asked(sources(), command), table.command)
+            request = partial(lambda command: Request(sources(), command), table.command)
             yield Piece(
-                f"{subject.name}: {table.name}", record, ("tables", table.name), asked, partial(_table, table)
+                f"{subject.name}: {table.name}",
+                record,
+                ("tables", table.name),
+                request,
+                partial(_table, table),
             )
         return
     scenario = subject.scenario
     if subject.engines:
-        asked = partial(asked_speeds, scenario, subject.engines)
+        request = partial(speeds_request, scenario, subject.engines)
         yield Piece(
             f"{subject.name}: engines",
             record,
             ("engines",),
-            asked,
+            request,
             partial(_speeds, scenario, subject.engines),
         )
     for training in subject.trainings:
@@ -290,31 +298,33 @@ def pieces(subject: Experiment | Part, places: Places) -> Iterator[Piece]:
             name = f"{subject.name} {seed}" + ("" if training.name == "main" else f" ({training.name})")
             folder = partial(_folder, subject, training, seed, places)
             keys = ("trainings", training.name, str(seed))
-            asked = partial(asked_training, scenario, training, seed)
+            request = partial(training_request, scenario, training, seed)
             crossings = _crossings(subject, training)
             train = partial(_train, scenario, training, seed, folder, crossings)
             yield Piece(
                 f"{name}: training",
                 record,
                 keys,
-                asked,
+                request,
                 train,
                 frozenset(crossed.key for crossed in crossings),
             )
             for evaluation in training.evaluations:
-                asked = partial(asked_evaluation, scenario, training, evaluation)
+                request = partial(evaluation_request, scenario, training, evaluation)
                 measure = partial(_evaluate, scenario, training, seed, folder, evaluation)
                 yield Piece(
                     f"{name}: {evaluation.name}",
                     record,
                     (*keys, "evaluations", evaluation.name),
-                    asked,
+                    request,
                     measure,
                 )
     for baseline in subject.baselines:
-        asked = partial(asked_baseline, scenario, baseline)
+        request = partial(baseline_request, scenario, baseline)
         measure = partial(_try, scenario, baseline)
-        yield Piece(f"{subject.name}: {baseline.name}", record, ("baselines", baseline.name), asked, measure)
+        yield Piece(
+            f"{subject.name}: {baseline.name}", record, ("baselines", baseline.name), request, measure
+        )
 
 
 class CommandError(Exception):
@@ -348,10 +358,10 @@ def _python(*words: str) -> tuple[str, int, float]:
 
 
 def _folder(experiment: Experiment, training: Training, seed: int, places: Places) -> Path:
-    """The run directory: one of its own for whatever is asked for."""
-    key = hashlib.sha256(" ".join(asked_training(experiment.scenario, training, seed)).encode()).hexdigest()[
-        :10
-    ]
+    """The run directory: one of its own for each request."""
+    key = hashlib.sha256(
+        " ".join(training_request(experiment.scenario, training, seed)).encode()
+    ).hexdigest()[:10]
     return places.runs / experiment.name / f"{training.name}-{seed}-{key}"
 
 
@@ -393,7 +403,7 @@ def _train(
             asdict(end) | {"simulated_hours": round(end.steps * run.program.period / 3600, 4)}
             for end in result.stages
         ],
-        "crossings": {wanted.key: crossing(curve, wanted, last) for wanted in crossings},
+        "crossings": {crossed.key: crossing(curve, crossed, last) for crossed in crossings},
         "curve": thinned(curve),
         "evaluations": {},
     }
@@ -405,22 +415,22 @@ def _evaluate(
     words = [str(_trained(scenario, training, seed, folder())[0].path), *evaluation.options]
     if evaluation.scenario is None and not training.sets:
         words += ["--scenario", scenario]  # whose cases may have come after the training
-    found, seconds = deepbots("eval", *words)
-    cases = {case["case"]: {key: case[key] for key in KEPT} for case in found["cases"]}
-    return {"cpu_seconds": round(seconds, 1), **{key: found[key] for key in KEPT}, "cases": cases}
+    result, seconds = deepbots("eval", *words)
+    cases = {case["case"]: {key: case[key] for key in KEPT} for case in result["cases"]}
+    return {"cpu_seconds": round(seconds, 1), **{key: result[key] for key in KEPT}, "cases": cases}
 
 
 def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
-    found, seconds = deepbots("try", scenario, *baseline.all_options)
-    return {"cpu_seconds": round(seconds, 1), **{key: found["summary"][key] for key in KEPT}}
+    result, seconds = deepbots("try", scenario, *baseline.all_options)
+    return {"cpu_seconds": round(seconds, 1), **{key: result["summary"][key] for key in KEPT}}
 
 
 def _speeds(scenario: str, engines: tuple[str, ...]) -> dict[str, Any]:
-    words = shlex.split(asked_speeds(scenario, engines).command)[1:]
-    found, seconds = deepbots(*words)
+    words = shlex.split(speeds_request(scenario, engines).command)[1:]
+    rows, seconds = deepbots(*words)
     return {
         "cpu_seconds": round(seconds, 1),
-        "step_us": {row["engine"]: round(row["step_us"], 1) for row in found},
+        "step_us": {row["engine"]: round(row["step_us"], 1) for row in rows},
     }
 
 
@@ -471,7 +481,7 @@ def points(monitor: Path) -> list[Point]:
     left out."""
     recent: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
     begun: list[str] = []
-    found = []
+    curve = []
     for row in read_log(monitor):
         if row["stage"] not in begun:
             begun.append(row["stage"])
@@ -480,16 +490,16 @@ def points(monitor: Path) -> list[Point]:
             recent.append((float(row["r"]), row["is_success"] == "1"))
             mean, share = (sum(values) / len(recent) for values in zip(*recent, strict=True))
             place = int(row["episode"]), int(row["steps"]), float(row["simulated_hours"])
-            found.append(Point(*place, mean, share, len(recent) == WINDOW, row["stage"]))
-    return found
+            curve.append(Point(*place, mean, share, len(recent) == WINDOW, row["stage"]))
+    return curve
 
 
 def thinned(curve: list[Point]) -> dict[str, list[float]]:
     """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing
     yet."""
-    known = curve[9:] or curve
-    width = known[-1].simulated_hours / POINTS if known else 0.0
-    kept = {math.ceil(point.simulated_hours / width): point for point in known}.values()
+    settled = curve[9:] or curve
+    width = settled[-1].simulated_hours / POINTS if settled else 0.0
+    kept = {math.ceil(point.simulated_hours / width): point for point in settled}.values()
     return {
         "simulated_hours": [round(point.simulated_hours, 4) for point in kept],
         "return": [float(f"{point.mean_return:.4g}") for point in kept],
@@ -497,11 +507,11 @@ def thinned(curve: list[Point]) -> dict[str, list[float]]:
     }
 
 
-def crossing(curve: list[Point], wanted: Crossed, stage: str = "") -> dict[str, Any] | None:
+def crossing(curve: list[Point], crossed: Crossed, stage: str = "") -> dict[str, Any] | None:
     """The first mean over 100 episodes of the last `stage` that reaches the threshold; None if there is
     none."""
     for point in curve:
-        value = point.mean_return if wanted.metric == "return" else point.success
-        if point.full and point.stage == stage and value >= wanted.threshold:
+        value = point.mean_return if crossed.metric == "return" else point.success
+        if point.full and point.stage == stage and value >= crossed.threshold:
             return {"episode": point.episode, "steps": point.steps, "simulated_hours": point.simulated_hours}
     return None

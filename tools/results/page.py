@@ -139,10 +139,10 @@ def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
     for standing in standings:
         experiment = standing.experiment
         link = _link(experiment) + (f", `{experiment.case}`" if experiment.case else "")
-        found = Headline.of(standing)
-        if found and not experiment.beside:
-            random = outcome(found.random).partition(" (")[0] if found.random else ""
-            yield link, outcome(found.held), random, str(found.seeds), number(found.cpu_seconds, 3)
+        headline = Headline.of(standing)
+        if headline and not experiment.beside:
+            random = outcome(headline.random).partition(" (")[0] if headline.random else ""
+            yield link, outcome(headline.held), random, str(headline.seeds), number(headline.cpu_seconds, 3)
 
 
 def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
@@ -163,9 +163,9 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry], *, linked:
     words: Counter[str] = Counter()
     missed = []
     for standing in standings:
-        found = [verdict.word for verdict in standing.verdicts()]
-        words.update(found)
-        missed += [_link(standing.experiment)] * ("**missed**" in found)
+        verdicts = [verdict.word for verdict in standing.verdicts()]
+        words.update(verdicts)
+        missed += [_link(standing.experiment)] * ("**missed**" in verdicts)
     for part in PARTS:
         met = _met(tables[part.name])
         words.update("met" if one else "**missed**" for one in met)
@@ -223,11 +223,11 @@ def _measurements(tables: Mapping[str, Entry]) -> str:
 
 def _lines_of_part(part: Part, measured: Entry) -> list[str]:
     lines = [f"## {part.title}", "", part.prose, ""]
-    known = [
+    entries = [
         (entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]
     ]
     if all(isinstance(table, Holding) for table in part.tables):
-        rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in known]
+        rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in entries]
         lines += table(("what", part.figure, "command"), rows)
     else:
         words = {None: "", True: "yes", False: "**no**"}
@@ -238,7 +238,7 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
                 f"{_value(row['measured'])} {row['unit']}".rstrip(),
                 words[row["met"]],
             )
-            for _, row in known
+            for _, row in entries
         ]
         lines += table(("what", "bar", part.figure, "met"), rows_of_bars)
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]

@@ -32,9 +32,9 @@ class Holding:
     @property
     def command(self) -> str:
         chosen = [
-            f" {option} '{given}'"
-            for option, given in (("-k", self.expression), ("-m", self.marker))
-            if given
+            f" {option} '{value}'"
+            for option, value in (("-k", self.expression), ("-m", self.marker))
+            if value
         ]
         return f"pytest {self.folder}{''.join(chosen)}"
 

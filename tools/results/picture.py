@@ -64,11 +64,11 @@ def write(experiment: Experiment, record: Entry, path: Path) -> None:
 
 
 def _curves(experiment: Experiment, record: Entry) -> list[tuple[str, int, Entry]]:
-    known = [(training.name, seed) for training in experiment.trainings for seed in training.seeds]
+    pairs = [(training.name, seed) for training in experiment.trainings for seed in training.seeds]
     trainings = record["trainings"]
     return [
         (name, seed, trainings[name][str(seed)])
-        for name, seed in known
+        for name, seed in pairs
         if str(seed) in trainings.get(name, {})
     ]
 
@@ -111,12 +111,12 @@ def marks(experiment: Experiment) -> list[Mark]:
         for bar in experiment.bars
         if isinstance(bar.figure, (Solved, Crossed)) and bar.figure.what == "simulated_hours"
     ]
-    asked = [
+    hours = [
         Mark(f"{_whose(bar)}: {bar.at_most:g} h", hours=bar.at_most)
         for bar in bars
         if bar.at_most is not None
     ]
-    return [*experiment.marks, *asked]
+    return [*experiment.marks, *hours]
 
 
 def _whose(bar: Bar) -> str:
@@ -139,18 +139,18 @@ def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry
         for end in entry["stages"]:
             axes.axvline(end["simulated_hours"], color=color, linewidth=0.9, linestyle=(0, (1, 2)))
     end = max(entry["simulated_hours"] for _, _, entry in entries)
-    known = marks(experiment)
+    lines = marks(experiment)
     axes.set_xlim(
-        0, max([end, *(mark.hours for mark in known if mark.hours and mark.hours < FAR * end)]) * 1.05
+        0, max([end, *(mark.hours for mark in lines if mark.hours and mark.hours < FAR * end)]) * 1.05
     )
     if experiment.curve == "success":
         axes.set_ylim(0, 103)
     stages = entries[0][2]["stages"] if len(entries) == 1 else []
     _name_stages(axes, stages)
-    for mark in known:
+    for mark in lines:
         if mark.value is not None:
             _level(axes, mark.words, scale * mark.value, outside=bool(stages))
-    for place, mark in enumerate(mark for mark in known if mark.hours is not None):
+    for place, mark in enumerate(mark for mark in lines if mark.hours is not None):
         _upright(axes, mark, end, height=0.04 + 0.08 * place)
     axes.set_xlabel("simulated hours")
     axes.set_ylabel(

@@ -30,18 +30,18 @@ from tools.results.measure import Places, compiled, pieces, put, read
 def behavior(experiment: Experiment, names: Mapping[str, str] = MappingProxyType({})) -> str:
     """SHA-256 of what is trained and evaluated, with all cases and stages: the code with new names for old
     ones, and random episodes."""
-    asked = [
+    scenarios = [
         (experiment.scenario, ()),
         *((experiment.scenario, training.sets) for training in experiment.trainings),
     ]
-    asked += [
-        (wanted.scenario, ())
+    scenarios += [
+        (evaluation.scenario, ())
         for training in experiment.trainings
-        for wanted in training.evaluations
-        if wanted.scenario
+        for evaluation in training.evaluations
+        if evaluation.scenario
     ]
-    whole = [compiled(scenario, sets) for scenario, sets in dict.fromkeys(asked)]
-    found = hashlib.sha256()
+    whole = [compiled(scenario, sets) for scenario, sets in dict.fromkeys(scenarios)]
+    digest = hashlib.sha256()
     for program in [
         part
         for each in whole
@@ -53,10 +53,10 @@ def behavior(experiment: Experiment, names: Mapping[str, str] = MappingProxyType
         )
         for old, new in names.items():
             code = code.replace(old, new)
-        found.update(code.encode())
-        found.update(rollout.digest(environment, 0).encode())
+        digest.update(code.encode())
+        digest.update(rollout.digest(environment, 0).encode())
         environment.close()
-    return found.hexdigest()
+    return digest.hexdigest()
 
 
 def rewrite(name: str, old: Any, new: Any) -> None:
@@ -64,27 +64,27 @@ def rewrite(name: str, old: Any, new: Any) -> None:
     if old["behavior"] != new["behavior"]:
         print(f"{name}: its code or its motion differs")
         return
-    for place, asked in new["pieces"].items():
+    for place, request in new["pieces"].items():
         entry: Any = read(path)
         for key in place.split("/"):
             entry = entry.get(key, {})
-        if [entry.get("digest"), entry.get("command")] == old["pieces"].get(place) and asked[1] == entry[
+        if [entry.get("digest"), entry.get("command")] == old["pieces"].get(place) and request[1] == entry[
             "command"
         ]:
-            put(path, {**entry, "digest": asked[0]}, *place.split("/"))
+            put(path, {**entry, "digest": request[0]}, *place.split("/"))
 
 
 if __name__ == "__main__":
     names = dict(word.split("=") for word in sys.argv[1:] if "=" in word)
-    known = {
+    records = {
         name: {
             "behavior": behavior(each, names),
-            "pieces": {"/".join(piece.keys): list(piece.asked()) for piece in pieces(each, Places())},
+            "pieces": {"/".join(piece.keys): list(piece.request()) for piece in pieces(each, Places())},
         }
         for name, each in {**experiments(), **benchmark.experiments()}.items()
     }
     if files := [word for word in sys.argv[1:] if "=" not in word]:
         for name, old in json.loads(Path(files[0]).read_text(encoding="utf-8")).items():
-            rewrite(name, old, known[name])
+            rewrite(name, old, records[name])
     else:
-        json.dump(known, sys.stdout)
+        json.dump(records, sys.stdout)

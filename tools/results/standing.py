@@ -25,7 +25,7 @@ class Verdict:
 
     bar: Bar
     what: str
-    asked: str
+    requirement: str
     measured: str
     status: Literal["met", "missed", "not measured"]
 
@@ -45,14 +45,9 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
     seeds = len(experiment.training(figure.training).seeds) if figure.training else 1
     values, what = figure.values(record), bar.words or figure.words
     limit = bar.at_most if bar.at_most is not None else bar.at_least or 0.0
-    whose = (
-        ""
-        if seeds == 1
-        else f", {seeds - bar.misses} of {seeds} seeds"
-        if bar.over == "all"
-        else f", {bar.over} of {seeds} seeds"
-    )
-    asked = (
+    statistic = str(seeds - bar.misses) if bar.over == "all" else bar.over
+    whose = "" if seeds == 1 else f", {statistic} of {seeds} seeds"
+    requirement = (
         f"{'stretch: ' if bar.stretch else ''}at {'most' if bar.at_most is not None else 'least'}"
         f" {told(limit, figure.what)}{whose}"
     )
@@ -62,7 +57,7 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
         return Verdict(
             bar,
             what,
-            asked,
+            requirement,
             f"{len(values)} of {seeds} seeds" if values and seeds > 1 else "",
             "not measured",
         )
@@ -72,9 +67,9 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
         measured = told(worst, figure.what) + (
             f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else ""
         )
-        return Verdict(bar, what, asked, measured, "missed" if is_lost else "met")
+        return Verdict(bar, what, requirement, measured, "missed" if is_lost else "met")
     value = fmean(values) if bar.over == "mean" else median(values)
-    return Verdict(bar, what, asked, told(value, figure.what), "met" if bar.holds(value) else "missed")
+    return Verdict(bar, what, requirement, told(value, figure.what), "met" if bar.holds(value) else "missed")
 
 
 @dataclass(frozen=True)
@@ -91,15 +86,15 @@ class Standing:
 
     @classmethod
     def of(cls, experiment: Experiment, record: Entry) -> Standing:
-        known = record.get("trainings", {})
+        measured = record.get("trainings", {})
         trainings = {
             training.name: {
-                str(seed): known[training.name][str(seed)]
+                str(seed): measured[training.name][str(seed)]
                 for seed in training.seeds
-                if str(seed) in known[training.name]
+                if str(seed) in measured[training.name]
             }
             for training in experiment.trainings
-            if training.name in known
+            if training.name in measured
         }
         names = [baseline.name for baseline in experiment.baselines]
         baselines = {name: entry for name, entry in record.get("baselines", {}).items() if name in names}
@@ -107,8 +102,8 @@ class Standing:
 
     def seeds(self, training: Training) -> dict[int, Entry]:
         """What was measured of each seed."""
-        known = self.record["trainings"].get(training.name, {})
-        return {seed: known[str(seed)] for seed in training.seeds if str(seed) in known}
+        measured = self.record["trainings"].get(training.name, {})
+        return {seed: measured[str(seed)] for seed in training.seeds if str(seed) in measured}
 
     def entries(self) -> Iterator[Entry]:
         """Whatever was measured: trainings, evaluations, baselines."""
@@ -132,7 +127,7 @@ class Standing:
         for training in self.experiment.trainings:
             for seed, entry in self.seeds(training).items():
                 place = f"seed {seed}" + ("" if training.name == "main" else f" ({training.name})")
-                if not measure.asked_training(scenario, training, seed).is_of(entry):
+                if not measure.training_request(scenario, training, seed).is_answered_by(entry):
                     yield place
                     continue
                 held = [
@@ -142,12 +137,12 @@ class Standing:
                 ]
                 yield from (
                     f"{e.name} of {place}"
-                    for e, known in held
-                    if not measure.asked_evaluation(scenario, training, e).is_of(known)
+                    for e, evaluated in held
+                    if not measure.evaluation_request(scenario, training, e).is_answered_by(evaluated)
                 )
         for baseline in self.experiment.baselines:
             tried = self.record["baselines"].get(baseline.name)
-            if tried is not None and not measure.asked_baseline(scenario, baseline).is_of(tried):
+            if tried is not None and not measure.baseline_request(scenario, baseline).is_answered_by(tried):
                 yield baseline.name
 
 
