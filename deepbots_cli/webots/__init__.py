@@ -11,7 +11,9 @@ shapes.py         geometries: sizes, volumes, meshes
 looks.py          the geometry and the color of what is seen
 textures.py       the pictures on it
 model.py          a scene as a model of MuJoCo
-physics.py        its state: steps, motors, bounces, readings
+physics.py        its state: steps, bounces, readings
+motors.py         its motors, as constraints
+rays.py           rays through it
 simulation.py     time, messages and sampling: what a controller's step does
 device.py         what devices share: sampling, lookup tables
 joints.py         motors, brakes, position sensors

@@ -67,7 +67,7 @@ class _Feedback(ScalarSensor):
 
     def sample(self) -> None:
         physics = self._simulation.physics
-        self._value = physics.motor_torque(physics.motors[self._spec.node])
+        self._value = physics.motors.torque(physics.motors[self._spec.node])
 
 
 class Motor(JointDevice):
@@ -110,7 +110,7 @@ class Motor(JointDevice):
     def _leave_torque(self) -> None:
         if self._state.torque is not None:
             self._state.torque = None
-            self._simulation.physics.renew_motors()
+            self._simulation.physics.motors.renew()
 
     def setAcceleration(self, acceleration: float) -> None:
         self._state.acceleration = float(acceleration)
@@ -120,11 +120,11 @@ class Motor(JointDevice):
         self._state.torque = min(max(float(torque), -limit), limit)
         if self._state.torque != torque:
             self._warn(f"{torque:g} exceeds the limit {limit:g}, and is limited")
-        self._simulation.physics.renew_motors()
+        self._simulation.physics.motors.renew()
 
     def setAvailableTorque(self, torque: float) -> None:
         self._state.available_torque = min(max(float(torque), 0.0), self._state.max_torque)
-        self._simulation.physics.renew_motors()
+        self._simulation.physics.motors.renew()
 
     setForce = setTorque
     setAvailableForce = setAvailableTorque

@@ -91,7 +91,7 @@ class Lidar(Sensor):
         robot = self._spec.body.robot
         least, most = self._range
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
-        distances = self._simulation.physics.distances(start, rays, most, robot.index if robot else None)
+        distances = self._simulation.physics.rays.distances(start, rays, most, robot.index if robot else None)
         noise = number(self._spec.node, "noise") * most
         now = self._simulation.time / 1000
         for number_, distance in enumerate(distances):

@@ -62,7 +62,9 @@ class LightSensor(ScalarSensor, HasLookupTable):
     def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
         robot = self._spec.body.robot
         skipped = None if robot is None else robot.index
-        return self._simulation.physics.rays(position, [beam.direction], beam.distance, skipped)[0][1] >= 0
+        return (
+            self._simulation.physics.rays.cast(position, [beam.direction], beam.distance, skipped)[0][1] >= 0
+        )
 
 
 def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:

@@ -3,16 +3,14 @@
 One basic time step is made of substeps of at most 8 ms. Two things of Webots act between the two halves of a
 substep, where MuJoCo has computed the constraints and not yet solved them:
 
-- a motor is a constraint with a limited force that reaches its velocity at the end of the basic time step,
-  solved together with the contacts. It is the dry friction of the joint with a velocity of its own;
+- a motor (`motors.py`) is a constraint, solved together with the contacts;
 - a contact that closes faster than `bounceVelocity` leaves with `bounce` times its speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import ceil, inf, isinf
+from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +19,8 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.webots.findings import WorldError, WorldFinding
 from deepbots_cli.webots.model import ModelBuilder
-from deepbots_cli.webots.nodes import number, numbers
+from deepbots_cli.webots.motors import Motors
+from deepbots_cli.webots.rays import Rays
 from deepbots_cli.webots.scene import ORIGIN
 from deepbots_cli.webots.shapes import compose
 
@@ -36,53 +35,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 MAX_SUBSTEP_MS = 8.0
-OWN_GROUP, SEEN_GROUPS = 5, np.array([1, 1, 1, 1, 1, 0], np.uint8)
-MAX_TORQUE = 1e8
-
-
-@dataclass(eq=False)
-class MotorState:
-    """The state of a motor: what it was told, and what it does in the present basic time step.
-
-    Positions in rad or m, velocities per s, torques in N m or N.
-    """
-
-    joint: int
-    dof: int
-    position_address: int
-    max_velocity: float
-    max_torque: float
-    gains: tuple[float, float, float]
-    acceleration: float
-    target_position: float = 0.0
-    target_velocity: float = 0.0
-    available_torque: float = 0.0
-    torque: float | None = None
-    velocity: float = 0.0
-    integral: float = 0.0
-    last_error: float = 0.0
-
-    def reset(self, position: float) -> None:
-        """Set the state in which Webots starts a motor: it keeps its position."""
-        self.target_position, self.target_velocity = position, self.max_velocity
-        self.available_torque, self.torque = self.max_torque, None
-        self.velocity = self.integral = self.last_error = 0.0
-
-    def next_velocity(self, position: float, step: float) -> float:
-        """Return the target velocity in a basic time step of `step` s, from the present position."""
-        velocity = self.target_velocity
-        if not isinf(self.target_position):
-            p, i, d = self.gains
-            error = self.target_position - position
-            self.integral += error * step
-            velocity = p * error + i * self.integral + d * (error - self.last_error) / step
-            self.last_error = error
-            velocity = min(max(velocity, -self.target_velocity), self.target_velocity)
-        if self.acceleration >= 0:
-            most = self.acceleration * step
-            velocity = min(max(velocity, self.velocity - most), self.velocity + most)
-        self.velocity = velocity
-        return velocity
 
 
 class Physics:
@@ -106,7 +58,6 @@ class Physics:
         self.data = mj.MjData(model)
         self.bodies = [int(element.id) for element in builder.bodies]
         self.geoms = builder.geometries_by_id()
-        self.motors: dict[Node, MotorState] = {}
         self._joint_ids = {joint: int(element.id) for joint, element in builder.joints.items()}
         self._free = {
             body: int(model.jnt_qposadr[element.id]) for body, element in builder.free_joints.items()
@@ -118,31 +69,11 @@ class Physics:
         self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
         self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
         self._damped = _damped_bodies(scene)
-        self._robot_geoms: dict[int, Any] = {}
-        for index, (body, _) in enumerate(self.geoms):
-            if body.robot is not None:
-                self._robot_geoms.setdefault(body.robot.index, []).append(index)
-        for joint in self._joint_ids:
-            if joint.motor is not None:
-                self.motors[joint.motor] = self._motor(joint, joint.motor)
-        self._active: list[MotorState] = []
+        self.motors = Motors(model, self.data, self._joint_ids)
+        self.rays = Rays(model, self.data, [body for body, _ in self.geoms], self.update_positions)
         self._has_positions = self._has_velocities = False
         self._start = self._state_at_begin()
         self.reset()
-
-    def _motor(self, joint: Joint, node: Node) -> MotorState:
-        index = self._joint_ids[joint]
-        strength = "maxTorque" if node.type == "RotationalMotor" else "maxForce"
-        p, i, d = (*numbers(node, "controlPID"), 0.0, 0.0, 0.0)[:3]
-        return MotorState(
-            index,
-            int(self.model.jnt_dofadr[index]),
-            int(self.model.jnt_qposadr[index]),
-            max(0.0, number(node, "maxVelocity")),
-            min(max(0.0, number(node, strength)), MAX_TORQUE),
-            (p, i, d),
-            number(node, "acceleration"),
-        )
 
     def _state_at_begin(self) -> tuple[Floats, Floats]:
         position, velocity = self.data.qpos.copy(), np.zeros(self.model.nv)
@@ -161,9 +92,7 @@ class Physics:
         model.dof_frictionloss[:], model.dof_damping[:] = self._usual
         mj.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = self._start
-        for motor in self.motors.values():
-            motor.reset(float(data.qpos[motor.position_address]))
-        self.renew_motors()
+        self.motors.reset()
         mj.mj_forward(model, data)
         self._has_positions = self._has_velocities = True
 
@@ -171,30 +100,8 @@ class Physics:
         """Set all velocities to 0, and the torques of motors under torque control."""
         self.data.qvel[:] = 0.0
         self.data.qacc_warmstart[:] = 0.0
-        for motor in self.motors.values():
-            motor.velocity = 0.0
-            if motor.torque is not None:
-                self.data.qfrc_applied[motor.dof] = 0.0
-                motor.torque = 0.0
+        self.motors.stop()
         self._has_velocities = False
-
-    def renew_motors(self) -> None:
-        """Apply the limits and modes of motors after a change."""
-        self._active = []
-        for motor in sorted(self.motors.values(), key=lambda motor: motor.dof):
-            is_active = motor.torque is None and motor.available_torque > 0
-            limit = motor.available_torque if is_active else float(self._usual_friction(motor))
-            self.model.dof_frictionloss[motor.dof] = limit
-            self.data.qfrc_applied[motor.dof] = motor.torque or 0.0
-            if is_active:
-                self._active.append(motor)
-        rows = np.flatnonzero(self.model.dof_frictionloss > 0).tolist()
-        self._rows = np.array([rows.index(motor.dof) for motor in self._active], np.intp)
-        self._dofs = np.array([motor.dof for motor in self._active], np.intp)
-
-    def _usual_friction(self, motor: MotorState) -> float:
-        joint = next(candidate for candidate, index in self._joint_ids.items() if index == motor.joint)
-        return joint.friction
 
     def step(self) -> None:
         """Advance by one basic time step.
@@ -204,16 +111,11 @@ class Physics:
         """
         model, data, count = self.model, self.data, self.substeps
         step1, step2 = mj.mj_step1, mj.mj_step2
-        positions, whole, bounces = data.qpos, self.substep * count, self._bounces.is_needed
-        targets = np.array(
-            [motor.next_velocity(float(positions[motor.position_address]), whole) for motor in self._active]
-        )
+        bounces = self._bounces.is_needed
+        targets = self.motors.target_velocities(self.substep * count)
         for left in range(count, 0, -1):
             step1(model, data)
-            if self._active:
-                rows = self._rows + data.ne
-                velocity_change = targets - data.qvel[self._dofs]
-                data.efc_aref[rows] = velocity_change / (self.substep * left)
+            self.motors.drive(targets, self.substep * left)
             if bounces and data.ncon:
                 self._bounces.apply(data, self.substep)
             if self._damped:
@@ -307,56 +209,6 @@ class Physics:
 
     def joint_velocity(self, joint: Joint) -> float:
         return float(self.data.qvel[self.model.jnt_dofadr[self._joint_ids[joint]]])
-
-    def motor_torque(self, motor: MotorState) -> float:
-        """Return the torque or force of a motor in the last substep."""
-        if motor.torque is not None:
-            return motor.torque
-        if motor not in self._active:
-            return 0.0
-        row = int(self._rows[self._active.index(motor)]) + self.data.ne
-        return float(self.data.efc_force[row]) if row < self.data.nefc else 0.0
-
-    def rays(
-        self, start: Triple, directions: Sequence[Triple], reach: float, skipped: int | None
-    ) -> list[tuple[float, int, float]]:
-        """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
-        cosine of its incidence. The robot `skipped` stops no ray."""
-        self.update_positions()
-        groups = self.model.geom_group
-        own_geoms = self._robot_geoms.get(-1 if skipped is None else skipped, [])
-        saved = groups[own_geoms].copy()
-        groups[own_geoms] = OWN_GROUP
-        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
-        results = []
-        origin = np.array(start)
-        for direction in directions:
-            ray = np.array(direction)
-            length = float(mj.mj_ray(self.model, self.data, origin, ray, SEEN_GROUPS, True, -1, geom, normal))
-            if length < 0 or length > reach:
-                results.append((reach, -1, 1.0))
-            else:
-                results.append((length, int(geom[0]), abs(float(normal @ ray))))
-        groups[own_geoms] = saved
-        return results
-
-    def distances(self, start: Triple, directions: Floats, reach: float, skipped: int | None) -> list[float]:
-        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
-        directions have the shape (rays, 3). The robot `skipped` stops no ray."""
-        self.update_positions()
-        groups = self.model.geom_group
-        own_geoms = self._robot_geoms.get(-1 if skipped is None else skipped, [])
-        saved = groups[own_geoms].copy()
-        groups[own_geoms] = OWN_GROUP
-        count = len(directions)
-        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
-        ways = np.ascontiguousarray(directions).ravel()
-        origin = np.array(start)
-        mj.mj_multiRay(
-            self.model, self.data, origin, ways, SEEN_GROUPS, True, -1, geoms, lengths, None, count, reach
-        )
-        groups[own_geoms] = saved
-        return np.where((lengths < 0) | (lengths > reach), inf, lengths).tolist()  # type: ignore[no-any-return]
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
         """Return the contacts of the last substep: two geometries, the point, and the force on the second

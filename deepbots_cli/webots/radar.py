@@ -124,7 +124,7 @@ class Radar(Sensor):
         physics, robot = self._simulation.physics, self._spec.body.robot
         skipped = None if robot is None else robot.index
         unit = frames.scaled(offset, 1 / distance)
-        geom = physics.rays(self._frame()[0], [unit], distance, skipped)[0][1]
+        geom = physics.rays.cast(self._frame()[0], [unit], distance, skipped)[0][1]
         return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.attachments[solid][0]
 
     def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:

@@ -180,7 +180,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
         physics, robot = self._simulation.physics, self._spec.body.robot
         directions = [frames.rotate(rotation, direction) for direction in self._directions]
         reach = self._reach or 1e3
-        hits = physics.rays(start, directions, reach, robot.index if robot else None)
+        hits = physics.rays.cast(start, directions, reach, robot.index if robot else None)
         if self._type in ("sonar", "laser"):
             return min(
                 reach if self._type == "sonar" and cosine < SONAR_CONE else distance

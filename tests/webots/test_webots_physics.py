@@ -309,7 +309,7 @@ def test_an_elevation_grid_begins_at_its_origin():
     grid = "ElevationGrid { xDimension 3 yDimension 2 xSpacing 1 ySpacing 2 height [ 0 0.5 1, 0 0.5 1 ] }"
     simulation = simulate(f"Solid {{ translation 1 0 0 boundingObject {grid} }}")
     for x, height in ((1.5, 0.25), (2.0, 0.5), (2.8, 0.9)):
-        distance = simulation.physics.rays((x, 1.0, 5.0), [(0.0, 0.0, -1.0)], 10, None)[0][0]
+        distance = simulation.physics.rays.cast((x, 1.0, 5.0), [(0.0, 0.0, -1.0)], 10, None)[0][0]
         assert 5 - distance == pytest.approx(height, abs=1e-3)
 
 
