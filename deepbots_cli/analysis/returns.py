@@ -105,8 +105,11 @@ def return_range(analysis: Analysis) -> Interval:
     end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))
     ticks = analysis.last_step * analysis.program.action_repeat - 1
     fewest = 0 if analysis.program.endings else ticks
-    high = step.high * (ticks if step.high > 0.0 else fewest) + end.high if step.high < INF else INF
-    low = step.low * (ticks if step.low < 0.0 else fewest) + end.low if step.low > -INF else -INF
+    low, high = -INF, INF
+    if step.low > -INF:
+        low = step.low * (ticks if step.low < 0.0 else fewest) + end.low
+    if step.high < INF:
+        high = step.high * (ticks if step.high > 0.0 else fewest) + end.high
     return Interval(low, high)
 
 

@@ -269,6 +269,7 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
         if data:
             archive.writestr("data", data)
         for name, array in arrays.items():
+            # zipfile does not know the size beforehand, and a replay buffer may exceed 2 GiB.
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(
                     member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False
@@ -289,6 +290,7 @@ def read_arrays(path: Path, specs: Mapping[str, ArraySpec], ignored: Sequence[st
             raise ValueError("it is larger than what it should hold")
         with zipfile.ZipFile(path) as archive:
             members = [member for member in archive.infolist() if member.filename not in ignored]
+            # Compressed members, and members that share bytes, could expand to any size.
             if sum(member.file_size for member in members) > path.stat().st_size or any(
                 m.compress_type for m in members
             ):
@@ -316,9 +318,11 @@ def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, spec: ArraySp
         if spec is None or fortran or not spec.accepts(shape, dtype):
             raise ValueError(f"{name} is {dtype.str[:20]} of shape {str(shape)[:60]}, which does not fit")
         size = math.prod(shape) * dtype.itemsize
+        # One byte more, so that a member longer than its header says is noticed.
         content = stream.read(size + 1)
     if len(content) != size:
         raise ValueError(f"{name} does not match its header")
+    # An array over bytes cannot be written to.
     array = np.frombuffer(content, dtype).reshape(shape).copy()
     if dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"{name} contains infinite or NaN values")

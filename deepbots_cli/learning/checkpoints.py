@@ -80,9 +80,9 @@ class Checkpoints:
         self._last = -1
         self._previous = 0
         self._due = 0.0
-        self._found = latest_checkpoint(run)
-        with damage_explained(run, self._found):
-            self.state = None if self._found is None else read_state(self._found, model)
+        self._folder = latest_checkpoint(run)
+        with damage_explained(run, self._folder):
+            self.state = None if self._folder is None else read_state(self._folder, model)
         if self.state is not None:
             self.stages = list(self.state.stages)
             self.inexact = list(self.state.inexact)
@@ -90,6 +90,7 @@ class Checkpoints:
     def _cut_logs(self) -> None:
         """Cut off the entries that were logged after the checkpoint, before the logs are opened."""
         sizes = self.state.logs if self.state else {}
+        # The resumed training repeats the steps after the checkpoint, and logs them again.
         for path in self._logs():
             size = sizes.get(path.relative_to(self.run.path).as_posix(), 0)
             if not size:
@@ -171,6 +172,7 @@ class Checkpoints:
             state = self._state()
             write_arrays(folder / "arrays.npz", self._arrays())
             (folder / "state.json").write_text(state.model_dump_json())
+            # Content first and the name last: after a power cut, a folder with a number is complete.
             for path in [*folder.iterdir(), folder]:
                 flush_to_disk(path)
             for name in ("last", "best") if self.callback.best is None else ("last",):
@@ -223,6 +225,7 @@ class Checkpoints:
         shard = self._collector.state()
         python_state = random.getstate()
         numpy_state = np.random.get_state(legacy=False)
+        # Entries in a buffer are missing in the size of their file, to which a resumed training cuts it.
         self._log.flush()
         return self._learner.State(
             digest=self.run.digest,
@@ -259,10 +262,10 @@ class Checkpoints:
         Raises:
             RunError: The checkpoint is damaged, or of another network.
         """
-        if self.state is not None and self._found is not None:
-            with damage_explained(self.run, self._found):
-                self._learner.load(self._found / "model.zip")
-                self._restore(self.state, read_arrays(self._found / "arrays.npz", self._specs(self.state)))
+        if self.state is not None and self._folder is not None:
+            with damage_explained(self.run, self._folder):
+                self._learner.load(self._folder / "model.zip")
+                self._restore(self.state, read_arrays(self._folder / "arrays.npz", self._specs(self.state)))
             self._last = self._previous = self._learner.steps
             self._due = time.monotonic() + INTERVAL_S
         for follow in self.on_restored:
@@ -340,6 +343,7 @@ class Checkpoints:
             derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps)
             for i in range(len(episodes))
         ]
+        # No engine has an exact snapshot, so an episode comes back by its start and its actions.
         if self._collector.restore(ShardState(episodes, state.observed), seeds):
             return True
         self.note(

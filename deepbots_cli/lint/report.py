@@ -241,12 +241,14 @@ class Summary:
     """Measurements over all episodes of a completed plan.
 
     Attributes:
-        measured: The statistics of each policy. constant_numbers: The places of the numbers of the
-        observation that never changed; pictures after them. zero_terms: The places of the terms of the reward
-        that were always 0. clearances: Robot, sensor, and how high its rays passed over all bodies, if they
-        met nothing. depths: Robot, sensor, and how far below the ground (m) its rays began, if they met
-        nothing. rolling: The motion of robots on driven wheels. tilts: How far (rad) robots with a free base
-        tilt at least within `TOPPLING_S` of doing nothing.
+        measured: The statistics of each policy.
+        constant_numbers: The places of the numbers of the observation that never changed; pictures after
+            them.
+        zero_terms: The places of the terms of the reward that were always 0.
+        clearances: Robot, sensor, and how high its rays passed over all bodies, if they met nothing.
+        depths: Robot, sensor, and how far below the ground (m) its rays began, if they met nothing.
+        rolling: The motion of robots on driven wheels.
+        tilts: How far (rad) robots with a free base tilt at least within `TOPPLING_S` of doing nothing.
     """
 
     measured: Mapping[str, PolicyStatistics] = field(default_factory=dict)

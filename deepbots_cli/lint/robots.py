@@ -277,9 +277,8 @@ def _sunk(
     if not name:
         return None
     joint = body.model.joint(name)
-    return (
-        (joint, moved[name]) if moved[name] > (0.005 if joint.type == "prismatic" else radians(2.0)) else None
-    )
+    tolerance = 0.005 if joint.type == "prismatic" else radians(2.0)
+    return (joint, moved[name]) if moved[name] > tolerance else None
 
 
 def _moved(

@@ -57,7 +57,7 @@ def _simulate(request: dict[str, Any], out: FileIO, seconds: float) -> None:
             signal.setitimer(signal.ITIMER_PROF, seconds)
         out.write(line)
 
-    write(b"")
+    write(b"")  # the imports below have a limit, too
     from deepbots_cli.lint.rollouts import Simulator, compiled
     from deepbots_cli.lint.search import ExploitSearch
 
@@ -81,7 +81,7 @@ def _limit(limits: Limits) -> None:
     for kind, limit in (
         (resource.RLIMIT_CPU, limits.cpu),
         (resource.RLIMIT_AS, limits.memory * _MIB),
-        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_CORE, 0),  # an engine that crashes leaves no file of its memory
     ):
         hard = resource.getrlimit(kind)[1]
         resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

@@ -106,7 +106,9 @@ def _repair(reader: _Reader, behind: str, error: MarkedYAMLError) -> tuple[int, 
         if "\n" in text[reader.value_start : stop]:
             return reader.value_start, "#", behind  # keys below a scalar: drop the scalar
         at = stop
-    return (0, "", "") if at >= len(text) else (at, " " if text[at] == "\t" else "_", behind)
+    if at >= len(text):
+        return 0, "", ""
+    return at, " " if text[at] == "\t" else "_", behind
 
 
 def _ends_before(text: str, start: int) -> bool:

@@ -73,6 +73,7 @@ class Element:
     def span(self) -> Span:
         """The start tag."""
         source = self.report.source
+        # Found again for a finding alone: most elements have none.
         match = _START_TAG.match(source.text, self.start)
         return Span(source, self.start, match.end() if match else self.start + 1)
 
@@ -271,6 +272,7 @@ class _Builder:
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
+        # Counted in the handler, before a large file has become a large tree.
         if self._count > MAX_ELEMENTS:
             raise _RefusedError("DB005", f"more than {MAX_ELEMENTS} elements")
         if len(self.open) == MAX_DEPTH:

@@ -252,6 +252,7 @@ class MeshReader:
             return UnusableMesh("the mesh does not exist", f"check the path: deepbots looked for {path}")
         if not path.is_file():
             return UnusableMesh("the mesh is not a regular file")
+        # By the bytes that are read: the size that the system names may be that of another moment.
         data = read_at_most(path, MAX_BYTES + 1)
         if len(data) > MAX_BYTES:
             return UnusableMesh(f"the mesh is larger than {MAX_BYTES >> 20} MiB", "simplify it")

@@ -86,15 +86,18 @@ class Fragment:
     observations with parts.
 
     Attributes:
-        observations: The observations on which the agents acted. actions: The actions of the agents. rewards:
-        float32. starts: Whether an episode began with the observation. columns: Further arrays of the actor,
-        such as values and log-probabilities. following: The observations after the last step, of shape (rows,
-        ...). following_starts: Whether an episode begins with them. endings: The episodes that ended, each
-        with the number of the step, in the order of steps and rows. agent_rewards: The rewards of each of
-        several agents in a world, as `rewards`. agent_phases: The phases of those agents whose episode may
-        end while others go on (`Phase`). taking_part: In the fragment of one of several agents, the steps of
-        its own episodes; None if these are
-            all steps.
+        observations: The observations on which the agents acted.
+        actions: The actions of the agents.
+        rewards: float32.
+        starts: Whether an episode began with the observation.
+        columns: Further arrays of the actor, such as values and log-probabilities.
+        following: The observations after the last step, of shape (rows, ...).
+        following_starts: Whether an episode begins with them.
+        endings: The episodes that ended, each with the number of the step, in the order of steps and rows.
+        agent_rewards: The rewards of each of several agents in a world, as `rewards`.
+        agent_phases: The phases of those agents whose episode may end while others go on (`Phase`).
+        taking_part: In the fragment of one of several agents, the steps of its own episodes; None if these
+            are all steps.
     """
 
     observations: Any

@@ -102,6 +102,7 @@ class EpisodeHistories:
         """Begin the episodes of some worlds with the next action; actions that no episode has are
         forgotten."""
         self._first[worlds] = len(self.actions)
+        # A deletion moves all later actions, so it waits until there are many to forget.
         if (ended := int(self._first.min())) > 1000:
             del self.actions[:ended]
             self._first -= ended
@@ -224,10 +225,12 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def advance(self, action: Any, resting: Column | None = None) -> BatchStep:
         """Advance by one step all worlds except those that are `resting` (truth values), whose episodes have
         ended; no episode begins."""
+        # A copy, because the histories keep it and a caller may use its array again.
         action = apply_to_parts(np.array, action)
         self.histories.actions.append(self.rows.by_world(action))
         resting = None if resting is None else resting.repeat(self.copies)
         self._acting = self.running = None if resting is None else ~resting
+        # Columns of lost and resting worlds may be NaN; `require_finite` checks the rewards of the others.
         with np.errstate(all="ignore"):
             self._advance(action)
         self._acting = self.running = None
@@ -287,6 +290,8 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         Returns:
             The observations.
         """
+        # All episodes take part in each step of the batch. Those that begin later repeat any valid action
+        # until their reset.
         last = max(len(episode.actions) for episode in episodes)
         idle = next((episode.actions[0] for episode in episodes if episode.actions), None)
         self._forget()
@@ -348,6 +353,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
                     world, self.singles[world].streams.root, int(self.step_count[world * self.copies]), error
                 )
             )
+        # By selection and not by a product, which stays NaN.
         self.reward = np.where(lost, 0.0, self.reward)
         self.terminated, self.truncated = self.terminated & ~lost, self.truncated | lost
         self.is_success = self.is_success & ~lost
@@ -463,6 +469,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         ).tolist()
         for row in rows:
             single = self._singles[row]
+            # Its draws read these counts, as those of a single world do.
             single.step_count = int(self.step_count[row])
             single.timestep_count = int(self.timestep_count[row])
             draw(single)

@@ -110,7 +110,7 @@ class Arrangement:
     def layout(self, stream: str, *shares: tuple[str, float]) -> str:
         """Return one of the layouts, drawn by their shares."""
         point = self._streams[stream].random() * sum(share for _, share in shares)
-        layout = shares[-1][0]
+        layout = shares[-1][0]  # rounding may leave a rest after the last share
         for name, share in shares:
             point -= share
             if point < 0.0:
@@ -380,6 +380,7 @@ class Floor:
             dx = x - obstacle.x
             dy = y - obstacle.y
             reach = radius + obstacle.radius + patch_distance
+            # The circles around both patches come first: they need no corners.
             if (
                 dx * dx + dy * dy < reach * reach
                 and footprint.patch_distance(patch, obstacle) < patch_distance

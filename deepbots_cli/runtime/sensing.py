@@ -270,6 +270,7 @@ class Device:
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""
         self._tick = self.sampled_at = 0
+        # In floats, 70 ms are 7.000000000000001 timesteps of 10 ms.
         self.delay = math.ceil(max(0.0, self._latency) / self._timestep - 1e-9)
         self._under_way.clear()
         self.instrument.restart(streams[f"{self._stream}.lookup"])

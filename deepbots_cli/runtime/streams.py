@@ -87,6 +87,7 @@ class Streams:
         generator = self._generators.get(name)
         if generator is None:
             prefix = f"{self.copy}/" if self.copy and not name.startswith("parameters.") else ""
+            # By the name and not in the order of use, so that a new draw does not shift the others.
             digest = hashlib.sha256(f"{self.root}/{prefix}{name}".encode()).digest()
             seed = np.random.SeedSequence(
                 [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
@@ -112,6 +113,7 @@ class Streams:
         return streams
 
     def uniform(self, name: str, low: float, high: float) -> float:
+        # Drawn also where a value is chosen, so that the later draws of the stream stay the same.
         return self.take(name, float(self[name].uniform(low, high)))
 
     def integer(self, name: str, low: float, high: float) -> float:
@@ -331,6 +333,7 @@ def _checked(entry: EpisodeDraw, number: float, scenario: Program) -> float:
             )
         return nearest
     low, high = (entry.low, entry.high) if entry.tree is None else _interval(entry.tree, scenario)
+    # Values often come back from float32 arrays, whose rounding may lie outside the range.
     nearest = min(max(float(number), low), high)
     if abs(nearest - number) > _FLOAT32_ROUNDING * abs(nearest):
         raise UsageError(

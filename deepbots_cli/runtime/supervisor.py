@@ -125,6 +125,7 @@ class Supervisor(
             raise UsageError(_CLOSED)
         values = self.require_drawable(options) if options else None
         super().reset(seed=seed)
+        # A reset that raises an exception leaves no episode: steps are refused until a reset succeeds.
         self._go_on = self._refuse
         if seed is not None:
             self.streams = Streams(seed)
@@ -157,6 +158,8 @@ class Supervisor(
             EvaluationError: An expression has no value, or the reward is not finite; the message shows which.
             MessageError: A message does not fit its layout.
         """
+        # The form of the action is not checked: a valid one pays nothing, and another one fails before
+        # anything has changed.
         try:
             self._go_on(action)
         except (ArithmeticError, ValueError, LookupError, NameError, TypeError, AttributeError) as error:

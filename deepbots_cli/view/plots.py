@@ -244,11 +244,10 @@ def stage_starts(record: RunRecord, episodes: Any) -> list[StageStart]:
     starts: list[StageStart] = []
     for name in [name for name in dict.fromkeys([*recorded_starts, *episodes.stages]) if name][:_MAX_STAGES]:
         own_steps = episodes.steps[episodes.stages == name]
-        begun = (
-            (recorded_starts.get(starts[-1].name) or (own_steps[0] if len(own_steps) else None))
-            if starts
-            else 0.0
-        )
+        begun: float | None = 0.0
+        if starts:
+            first_step = own_steps[0] if len(own_steps) else None
+            begun = recorded_starts.get(starts[-1].name) or first_step
         if begun is not None and (not starts or begun >= starts[-1].steps):
             starts.append(StageStart(name, float(begun)))
     return starts

@@ -286,10 +286,9 @@ class WorldScene:
         self._rays = self._add_lines(f"{root}/rays", line, visible=len(layout.sensor_rays) > 0)
         self._radars = [self._add_radar(*item) for item in layout.radars.items()]
         first = next((r for r in world.robots if not r.fixed_base), next(iter(world.robots), None))
-        self._followed = (first.name, first.model.root) if first else None
-        self._traced = (
-            (first.name, first.model.end_link if first.fixed_base else first.model.root) if first else None
-        )
+        self._followed = self._traced = (first.name, first.model.root) if first else None
+        if first and first.fixed_base:
+            self._traced = (first.name, first.model.end_link)
         self._start = ZERO_VECTOR
         self._trail: list[tuple[float, float, float]] = []
         self._parts = list(self._nodes)

@@ -69,15 +69,9 @@ def command(
     permissions: Permissions = Permissions(),
 ) -> None:
     """Compare trained policies on the same starts."""
-    rivals = _rivals(runs, "last" if last else "best")
-    judged: Compiled | None = None
-    if not rivals and len(runs) == 1 and _is_scenario(runs[0]):
-        judged = _compiled(str(runs[0]), permissions)
-        if not judged.program.members:
-            raise UsageError(
-                f"{runs[0]} is a scenario with one agent; compare runs of it, or see what its scripts do with:"
-                f" deepbots try {quote(str(runs[0]))} --driver NAME"
-            )
+    model: ModelName = "last" if last else "best"
+    rivals = _rivals(runs, model)
+    judged = None if rivals else _scenario_of_rivals(runs, permissions)
     if rivals or judged is not None:
         wrong = {
             "--case": case is not None,
@@ -100,7 +94,7 @@ def command(
             runs,
             episodes=episodes,
             seed=seed,
-            model="last" if last else "best",
+            model=model,
             scenario=judged,
             case=case,
             own=own,
@@ -109,6 +103,23 @@ def command(
             executor=executor,
         )
     terminal.show(_data(comparison), *_lines(comparison), as_json=as_json)
+
+
+def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compiled | None:
+    """Compile the only argument if it is a scenario, whose scripts then play; None for runs.
+
+    Raises:
+        UsageError: The scenario has one agent.
+    """
+    if len(runs) != 1 or not _is_scenario(runs[0]):
+        return None
+    compiled = _compiled(str(runs[0]), permissions)
+    if not compiled.program.members:
+        raise UsageError(
+            f"{runs[0]} is a scenario with one agent; compare runs of it, or see what its scripts do with:"
+            f" deepbots try {quote(str(runs[0]))} --driver NAME"
+        )
+    return compiled
 
 
 def _refuse_options(names: Sequence[str]) -> None:

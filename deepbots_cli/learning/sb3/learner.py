@@ -401,6 +401,7 @@ class OnPolicyLearner(StableLearner):
         model = self.model
         with models.overflow_explained():
             internals.update_progress(model, self._total)
+            # As in the loop of `OnPolicyAlgorithm.learn`, which this replaces.
             count = model.num_timesteps // (model.n_steps * model.n_envs)
             if count % self._log_interval == 0:
                 model.dump_logs(count)
@@ -540,6 +541,7 @@ class OffPolicyLearner(StableLearner):
 
     def update(self) -> None:
         model = self.model
+        # As in the loop of `OffPolicyAlgorithm.learn`, which this replaces.
         steps = model.gradient_steps if model.gradient_steps >= 0 else self._rollout.episode_timesteps
         if model.num_timesteps > model.learning_starts and steps > 0:
             with models.overflow_explained(), self._imitation():

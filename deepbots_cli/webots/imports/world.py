@@ -140,7 +140,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
     solid = [geometry for geometry in body.geometries if not _is_ground(geometry, body)]
     if not solid:
         if is_used:
-            pose = _pose_text(body.frame)
+            pose = pose_text(body.frame)
             result.objects[name] = f"{{shape: sphere, radius: 1 cm, solid: false, fixed: true, pose: {pose}}}"
         return
     if len(result.objects) + len(solid) > MAX_OBJECTS:
@@ -163,7 +163,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
         friction = scene.contact(geometry.material, "default").friction
         if friction != 1.0:
             parts.append(f"friction: {plain(friction)}")
-        parts.append(f"pose: {_pose_text(frames.compose(body.frame, geometry.frame))}")
+        parts.append(f"pose: {pose_text(frames.compose(body.frame, geometry.frame))}")
         if color := _color_text(body, scene):
             parts.append(f"color: '{color}'")
         result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
@@ -204,14 +204,10 @@ def _shape_text(shape: Shape) -> str | None:
     return None
 
 
-def _pose_text(frame: Frame) -> str:
+def pose_text(frame: Frame) -> str:
+    """Return a frame as the value of `pose`."""
     pose = pose_of(frame)
     parts = [f"xyz: {plain(*pose.xyz)} m"]
     if hypot(*pose.rpy) > 1e-9:
         parts.append(f"rpy: {plain(*pose.rpy)} rad")
     return f"{{{', '.join(parts)}}}"
-
-
-def pose_text(frame: Frame) -> str:
-    """Return a frame as the value of `pose`."""
-    return _pose_text(frame)
