@@ -13,6 +13,7 @@ from deepbots_cli.program.robots import (
     Robot,
     Route,
 )
+from deepbots_cli.program.world import whole_timesteps
 
 Ages = dict[str, float]
 """The age of each named value in timesteps; infinite where it varies."""
@@ -116,7 +117,7 @@ def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
 
 def _ticks(delay: float, scenario: Program) -> int:
     """Return the ticks until a value with this `delay` in s has arrived."""
-    return math.ceil(delay / scenario.world.timestep - 1e-9)
+    return whole_timesteps(delay, scenario.world.timestep)
 
 
 def _oldest(values: Sequence[Scalar], ages: Ages) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import ceil, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 from deepbots_cli import footprint
@@ -28,6 +28,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
+from deepbots_cli.program.world import whole_timesteps
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
 _TOUCHING_FACTOR = 0.98
@@ -209,7 +210,7 @@ def _later(program: Program) -> str:
     if limits.max_steps is None or limits.max_time is None:
         return ""
     steps = limits.max_steps * program.action_repeat
-    time = ceil(limits.max_time / timestep - 1e-9)
+    time = whole_timesteps(limits.max_time, timestep)
     if time > steps:
         return "max_time"
     if steps > time:

@@ -26,7 +26,7 @@ from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.report import ARENA, MAX_SINK, TOPPLING_S, Clearance, SimulationPosition, UnreachedPose
 from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
-from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel, whole_timesteps
 from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
@@ -204,7 +204,7 @@ def limp_at_start(context: RuleContext) -> Iterator[Finding]:
         ticks = int(program.timing == "delayed")
         if robot.to_route.latency is not None:
             latency = analysis.ranges.of(analysis.scalars(robot.to_route.latency)[0]).low
-            ticks += ceil(latency / program.world.timestep - 1e-9) if latency > 0.0 else 0
+            ticks += whole_timesteps(latency, program.world.timestep) if latency > 0.0 else 0
         for motor in limp:
             wait = ticks * program.world.timestep + motor.response.delay
             joints = {

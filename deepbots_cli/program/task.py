@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.program.world import whole_timesteps
 from deepbots_cli.robots.model import Vector
 
 # Limits of one observation, in numbers and in bytes of images; a network with more inputs is not small.
@@ -315,7 +316,7 @@ class Truncation:
     def max_episode_steps(self, period: float) -> int:
         """Return the steps of the agent, of `period` s each, after which an episode is cut short at the
         latest."""
-        time = [math.ceil(self.max_time / period - 1e-9)] if self.max_time else []
+        time = [whole_timesteps(self.max_time, period)] if self.max_time else []
         return max(1, min([self.max_steps or 2**63, *time]))
 
 

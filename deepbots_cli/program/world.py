@@ -44,6 +44,12 @@ TILE_MARGIN_M = 0.5
 """The width of the edge (m) of a tile over which waves and random heights fade to the height 0."""
 
 
+def whole_timesteps(duration: float, timestep: float) -> int:
+    """Return the number of timesteps that a duration takes, rounded up; both in s."""
+    # In floats, 70 ms are 7.000000000000001 timesteps of 10 ms.
+    return math.ceil(duration / timestep - 1e-9)
+
+
 @dataclass(frozen=True)
 class Ground:
     """The plane z = 0; friction is Coulomb's coefficient."""

@@ -347,6 +347,7 @@ class DistanceField:
 def _nodes(low: float, high: float, cell: float) -> tuple[float, int]:
     """Return the place of the first node between two ends, about their middle, and the number of nodes: two
     at least."""
+    # Where the ends are a whole number of cells apart, rounding must not lose a node.
     count = max(2, int((high - low) / cell + 1e-6) + 1)
     return (low + high - (count - 1) * cell) / 2, count
 

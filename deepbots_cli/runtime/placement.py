@@ -485,6 +485,7 @@ def random_spots(area: Area, count: int, generator: np.random.Generator) -> list
 def shuffled_grid_spots(area: Area, within: Area, mesh: float, generator: np.random.Generator) -> list[Spot]:
     """Return the middles of the cells of size `mesh` that fit into an area, about its middle, and lie within
     another; in random order."""
+    # In floats, 0.3 m are 2.9999999999999996 cells of 0.1 m.
     columns, rows = (max(1, int((area[axis + 2] - area[axis]) / mesh + 1e-9)) for axis in (0, 1))
     x, y = (area[0] + area[2]) / 2, (area[1] + area[3]) / 2
     middles = [

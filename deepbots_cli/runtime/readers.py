@@ -216,6 +216,7 @@ class Accelerometer:
         bx, by, bz = self._before
         fx, fy, fz = self._fall
         (ax, ay, az, aw), (x, y, z, w) = self._turned, rotation
+        # Opposite quaternions are the same rotation, and would cancel in the sum below.
         if ax * x + ay * y + az * z + aw * w < 0.0:
             ax, ay, az, aw = -ax, -ay, -az, -aw
         x, y, z, w = x + ax, y + ay, z + az, w + aw  # halfway between both, but for its length
@@ -380,7 +381,7 @@ def reflectance(site: Site) -> Instrument:
         for origin, direction in eyes:
             right, left, up = rotate(rotation, origin)
             ahead, aside, down = rotate(rotation, direction)
-            if down > -1e-6:
+            if down > -1e-6:  # an eye that looks level or up sees no ground
                 readings.append(0.0)
                 continue
             distance = (z + up) / -down

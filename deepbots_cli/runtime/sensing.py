@@ -9,7 +9,6 @@ Noise is normal. It is drawn in blocks, since a call of the generator costs more
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from operator import add
@@ -23,7 +22,7 @@ from deepbots_cli.frames import Frame
 from deepbots_cli.plugins import import_attribute
 from deepbots_cli.port import Engine
 from deepbots_cli.program.robots import NoiseModel, Sensor
-from deepbots_cli.program.world import WorldModel
+from deepbots_cli.program.world import WorldModel, whole_timesteps
 from deepbots_cli.runtime.formulas import clamp
 from deepbots_cli.runtime.streams import Streams
 
@@ -270,8 +269,7 @@ class Device:
     def reset(self, streams: Streams) -> None:
         """Begin an episode: a first reading is taken and delivered at once."""
         self._tick = self.sampled_at = 0
-        # In floats, 70 ms are 7.000000000000001 timesteps of 10 ms.
-        self.delay = math.ceil(max(0.0, self._latency) / self._timestep - 1e-9)
+        self.delay = whole_timesteps(max(0.0, self._latency), self._timestep)
         self._under_way.clear()
         self.instrument.restart(streams[f"{self._stream}.lookup"])
         if self.chain is not None:
