@@ -1,5 +1,7 @@
-"""Changes of the user's files, shown as a difference or written: the fixes of `lint`, the layout of `fmt`, and
-the values of `apply`."""
+"""Changes of the user's files, shown as a difference or written.
+
+They are the fixes of `lint`, the layout of `fmt`, and the values of `apply`.
+"""
 
 from __future__ import annotations
 

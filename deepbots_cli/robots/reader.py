@@ -684,7 +684,9 @@ def _check_reach(joint: Joint, mimic: Mimic, leader: Joint, element: Element) ->
         low, high = min(low, limit.lower), max(high, limit.upper)
         element.warn(
             headline,
-            remedy=f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}',
+            remedy=(
+                f'set lower="{low:.6g}" upper="{high:.6g}" ({unit}) in the <limit> of {quoted(joint.name)}'
+            ),
         )
 
 

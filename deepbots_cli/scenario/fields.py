@@ -542,8 +542,8 @@ def measure_dimension(measure: str) -> Dimension | None:
 
 
 def dimension_of(measure: str, of_reading: Dimension, *, second: bool = False) -> Dimension | None:
-    """Return the dimension of a measure: `of_reading` of a `reading`, None of `any`; of a measure such as `torque or
-    force` the first or the second."""
+    """Return the dimension of a measure: `of_reading` of a `reading`, None of `any`; of a measure such as
+    `torque or force` the first or the second."""
     if measure in ("reading", "any"):
         return of_reading if measure == "reading" else None
     return _dimension(MEASURES[measure][2].split(" or ")[-1 if second else 0])

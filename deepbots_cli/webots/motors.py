@@ -1,7 +1,8 @@
 """The motors of a world.
 
-A motor is a constraint with a limited force that reaches its velocity at the end of the basic time step. It is
-the dry friction of the joint with a velocity of its own, so that MuJoCo solves it together with the contacts.
+A motor is a constraint with a limited force that reaches its velocity at the end of the basic time step. It
+is the dry friction of the joint with a velocity of its own, so that MuJoCo solves it together with the
+contacts.
 """
 
 from __future__ import annotations
