@@ -119,6 +119,7 @@ class HeightGrid:
             u = np.minimum(np.maximum((np.asarray(x, float) + half_x) / dx, 0.0), columns - 1.0)
             v = np.minimum(np.maximum((np.asarray(y, float) + half_y) / dy, 0.0), rows - 1.0)
             u, v = np.broadcast_arrays(u, v)
+            # NaN, as of a lost world, is in no cell: converted to a whole number, it is any index.
             exists = ~(np.isnan(u) | np.isnan(v))
             u, v = np.where(exists, u, 0.0), np.where(exists, v, 0.0)
             column = np.minimum(u.astype(int), columns - 2)

@@ -23,7 +23,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, RunError, UsageError
 from deepbots_cli.learning.directories import WORKERS_FOLDER
 from deepbots_cli.learning.run import Run
-from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Harvest, Order, RunningEpisode
+from deepbots_cli.rollout.collector import Evaluated, EvaluationOrder, Order, RunningEpisode, ShardResult
 from deepbots_cli.rollout.worlds import Array
 
 _READY_TIMEOUT_S = 60.0
@@ -144,7 +144,7 @@ class RemoteShards:
         order: Order,
         memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[Harvest]]:
+    ) -> Callable[[], list[ShardResult]]:
         return self._work(order, memories, episodes)
 
     def evaluate(

@@ -293,6 +293,7 @@ class SelfPlayLearner(MultiAgentLearner):
         begins."""
         sides = self._sides
         scripts = min(len(names) for names in self._scripts.values())
+        # By the global generator of numpy, whose state is part of each checkpoint.
         for world in sides.others[starts[sides.others]]:
             if world in sides.scripted:
                 self._opponents[world] = _FIRST_SCRIPT - np.random.randint(scripts)

@@ -36,11 +36,11 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.collector import (
     Evaluated,
     EvaluationOrder,
-    Harvest,
     Lesson,
     LocalCollector,
     Order,
     RunningEpisode,
+    ShardResult,
 )
 from deepbots_cli.rollout.worlds import ENDED_BY_ANOTHER_COPY, AgentTerms, Array, BatchWorlds, Worlds
 from deepbots_cli.runtime.streams import derive_seed
@@ -242,7 +242,7 @@ class Shard:
         )
         return learners.create(setup)
 
-    def collect(self, order: Order, memory: Mapping[str, Array]) -> Harvest:
+    def collect(self, order: Order, memory: Mapping[str, Array]) -> ShardResult:
         """Collect experience for an order; `memory` is the memory of the policy for the rows of this
         shard."""
         began = perf_counter()
@@ -270,7 +270,9 @@ class Shard:
             for world in np.flatnonzero(has_begun[::rows]).tolist()
         }
         seconds = perf_counter() - began, self._collector.times.worlds - worlds_before
-        return Harvest(fragment, actor.memory(), list(self._ended), begun, seconds, notes=list(self._notes))
+        return ShardResult(
+            fragment, actor.memory(), list(self._ended), begun, seconds, notes=list(self._notes)
+        )
 
     def evaluate(self, order: EvaluationOrder) -> Evaluated:
         """Play the episodes of this shard: one of `shards`, in turn."""
@@ -334,11 +336,9 @@ class LocalShards:
         order: Order,
         memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[Harvest]]:
-        harvests = [
-            shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)
-        ]
-        return lambda: harvests
+    ) -> Callable[[], list[ShardResult]]:
+        results = [shard.collect(order, memory) for shard, memory in zip(self._shards, memories, strict=True)]
+        return lambda: results
 
     def evaluate(
         self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]

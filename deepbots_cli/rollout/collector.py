@@ -389,7 +389,7 @@ class Evaluated(Answer):
 
 
 @dataclass(frozen=True)
-class Harvest(Answer):
+class ShardResult(Answer):
     """The experience that a shard has collected for an order.
 
     Attributes:
@@ -433,14 +433,14 @@ class ShardPool(Protocol):
         order: Order,
         memories: Sequence[Mapping[str, Array]],
         episodes: Sequence[Sequence[RunningEpisode]],
-    ) -> Callable[[], list[Harvest]]:
-        """Request the harvest of each shard, from `episodes` on, which are those after the last harvest. The
+    ) -> Callable[[], list[ShardResult]]:
+        """Request the result of each shard, from `episodes` on, which are those after the last result. The
         returned function waits for the result."""
 
     def evaluate(
         self, order: EvaluationOrder, episodes: Sequence[Sequence[RunningEpisode]]
     ) -> list[Evaluated]:
-        """Return the part of each shard in an evaluation. `episodes` are those after the last harvest, and do
+        """Return the part of each shard in an evaluation. `episodes` are those after the last result, and do
         not change."""
 
 
@@ -536,7 +536,7 @@ class ShardedCollector(FetchingCollector):
         self.starts = np.ones(self.rows, bool)
         self.times = CollectTimes()
         self.stale: Mapping[str, Array] = {}
-        self._asked: Callable[[], list[Harvest]] | None = None
+        self._requested: Callable[[], list[ShardResult]] | None = None
         self._observations: Any = None
 
     def _anew(self, seeds: Sequence[int]) -> None:
@@ -563,22 +563,19 @@ class ShardedCollector(FetchingCollector):
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
     ) -> Fragment:
         began = perf_counter()
-        answer = self._asked or self._ask(actor, steps, with_masks, lesson)
-        harvests = answer()
-        self._asked = None
+        answer = self._requested or self._ask(actor, steps, with_masks, lesson)
+        results = answer()
+        self._requested = None
         self.stale = {}
-        self._note_times(harvests, perf_counter() - began)
+        self._note_times(results, perf_counter() - began)
         actor.remember(
-            {
-                name: np.concatenate([harvest.memory[name] for harvest in harvests])
-                for name in harvests[0].memory
-            }
+            {name: np.concatenate([result.memory[name] for result in results]) for name in results[0].memory}
         )
-        for harvest in harvests:
-            self._listener.on_answer(harvest)
-        fragment = join([harvest.fragment for harvest in harvests])
-        self._note_episodes(fragment, harvests)
-        self._replay = self._steps(fragment, _details(harvests))
+        for result in results:
+            self._listener.on_answer(result)
+        fragment = join([result.fragment for result in results])
+        self._note_episodes(fragment, results)
+        self._replay = self._steps(fragment, _details(results))
         return fragment
 
     def ask_ahead(self, actor: PolicyActor, steps: int, *, with_masks: bool = False) -> None:
@@ -586,11 +583,11 @@ class ShardedCollector(FetchingCollector):
         during the next update."""
         parameters = actor.parameters().items()
         self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
-        self._asked = self._ask(actor, steps, with_masks, None)
+        self._requested = self._ask(actor, steps, with_masks, None)
 
     def _ask(
         self, actor: PolicyActor, steps: int, with_masks: bool, lesson: Lesson | None
-    ) -> Callable[[], list[Harvest]]:
+    ) -> Callable[[], list[ShardResult]]:
         self.begin()
         memory = {name: self._by_shard(array, self._width) for name, array in actor.memory().items()}
         memories = [
@@ -602,12 +599,12 @@ class ShardedCollector(FetchingCollector):
         )
         return self._pool.collect(order, memories, self._by_shard(self.episodes))
 
-    def _note_times(self, harvests: Sequence[Harvest], seconds: float) -> None:
+    def _note_times(self, results: Sequence[ShardResult], seconds: float) -> None:
         busy: dict[int, float] = {}
-        for harvest in harvests:
-            busy[harvest.worker] = busy.get(harvest.worker, 0.0) + harvest.seconds[0]
+        for result in results:
+            busy[result.worker] = busy.get(result.worker, 0.0) + result.seconds[0]
         longest = max(busy.values())
-        self.times.worlds += sum(harvest.seconds[1] for harvest in harvests) / len(busy)
+        self.times.worlds += sum(result.seconds[1] for result in results) / len(busy)
         self.times.waiting += longest - sum(busy.values()) / len(busy)
         self.times.transfer += max(0.0, seconds - longest)
 
@@ -620,11 +617,11 @@ class ShardedCollector(FetchingCollector):
             episodes_by_number.update(answer.episodes)
         return [episodes_by_number[number] for number in range(len(seeds))]
 
-    def _note_episodes(self, fragment: Fragment, harvests: Sequence[Harvest]) -> None:
+    def _note_episodes(self, fragment: Fragment, results: Sequence[ShardResult]) -> None:
         """Keep the start of the running episode of each world, and its actions."""
         begun = [
-            harvest.begun.get(world)
-            for harvest, size in zip(harvests, self._sizes, strict=True)
+            result.begun.get(world)
+            for result, size in zip(results, self._sizes, strict=True)
             for world in range(size)
         ]
         for world, beginning in enumerate(begun):
@@ -687,11 +684,11 @@ class ShardedCollector(FetchingCollector):
         return False
 
 
-def _details(harvests: Sequence[Harvest]) -> list[tuple[int, Mapping[str, Any]]]:
+def _details(results: Sequence[ShardResult]) -> list[tuple[int, Mapping[str, Any]]]:
     """Return stage and drawn values of each ending, in the order of the endings of the joined fragment."""
     details = [
         (number, shard, ending.row, detail)
-        for shard, harvest in enumerate(harvests)
-        for (number, ending), detail in zip(harvest.fragment.endings, harvest.ended, strict=True)
+        for shard, result in enumerate(results)
+        for (number, ending), detail in zip(result.fragment.endings, result.ended, strict=True)
     ]
     return [detail for *_, detail in sorted(details, key=lambda entry: entry[:3])]

@@ -97,6 +97,7 @@ class FieldCodec:
                     numbers.append(value)
             return message_codec.encode(*numbers)
 
+        # Chosen once, instead of field by field in every message.
         if all(vectors):
             self.encode = flattened
         elif any(vectors):
@@ -113,6 +114,7 @@ class FieldCodec:
         """
         try:
             values = self._decode(message)
+            # The hash comes first: another layout may have as many bytes.
             if len(values) != self._count or values[0] != self.layout.layout_hash:
                 raise ValueError("another layout")
         except DECODING_ERRORS:

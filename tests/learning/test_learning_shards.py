@@ -19,7 +19,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.program.task import Solved, Training
-from deepbots_cli.rollout.collector import Harvest, Order, RunningEpisode, ShardPool
+from deepbots_cli.rollout.collector import Order, RunningEpisode, ShardPool, ShardResult
 from deepbots_cli.rollout.worlds import Array
 from tests.few import few
 from tests.learning.interruption import outcome
@@ -39,7 +39,7 @@ class Forgetful:
                 order: Order,
                 memories: Sequence[Mapping[str, Array]],
                 episodes: Sequence[Sequence[RunningEpisode]],
-            ) -> Callable[[], list[Harvest]]:
+            ) -> Callable[[], list[ShardResult]]:
                 self.close()
                 self._shards = [
                     Shard(run, build, number, worlds) for number, worlds in enumerate(world_numbers(training))
