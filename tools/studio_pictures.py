@@ -31,7 +31,9 @@ def main() -> None:
             page.click("Train")
             page.wait(_HAS_ENDED, 300)
             page.wait("!!document.querySelector('.studio-notice')", 120)
-            page.wait("!document.querySelector('.studio-notice')?.checkVisibility({visibilityProperty: true})")
+            page.wait(
+                "!document.querySelector('.studio-notice')?.checkVisibility({visibilityProperty: true})"
+            )
             page.tab.run(_WITHOUT_NOTICE)
             time.sleep(1)
             page.tab.see(str(IMAGES / "studio.png"))
