@@ -40,14 +40,14 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
 def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]:
     """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations."""
     lines = []
-    for color, (name, each) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
+    for color, (name, run) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
         for line in (
-            _line(f"{name} in training", each.returns, 0),
-            _line(f"{name} evaluated", each.evaluations, 0, marks=True),
-            _line(f"{name} success", _percent(each.successes), 1, dashed=True),
+            _line(f"{name} in training", run.returns, 0),
+            _line(f"{name} evaluated", run.evaluations, 0, marks=True),
+            _line(f"{name} success", _percent(run.successes), 1, dashed=True),
         ):
             lines.append({**line, "itemStyle": {"color": color}})
-    has_successes = any(each.successes for each in curves.values())
+    has_successes = any(run.successes for run in curves.values())
     lines += _goals(curves.values(), dark=dark)
     return _chart(lines, curves.values(), has_successes, dark)
 
@@ -64,7 +64,7 @@ def _chart(
         "nameTextStyle": text,
         "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
     }
-    returns = [point for each in curves for point in (*each.returns, *each.evaluations)]
+    returns = [point for run in curves for point in (*run.returns, *run.evaluations)]
     return {
         "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
@@ -87,7 +87,7 @@ def _chart(
             "name": "timesteps",
             "nameGap": 22,
             "axisPointer": {"label": {"precision": 0}},
-            "max": max((each.last_step for each in curves), default=0.0) or None,
+            "max": max((run.last_step for run in curves), default=0.0) or None,
             **axis,
         },
         "yAxis": [
@@ -121,7 +121,7 @@ def _range(points: Iterable[Point]) -> dict[str, Any]:
 def _goals(curves: Iterable[Curves], *, dark: bool) -> list[dict[str, Any]]:
     """Return a horizontal line at each mean return with which a task is solved. It is a line of its own,
     because a line of marks neither extends an axis nor has an entry in the legend."""
-    ends = {each.solved_return: each.last_step for each in sorted(curves, key=lambda each: each.last_step)}
+    ends = {run.solved_return: run.last_step for run in sorted(curves, key=lambda run: run.last_step)}
     return [
         {
             **_line(f"solved: {goal:g}", [(0.0, goal), (end, goal)], 0, dashed=True),

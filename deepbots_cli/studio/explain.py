@@ -174,13 +174,13 @@ def _section(text: str, anchor: str) -> str:
     return ""
 
 
-def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -> None:
+def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None) -> None:
     """Open a dialog that explains words.
 
     Args:
-        wanted: The first word; empty to ask for one.
+        first: The first word; empty to ask for one.
         of_text: What the open text says about words.
-        own: What the first word means at the cursor.
+        meaning: What the first word means at the cursor.
     """
     earlier: list[str] = []
 
@@ -189,7 +189,7 @@ def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -
             return
         earlier.append(query)
         word.set_value(query)
-        answer.set_content(_answer(query, of_text, own if len(earlier) == 1 else None))
+        answer.set_content(_answer(query, of_text, meaning if len(earlier) == 1 else None))
         back.set_enabled(len(earlier) > 1)
         offered = list(of_text.fixes(query))
         fixes.clear()
@@ -220,14 +220,14 @@ def show_explanation(wanted: str, of_text: OfText, own: Meaning | None = None) -
         fixes.set_visibility(False)
         answer = linked(show, go_to).props('role="region" aria-label="Explanation" tabindex="0"')
         answer.set_content(_HINT)
-    show(wanted)
+    show(first)
     dialog.open()
     word.run_method("select")  # a letter replaces the word
 
 
-def _answer(query: str, of_text: OfText, own: Meaning | None) -> str:
+def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
     """Return the explanation of a word: what it means in the text, and its entries."""
-    here = own.markdown() if own is not None else ""
+    here = meaning.markdown() if meaning is not None else ""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
     names = [] if here else of_text.names(query)
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])

@@ -82,11 +82,11 @@ def meaning(view: CursorView, word: str) -> Meaning:
     text = shown.contents.value if shown is not None and hasattr(shown.contents, "value") else ""
     if view.analysis is None:
         return Meaning(word, text)
-    own_line = view.document.lines.range(view.offset, view.offset).start.line
+    line_of_word = view.document.lines.range(view.offset, view.offset).start.line
     places = [
         place.range.start.line
         for place in definitions(view, {})
-        if place.uri == view.document.uri and place.range.start.line != own_line
+        if place.uri == view.document.uri and place.range.start.line != line_of_word
     ]
     span = _definition_span(view)
     uses = [] if span is None else list(dict.fromkeys(_uses(view, span)))
@@ -94,19 +94,19 @@ def meaning(view: CursorView, word: str) -> Meaning:
         word,
         text,
         tuple(_link(line) for line in dict.fromkeys(places)),
-        tuple(_link(line, text) for line, text in uses[:_MAX_USES] if line != own_line),
+        tuple(_link(line, text) for line, text in uses[:_MAX_USES] if line != line_of_word),
     )
 
 
 def names_like(document: Document, phrase: str) -> list[tuple[str, int]]:
     """Return the names of a text that have a word of a phrase, with the line of each, from 0."""
-    wanted = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2}
+    words = {word.lower() for word in _WORD.findall(phrase) if len(word) > 2}
     names: dict[str, int] = {}
 
     def read(symbols: Iterable[object]) -> None:
         for symbol in symbols:
             name = str(getattr(symbol, "name", ""))
-            if wanted & set(re.split(r"[._\W]+", name.lower())):
+            if words & set(re.split(r"[._\W]+", name.lower())):
                 names.setdefault(name, symbol.selection_range.start.line)  # type: ignore[attr-defined]
             read(getattr(symbol, "children", None) or ())
 

@@ -379,7 +379,7 @@ class StudioPage:
         meaning = language.meaning(file.path, place.text, place.line, place.column, place.word)
         self._explain(place.word, meaning)
 
-    def _explain(self, word: str = "", own: Meaning | None = None) -> None:
+    def _explain(self, word: str = "", meaning: Meaning | None = None) -> None:
         """Open the explanation of a word, with what can be written into the text."""
         file, language = self._file, self._session.language
 
@@ -401,7 +401,7 @@ class StudioPage:
         def parts(phrase: str) -> list[RobotPart]:
             return [] if file is None else language.parts_like(file.path, phrase)
 
-        show_explanation(word, OfText(fixes, names, parts, self._editor.go_to), own)
+        show_explanation(word, OfText(fixes, names, parts, self._editor.go_to), meaning)
 
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""
