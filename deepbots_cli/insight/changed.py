@@ -7,11 +7,9 @@ from typing import Any
 
 from deepbots_cli.document.files import display_path
 from deepbots_cli.document.nodes import follow_dotted
-from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.insight.statements import Numbers, list_text, statement
 from deepbots_cli.insight.training import TrainingEvidence
-from deepbots_cli.learning.changes import SEED, ChangedValue, nearest_solved
-from deepbots_cli.learning.run import Run
+from deepbots_cli.learning.changes import SEED, ChangedValue
 
 _MAX_SHOWN = 4
 _LIKELIHOOD = 0.89
@@ -28,15 +26,9 @@ _LIKELIHOOD = 0.89
 def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
     if evidence.verdict.solved:
         return None
-    try:
-        # Of several agents, the evidence is about the scenario of one of them.
-        run = Run.open(evidence.run.path) if evidence.agent else evidence.run
-        nearest = nearest_solved(run)
-    except (DeepbotsError, OSError):
+    if evidence.earlier_solved is None:
         return None
-    if nearest is None:
-        return None
-    earlier, values = nearest
+    earlier, values = evidence.earlier_solved
     if all(value.path == SEED for value in values):
         return None
     changes = [_change(value, evidence) for value in values]

@@ -168,9 +168,17 @@ def too_few_steps(evidence: TrainingEvidence) -> Numbers | None:
             "likelihood": 0.8 if length["share"] < 0.5 else 0.65,
             "finding": f"The policy still learns: {mean}",
         }
-    if length["share"] >= 0.5 or evidence.is_running or rise is not None:
+    if length["share"] >= 0.5 or evidence.is_running or rise is not None or _was_solved_sooner(evidence):
         return None
     return {**length, "likelihood": 0.5, "finding": "The training is short"}
+
+
+def _was_solved_sooner(evidence: TrainingEvidence) -> bool:
+    """Return whether an earlier run solved the scenario in no more steps, so that the length is no cause."""
+    if evidence.earlier_solved is None:
+        return False
+    result = evidence.earlier_solved[0].record.result
+    return result is not None and result.steps <= evidence.steps
 
 
 def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str, Any] | None:

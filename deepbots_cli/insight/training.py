@@ -27,6 +27,7 @@ from deepbots_cli.insight.linted import LintedScenario, linted_scenario, named_s
 from deepbots_cli.insight.scenario_facts import ScenarioFacts
 from deepbots_cli.insight.statements import EvaluationRate
 from deepbots_cli.insight.trace import Array, Trace, TraceRecorder, trace_episodes
+from deepbots_cli.learning.changes import ChangedValue, nearest_solved
 from deepbots_cli.learning.decline import Decline, decline
 from deepbots_cli.learning.directories import is_training
 from deepbots_cli.learning.episodes import meets_solved
@@ -257,6 +258,15 @@ class TrainingEvidence:
         return decline(
             self.all_evaluations, measure_of(program.agent.solved, defines_success=program.defines_success)
         )
+
+    @cached_property
+    def earlier_solved(self) -> tuple[Run, list[ChangedValue]] | None:
+        """The nearest earlier run that solved the scenario, and what has changed since; None without one."""
+        try:
+            # Of several agents, the evidence is about the scenario of one of them.
+            return nearest_solved(Run.open(self.run.path) if self.agent else self.run)
+        except (DeepbotsError, OSError):
+            return None
 
     @property
     def steps(self) -> int:
