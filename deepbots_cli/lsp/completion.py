@@ -166,7 +166,10 @@ def _kind_keys(shape: Kinds, data: Any) -> Iterator[Choice]:
 
 def _values(view: CursorView) -> Iterator[CompletionItem]:
     cursor, data = view.cursor, view.data
-    words = list(_word_choices(view, data)) or [*_example(view, data)]
+    words = list(_word_choices(view, data))
+    # The example is a whole value; among the entries of a mapping, it would be an error.
+    if not words and not (cursor.role == "key" and view.keys):
+        words = [*_example(view, data)]
     yield from (_item(view, choice, cursor.start) for choice in _unique(words))
     for shape in shapes_at(cursor.path, data):
         if isinstance(shape, FieldType) and _is_expression(shape):

@@ -114,7 +114,7 @@ class _NewScenario:
         with ui.element("div").classes("studio-bar studio-dialog-buttons"):
             self._state = ui.label("").classes("studio-status").props('role="status"')
             ui.button("Cancel", on_click=lambda: submit(None)).props("flat no-caps")
-            self._button = ui.button("Write", on_click=self._write).props("no-caps unelevated")
+            self._button = ui.button("Create", on_click=self._write).props("no-caps unelevated")
 
     def focus(self) -> None:
         """Lead the keyboard to the name."""

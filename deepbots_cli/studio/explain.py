@@ -62,7 +62,7 @@ class OfText:
     go_to: Callable[[int], object]
 
 
-def explanation(word: str) -> str:
+def explanation(word: str, *, only_concepts: bool = False) -> str:
     """Return what `deepbots explain` says about a word, a code or name of a finding, or a page such as
     `docs/view.md`, as Markdown with links."""
     word = word.strip()
@@ -80,10 +80,11 @@ def explanation(word: str) -> str:
     if not explained.entries and (related := related_entries(word)):
         nearest, *others = related
         more = f"\n\nSee also: {', '.join(map(_link, others))}" if others else ""
-        return f"There is no entry `{word}`. This is the nearest one.\n\n{explanation(nearest)}{more}"
+        return f"The entry that is nearest to these words:\n\n{explanation(nearest)}{more}"
     if not explained.entries:
         return _with_links(unknown_word_message(word))
-    parts = [_entry(title, text) for title, *text in explained.entries]
+    entries = [entry for entry in explained.entries if not only_concepts or entry[0].endswith(": a concept")]
+    parts = [_entry(title, text) for title, *text in entries]
     if explained.others:
         parts.append(f"See also: {', '.join(_link(name) for name in explained.others)}")
     return "\n\n---\n\n".join(parts)
@@ -211,7 +212,9 @@ def show_explanation(first: str, of_text: OfText, meaning: Meaning | None = None
 
     with ui.dialog().props('aria-label="Explain"') as dialog, ui.card().classes("studio-dialog"):
         with ui.row().classes("studio-wide"):
-            word = ui.input("A key, a code of a finding, or a term", placeholder="reward")
+            word = ui.input(
+                "A word, a code of a finding, or what you want to do", placeholder="make the pole longer"
+            )
             word.classes("studio-grow").on("keydown.enter", show_typed)
             ui.button("Explain", on_click=show_typed).props("no-caps unelevated")
             back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
@@ -235,7 +238,8 @@ def _answer(query: str, of_text: OfText, meaning: Meaning | None) -> str:
     if here:
         in_file = [f"**{query}** in this file\n\n{here}"]
     in_file = [*(part.text for part in of_text.parts(query)), *in_file]
-    entries = [explanation(query)] if has_entry or not here else []
+    # What the word is at the cursor says more than the entries of all keys of this name.
+    entry = explanation(query, only_concepts=bool(here)) if has_entry or not here else ""
     # The name of a section, such as `reward`, is a word of the language first.
-    parts = [*entries, *in_file] if has_entry and not here else [*in_file, *entries]
-    return "\n\n---\n\n".join(parts)
+    parts = [entry, *in_file] if has_entry and not here else [*in_file, entry]
+    return "\n\n---\n\n".join(filter(None, parts))

@@ -10,6 +10,7 @@ from deepbots_cli.cli.commands.inspect import CAPTIONS
 from deepbots_cli.cli.tables import Row, cell_text
 from deepbots_cli.errors import DeepbotsError, ScenarioError
 from deepbots_cli.insight.inspection import Tables
+from deepbots_cli.studio.outputs import text_with_code
 from deepbots_cli.studio.session import Session
 
 _FIRST = ("observation", "action", "reward", "endings", "training")
@@ -66,7 +67,7 @@ class InspectTab:
                     'role="heading" aria-level="2"'
                 )
                 if name in CAPTIONS:
-                    ui.label(CAPTIONS[name]).classes("studio-status")
+                    text_with_code(CAPTIONS[name]).classes("studio-status")
                 if not isinstance(rows, list):
                     rows = [{"name": key, "value": value} for key, value in rows.items() if _has_text(value)]
                 _add_table(rows)

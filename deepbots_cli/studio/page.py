@@ -392,6 +392,8 @@ class StudioPage:
                     title = f"Line {finding.start[0] + 1}: {fix.title}"
                     yield title, partial(self._list.fix, file, finding, fix.title)
             for part in parts(code):
+                if language.has_values(file, {part.path: part.value}):
+                    continue
                 name = part.path.split(".", 2)[2]
                 yield f"Write {name}: {part.value}", partial(self._write_values, {part.path: part.value})
 

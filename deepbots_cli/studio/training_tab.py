@@ -25,7 +25,10 @@ _FIRST_STEPS = (
         "Write",
         "Change the text, and save it with Ctrl+S: the robot begins anew. Mistakes are listed below the text.",
     ),
-    ("Try", "The robot plays a few episodes with random actions, and their results appear here."),
+    (
+        "Try",
+        "Random actions play a few episodes, and their results appear here. To watch, choose Driver: random.",
+    ),
     ("Train", "The robot learns, and its learning curve appears here."),
     ("Look", "In Runs, click on a training: look at its robot, or let Diagnose say why it does not learn."),
 )

@@ -185,6 +185,13 @@ def test_where_a_new_name_is_expected_an_example_is_offered_and_nothing_else(cli
     assert example.startswith("{gust: {body:")
 
 
+def test_among_entries_no_example_of_the_whole_section_is_offered(client, project):
+    text = BEGUN + "signals:\n  far: 1 m\n  "
+    uri = client.open(project / "scenarios" / "entries.yaml", text)
+    assert not [label for label in client.labels_at(uri, len(text)) if label.startswith("{")]
+    client.close(uri)
+
+
 def test_while_a_robot_has_a_mistake_its_joints_are_still_offered(client, pit):
     client.change(pit, client.texts[pit].replace("    apply: {", "    receive:\n    apply: {"))
     assert client.findings(pit) != []

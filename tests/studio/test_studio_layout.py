@@ -234,14 +234,14 @@ def test_an_error_of_a_new_scenario_is_beside_its_field(folder, new_tab):
         page.wait(f"document.activeElement == {field}")
         page.press(("a", 65), modifiers=2)
         page.type("other")
-        page.click("Write")
+        page.click("Create")
         message = f"{field}.closest('.q-field').querySelector('[role=alert]')?.innerText"
         page.wait(f"{message} == 'other.yaml exists already; choose another name'")
         page.tab.run(f"{field}.focus()")
         page.press(("End", 35))
         page.type("s")
         page.tab.run("document.querySelectorAll('.studio-dialog .q-radio')[2].click()")
-        page.click("Write")
+        page.click("Create")
         upload = "document.querySelector('.studio-dialog .studio-upload')?.innerText ?? ''"
         page.wait(f"({upload}).includes('choose a robot file first')")
         page.wait(f"!({message})")

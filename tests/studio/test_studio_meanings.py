@@ -80,3 +80,10 @@ def test_a_phrase_names_parts_of_the_robot_and_how_they_are_changed(tmp_path):
 
 def test_a_phrase_without_an_entry_gets_the_nearest_one():
     assert "**size and mass of a robot**" in explanation("make the pole longer")
+
+
+@pytest.mark.parametrize(
+    ("phrase", "entry"), [("what is a policy", "policy"), ("my learning rate is too high", "learning rate")]
+)
+def test_the_nearest_entry_has_the_words_of_the_phrase_as_its_name(phrase, entry):
+    assert f"**{entry}**" in explanation(phrase)

@@ -49,6 +49,7 @@ _MIN_MISSPELLED = 5
 """The smallest number of letters of a word that is read as a misspelling of another; `best` is one letter
 away from `tests`."""
 _MIN_BEGINNING = 3
+_OF_AGENT = "agents.<name>."
 _FILLER = re.compile("and|are|can|does|for|from|how|into|make|than|that|the|this|what|when|why|with|your")
 """Words of a phrase that no entry is about."""
 
@@ -258,7 +259,13 @@ def _blocks(word: str) -> list[list[str]]:
                 {kind: None} if kind else {}
             )
     blocks = [block for block in (list(_function_lines(word)), list(_unit_lines(word))) if block]
-    for (noun, *text), paths in list(sections_by_lines.items())[:_MAX_SHOWN]:
+    for (noun, *text), sections in list(sections_by_lines.items())[:_MAX_SHOWN]:
+        # A section of one of several agents takes the keys of the section of the only one.
+        paths = {
+            section: kinds
+            for section, kinds in sections.items()
+            if section.replace(_OF_AGENT, "") not in sections or _OF_AGENT not in section
+        }
         more = f" and {len(paths) - _MAX_SHOWN} more places" if len(paths) > _MAX_SHOWN else ""
         listed = [
             f"{section} with {', '.join(kinds)}" if 0 < len(kinds) < all_kinds[section] else section
@@ -356,11 +363,18 @@ def related_entries(phrase: str) -> list[str]:
     aliases = {topic.name: topic.names for topic in topics()}
     scores = {}
     for name, text in _texts().items():
-        in_name = max(len(words & set(_plain(alias).split())) for alias in (name, *aliases.get(name, ())))
+        in_name = max(_overlap(words, alias) for alias in (name, *aliases.get(name, ())))
         in_text = len(words & set(re.findall(r"\w+", _plain(text))))
-        if in_name or in_text == len(words) > 0:
-            scores[name] = (in_name, in_text)
+        if in_name[0] or in_text == len(words) > 0:
+            # `policy` itself comes before `baseline`, one of whose names is `random policy`.
+            scores[name] = (*in_name, _plain(name) in words, in_text)
     return sorted(scores, key=lambda name: scores[name], reverse=True)[:_MAX_SHOWN]
+
+
+def _overlap(words: set[str], name: str) -> tuple[int, float]:
+    """Return how many words of a name are among `words`, and which share of the name that is."""
+    parts = set(_plain(name).split())
+    return len(words & parts), len(words & parts) / len(parts)
 
 
 @cache
