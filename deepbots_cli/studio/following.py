@@ -37,15 +37,14 @@ class Following:
         self._waits = self.is_on or (state is not None and state.driver == POLICY)
         self._run = run if self._waits else None
 
-    def turn(self, on: bool, scenario: Path | None) -> None:
-        """Follow the training that runs, and each that begins; or no longer, and show the scenario again."""
+    def turn(self, on: bool) -> None:
+        """Follow the training that runs, and each that begins; or no longer. The robot that is shown stays."""
         self.is_on = on
         task = self._commands.training_task
         if on and task is not None and task.is_running and self._commands.training is not None:
             self.begin(self._commands.training.path)
         elif not on:
             self._waits = False
-            self.leave(scenario)
 
     def leave(self, scenario: Path | None) -> bool:
         """Show the scenario if the robot shows a training that it follows; return whether it did."""

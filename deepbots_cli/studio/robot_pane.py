@@ -91,19 +91,16 @@ class RobotPane:
                 'dense flat no-caps title="F6; Escape leads back" aria-label="Keyboard into the page of the robot"'
             )
             enter.classes("studio-enter").on("click", js_handler=_ENTER)
-            self._follow = ui.button(
-                "Follow the training", on_click=lambda: session.following.turn(True, session.current)
-            )
+            self._follow = ui.button("Follow the training", on_click=lambda: session.following.turn(True))
             self._follow.props('dense outline no-caps title="show the newest policy of the training"')
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
         with ui.element("div").classes("studio-scene"):
             self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"')
             self._frame.classes("studio-frame")
-            with ui.element("div").classes("studio-over-scene"):
-                self._parameters = ui.element("div").classes("studio-parameters")
-                self._keys = ui.element("div").classes("studio-keys")
-            for card in (self._parameters, self._keys):
-                card.set_visibility(False)
+            self._parameters = ui.element("div").classes("studio-parameters")
+        self._keys = ui.element("div").classes("studio-keys")
+        for card in (self._parameters, self._keys):
+            card.set_visibility(False)
         self._picture = ui.element("img").props('alt="The robot at the start of an episode"')
         self._picture.classes("studio-picture").set_visibility(False)
 
@@ -186,26 +183,31 @@ class RobotPane:
             self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
 
     def _show_keys(self, state: RobotState | None) -> None:
-        """Show over the scene which keys drive, while a person does."""
+        """Show below the scene which keys drive, while a person does."""
         keys = state.keys if state is not None and state.driver == HAND else ()
         results = (state.last, state.best, state.goal) if state is not None else ()
-        shown = (keys, state is not None and state.waiting, results)
+        is_paused, waits = (state.paused, state.waiting) if state is not None else (False, False)
+        shown = (keys, is_paused, waits, results)
         if shown == self._shown_keys:
             return
         self._shown_keys = shown
         self._keys.set_visibility(bool(keys))
         self._keys.clear()
         with self._keys:
-            ui.label("Press a key to begin" if shown[1] else "You drive").classes("studio-keys-title")
-            for effect in dict.fromkeys(effect for _, effect in keys):
-                with ui.element("div").classes("studio-keys-row"):
-                    for name in (
-                        name for names, its_effect in keys if its_effect == effect for name in names
-                    ):
-                        with ui.element("kbd"):
-                            ui.label(_KEY_SIGNS.get(name, name))
-                    ui.label(effect)
-            ui.label("Click the picture, or press F6, to drive.").classes("studio-keys-hint")
+            if is_paused:
+                ui.label("Paused: press continue").classes("studio-keys-paused")
+            else:
+                ui.label("Press a key to begin" if waits else "You drive").classes("studio-keys-title")
+                ui.label("Click the picture, or press F6, to drive.").classes("studio-keys-hint")
+            with ui.element("div").classes("studio-keys-effects"):
+                for effect in dict.fromkeys(effect for _, effect in keys):
+                    with ui.element("div").classes("studio-keys-row"):
+                        for name in (
+                            name for names, its_effect in keys if its_effect == effect for name in names
+                        ):
+                            with ui.element("kbd"):
+                                ui.label(_KEY_SIGNS.get(name, name))
+                        ui.label(effect)
             numbers = zip(("last return", "best", "goal"), results, strict=False)
             texts = (f"{name} {value:.4g}" for name, value in numbers if value is not None)
             ui.label(", ".join(texts)).classes("studio-keys-results")

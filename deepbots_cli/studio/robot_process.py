@@ -65,6 +65,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
         note: What the driver says about itself, such as the steps of a policy in training.
         keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
         waiting: Whether the episode waits for the first key of the person.
+        paused: Whether time stands still until the person continues.
         last, best: The returns of the last and of the best episode of the present driver, None before one.
         goal: The mean return with which the task is solved, None without one.
     """
@@ -80,6 +81,7 @@ class RobotState(BaseModel, strict=True, frozen=True):
     note: str = ""
     keys: tuple[tuple[tuple[str, ...], str], ...] = ()
     waiting: bool = False
+    paused: bool = False
     last: float | None = None
     best: float | None = None
     goal: float | None = None
@@ -166,6 +168,7 @@ def _state(page: Page, loaded: int) -> RobotState:
         note=player.driver.note,
         keys=tuple(playback.manual_input.effects()) if player.driver_name == HAND else (),
         waiting=playback.waiting,
+        paused=playback.paused,
         last=playback.last_return,
         best=playback.best_return if playback.last_return is not None else None,
         goal=solved.mean_return if (solved := player.program.agent.solved) is not None else None,

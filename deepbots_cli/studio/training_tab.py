@@ -62,7 +62,7 @@ class TrainingTab:
             self._follows = ui.checkbox(
                 "Robot follows",
                 value=session.following.is_on,
-                on_change=lambda event: session.following.turn(bool(event.value), session.current),
+                on_change=lambda event: session.following.turn(bool(event.value)),
             ).props('dense title="show the newest policy of the training in the robot"')
         with ui.element("div").classes("studio-bar studio-line"):
             self._solved = ui.icon(ICONS["check"]).classes("studio-solved")

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _TRAINING_INTERVAL_S = 20.0  # the shortest time between two reads of the logs of a running training
 _MAX_SERIES = 8
+_TIME_BUTTONS = ("pause", "step", "reset", "next")
 _NUMBER_WITH_UNIT = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
 )
@@ -126,12 +127,13 @@ class Panel:
         queue = self._queue
         acts = {
             "pause": lambda: playback.play(playback.paused),
+            "continue": lambda: playback.play(True),
             "step": playback.step_once,
             "reset": playback.begin,
             "next": lambda: playback.begin(1),
         }
-        buttons = gui.add_button_group(
-            "time", tuple(acts), hint="pause or continue; one step; restart this episode; next episode"
+        buttons = self._buttons = gui.add_button_group(
+            "time", _TIME_BUTTONS, hint="pause or continue; one step; restart this episode; next episode"
         )
         buttons.on_click(lambda event: queue(acts[event.target.value]))
         for name, key in {"pause": "space", "step": "N", "reset": "B"}.items():  # keys that do not drive
@@ -198,6 +200,9 @@ class Panel:
     def update_texts(self) -> None:
         """Show the newest frames in texts."""
         playback, agent = self._playback, self._agent
+        buttons = ("continue" if playback.paused else "pause", *_TIME_BUTTONS[1:])
+        if buttons != self._buttons.options:
+            self._buttons.options = buttons
         states = "".join(self._state(number) for number in range(len(playback.worlds)))
         self.banner.content = panel_html.notice(*playback.stopped, "#D55E00") if playback.stopped else states
         player = playback.worlds[agent.world].player
@@ -219,9 +224,8 @@ class Panel:
         player = world.player
         frame = world.player.frame
         agent = self._agent.of(frame)
-        state = (frame.ending or ("press a key to begin" if playback.waiting else "running")) + (
-            " (paused)" if playback.paused else ""
-        )
+        running = "press a key to begin" if playback.waiting else "running"
+        state = frame.ending or ("paused" if playback.paused else running)
         state = f"{world.title}: {state}" if world.title else state
         color = "#0072B2"
         if frame.ended_by:

@@ -148,7 +148,9 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
         shown = str(page.tab.run(f"{keys}.innerText"))
         assert "forward" in shown
         assert "backward" in shown
-        scene = "document.querySelector('.studio-frame').contentDocument.body.innerText"
+        frame = "document.querySelector('.studio-frame').contentDocument"
+        button = f"[...{frame}.querySelectorAll('button')].find(one => one.innerText == '{{}}')"
+        scene = f"{frame}.body.innerText"
         page.wait(f"{scene}.includes('press a key to begin')")
         page.wait("document.activeElement.tagName == 'IFRAME'")
         for kind in ("keyDown", "keyUp"):
@@ -157,7 +159,12 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
         page.wait(f"/last return \\d+, best \\d+/.test({keys}.innerText)", 60)
         box = _rectangle(page, keys)
         scene_box = _rectangle(page, "document.querySelector('.studio-scene')")
-        assert box["top"] > (scene_box["top"] + scene_box["bottom"]) / 2  # the robot is in the middle
+        assert box["top"] >= scene_box["bottom"]
+        page.tab.run(f"{button.format('pause')}.click()")
+        page.wait(f"{keys}.innerText.includes('Paused: press continue')")
+        page.tab.run(f"{button.format('continue')}.click()")
+        page.wait(f"!{keys}.innerText.includes('Paused')")
+        assert _rectangle(page, keys) == box
         drive("random")
         page.wait(f"!{keys}.offsetParent")
         assert not page.tab.errors

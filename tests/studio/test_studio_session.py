@@ -204,7 +204,7 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             session = running.session
             session.show(Path("mine.yaml"))
             await running.runs()
-            session.following.turn(True, session.current)
+            session.following.turn(True)
             session.commands.train("mine.yaml", ["--timesteps", "1_000_000"])
             session.following.begin(folder / "runs" / "mine-1")
             robot, training = session.robot, session.commands.training_task
@@ -223,9 +223,10 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             assert not session.following.is_offered
 
             # From a robot that shows a policy, the next training is followed without being asked.
-            session.following.turn(False, session.current)
             robot.show(folder / "runs" / "mine-1")
             await running.runs()
+            session.following.turn(False)
+            assert robot.reference == str(folder / "runs" / "mine-1")
             session.commands.train("mine.yaml", ["--timesteps", "512"])
             session.following.begin(folder / "runs" / "mine-2")
             await running.until(lambda: robot.reference == str(folder / "runs" / "mine-2"))
