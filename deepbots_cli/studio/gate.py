@@ -28,14 +28,24 @@ _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:;"
     " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
 )
-_HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: %s; }
+_HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: var(--mantine-color-body, %s); }
 .mantine-Notification-root[style*="orange"] { display: none !important; }
 :root { --mantine-color-dimmed: %s !important; } .mantine-Button-label { color: %s; }
+[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --mantine-color-dark-7: #16191f;
+  --mantine-color-dark-6: #20242c; --mantine-color-dark-5: #2a2f39; --mantine-color-dark-4: #343a46;
+  --mantine-color-dark-3: #566073; --mantine-color-dark-2: #a9b2c0; --mantine-color-placeholder: #a9b2c0; }
+[data-mantine-color-scheme="dark"] [style*="rgb(20, 20, 20)"] { background: #16191f !important; }
+[data-mantine-color-scheme="dark"] canvas[data-engine] { filter: brightness(0.72); }
 @media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
 .mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }
 .mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
 html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
-  display: grid; place-items: center; font: 15px sans-serif; color: #808080; }</style><script>
+  display: grid; place-items: center; font: 15px sans-serif; color: var(--mantine-color-dimmed); }
+html.waits::after { content: ""; position: fixed; inset: 0 0 5rem; margin: auto; z-index: 9999; width: 1.6rem;
+  height: 1.6rem; border-radius: 1rem; border: 3px solid color-mix(in srgb, currentColor, transparent);
+  border-top-color: #4a93d0;
+  animation: turn 0.9s linear infinite; }
+@keyframes turn { to { rotate: 1turn; } }</style><script>
 addEventListener("keydown", (event) => {
   if (event.key == "F6" || (event.key == "Escape" && !event.defaultPrevented)) {
     event.preventDefault();
@@ -56,11 +66,11 @@ const look = setInterval(() => {
 }, 150);</script>"""
 """What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
 viser that the browser draws by software, which covers the robot; labels of enough contrast, and a place of its
-own for the scroll bar; the keys that lead out of it, and those of the editor; a word in place of the controls
-until they are connected."""
+own for the scroll bar; the dark colors of `studio.css`, and a scene whose floor does not glare in them;
+the keys that lead out of it, and those of the editor; a word in place of the controls until they are connected."""
 _GROUND = {
     False: ("light", "#ffffff", "#56606d", "#1a6bb0"),
-    True: ("dark", "#1b1e24", "#a9b2c0", "#7db8ec"),
+    True: ("dark", "#16191f", "#a9b2c0", "#7db8ec"),
 }
 _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20

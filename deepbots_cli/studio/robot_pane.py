@@ -152,6 +152,8 @@ class RobotPane:
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)
+        starts = state is None and robot.reference and not robot.problem
+        self._robot_text.classes(replace=f"studio-status {'studio-starts' if starts else ''}")
         drivers = list(state.drivers) if state else []
         driver = state.driver if state and state.driver in drivers else None
         if drivers != self._driver.options or driver != self._driver.value:

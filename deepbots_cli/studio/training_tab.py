@@ -139,7 +139,10 @@ class TrainingTab:
             shown.add("Compare")
         for label, button in self._next.items():
             button.set_visibility(label in shown)
-        kind = {True: "studio-solved", False: "studio-unsolved", None: ""}[solved]
+        starts = is_running and training is not None and not training.curves.returns
+        kind = {True: "studio-solved", False: "studio-unsolved", None: "studio-starts" if starts else ""}[
+            solved
+        ]
         self._text.classes(replace=f"studio-status {kind}")
         if training is None:
             self._text.set_text("")

@@ -162,6 +162,7 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
         assert box["top"] >= scene_box["bottom"]
         page.tab.run(f"{button.format('pause')}.click()")
         page.wait(f"{keys}.innerText.includes('Paused: press continue')")
+        page.wait(f"{button.format('continue')} != null")
         page.tab.run(f"{button.format('continue')}.click()")
         page.wait(f"!{keys}.innerText.includes('Paused')")
         assert _rectangle(page, keys) == box
