@@ -107,6 +107,7 @@ class StudioPage:
             self._save = ui.button("Save", on_click=self._save_file).props(
                 'dense no-caps unelevated title="Ctrl+S"'
             )
+            self._save.classes("studio-save")
             ui.button("New ...", on_click=lambda: self._new()).props("dense flat no-caps")
             layout = ui.button("Format", on_click=self._format).props("dense flat no-caps")
             ui.button("Explain ...", on_click=self._explain_here).props(
