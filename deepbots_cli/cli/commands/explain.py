@@ -366,8 +366,8 @@ def related_entries(phrase: str) -> list[str]:
         in_name = max(_overlap(words, alias) for alias in (name, *aliases.get(name, ())))
         in_text = len(words & set(re.findall(r"\w+", _plain(text))))
         if in_name[0] or in_text == len(words) > 0:
-            # `policy` itself comes before `baseline`, one of whose names is `random policy`.
-            scores[name] = (*in_name, _plain(name) in words, in_text)
+            # Of equal names, a concept says more than a key or a function.
+            scores[name] = (*in_name, name in aliases, in_text)
     return sorted(scores, key=lambda name: scores[name], reverse=True)[:_MAX_SHOWN]
 
 
