@@ -16,7 +16,7 @@ _WITHOUT_NOTICE = (
     "document.querySelector('iframe').contentDocument.head.insertAdjacentHTML('beforeend',"
     " '<style>.mantine-Notifications-root {display: none}</style>')"
 )
-_HAS_ENDED = "/mine-1: finished/.test(document.querySelector('.studio-work').innerText)"
+_HAS_ENDED = "/mine-1: solved/.test(document.querySelector('.studio-work').innerText)"
 
 
 def main() -> None:

@@ -523,7 +523,10 @@ class _Checker:
             if isinstance(value.type.components, (RowComponents, GroupComponents)):
                 raise self._fault("DB404", value, f"{value.type.shape_description} inside a vector")
             if value.type.components != columns or len(vectors) < len(values):
-                remedy = "pick a component, as in `v.x`; or write vectors of the same components, which become rows"
+                remedy = (
+                    "pick a component, as in `v.x`; or write vectors of the same components, which become"
+                    " rows"
+                )
                 raise self._fault("DB404", value, "a vector beside other values", remedy)
         return RowComponents(tuple(str(number) for number in range(1, len(values) + 1)), columns)
 

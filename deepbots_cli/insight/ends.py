@@ -182,8 +182,10 @@ def _was_solved_sooner(evidence: TrainingEvidence) -> bool:
 
 
 def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str, Any] | None:
-    """Return what to change if the mean return of `solved` is many trainings away; None if it is not. The return
-    is taken to rise on as from the first half of the training to its last quarter."""
+    """Return what to change if the mean return of `solved` is many trainings away; None if it is not.
+
+    The return is extrapolated: it goes on to rise as from the first half of the training to its last quarter.
+    """
     solved = evidence.program.agent.solved
     if solved is None or solved.mean_return is None or not evidence.is_last_stage:
         return None
@@ -198,8 +200,8 @@ def _too_slow(evidence: TrainingEvidence, last: float, gain: float) -> dict[str,
         change = f"raise `train.learning_rate` from {rate:g} to {usual:g}"
     return {
         "likelihood": 0.6,
-        "finding": f"The policy learns too slowly: the mean return of the last quarter of the training is {last:.3g},"
-        f" {gain:.3g} above that of the first half. At this rate, {solved.mean_return:g} is about"
+        "finding": "The policy learns too slowly: the mean return of the last quarter of the training is"
+        f" {last:.3g}, {gain:.3g} above that of the first half. At this rate, {solved.mean_return:g} is about"
         f" {float(f'{steps:.2g}'):,.0f} steps away",
         "left": steps,
         "advice": f"Change something before you train longer: {change}.",

@@ -38,7 +38,7 @@ class Following:
         self._run = run if self._waits else None
 
     def turn(self, on: bool) -> None:
-        """Follow the training that runs, and each that begins; or no longer. The robot that is shown stays."""
+        """Begin or stop to follow the training that runs and each later one. The shown robot stays."""
         self.is_on = on
         task = self._commands.training_task
         if on and task is not None and task.is_running and self._commands.training is not None:

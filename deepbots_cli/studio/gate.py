@@ -28,7 +28,8 @@ _POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:;"
     " connect-src 'self' ws: data: blob:; frame-ancestors {}; form-action 'none'; base-uri 'none'"
 )
-_HEAD = """<meta name="color-scheme" content="%s"><style>html, body { background: var(--mantine-color-body, %s); }
+_HEAD = """<meta name="color-scheme" content="%s"><style>
+html, body { background: var(--mantine-color-body, %s); }
 .mantine-Notification-root[style*="orange"] { display: none !important; }
 :root { --mantine-color-dimmed: %s !important; } .mantine-Button-label { color: %s; }
 [data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --mantine-color-dark-7: #16191f;
@@ -64,10 +65,15 @@ const look = setInterval(() => {
   document.documentElement.classList.toggle("waits", waits);
   if (!waits) clearInterval(look);
 }, 150);</script>"""
-"""What the page of the robot gets: its ground before anything is drawn, which would be white; no notice of
-viser that the browser draws by software, which covers the robot; labels of enough contrast, and a place of its
-own for the scroll bar; the dark colors of `studio.css`, and a scene whose floor does not glare in them;
-the keys that lead out of it, and those of the editor; a word in place of the controls until they are connected."""
+"""What is added to the page of the robot:
+
+- its ground, which would be white before anything is drawn;
+- no notice of viser that the browser draws by software: it covers the robot;
+- labels of enough contrast, and a place for the scroll bar beside the buttons;
+- the dark colors of `studio.css`, in which the floor of the scene does not glare;
+- the keys that lead out of the page, and those of the editor;
+- a word and a ring in place of the controls until they are connected.
+"""
 _GROUND = {
     False: ("light", "#ffffff", "#56606d", "#1a6bb0"),
     True: ("dark", "#16191f", "#a9b2c0", "#7db8ec"),

@@ -35,8 +35,8 @@ _ADVISED_COMMANDS = {
     "diagnose": "Explain a failed episode",
     "diff": "Show all differences",
 }
-"""The commands of a diagnosis that the page runs, and the texts of their buttons; the last word of the command
-replaces the braces."""
+"""The commands of a diagnosis that the page runs, and the texts of their buttons, in which the last word of
+the command replaces the braces."""
 _RANKS = ((0.9, "Certain cause"), (0.5, "Likely cause"), (0.0, "Possible cause"))
 """The lowest likelihood of each rank, which orders the causes of a diagnosis."""
 _NO_CAUSE = {

@@ -34,8 +34,8 @@ _FIRST_STEPS = (
 )
 _WHY = "Why is it not solved?"
 _EXPLORING = (
-    "In training, random actions lower the return: the line is the mean of the last 100 episodes. Evaluations are"
-    " without random actions: dots during the training, and the result above after it."
+    "In training, random actions lower the return: the line is the mean of the last 100 episodes. Evaluations"
+    " are without random actions: dots during the training, and the result above after it."
 )
 
 

@@ -29,7 +29,7 @@ MAX_TORQUE = 1e8
 
 @dataclass(eq=False)
 class MotorState:
-    """The state of a motor: what it was told, and what it does in the present basic time step.
+    """The state of a motor: its commands, and its motion in the present basic time step.
 
     Positions in rad or m, velocities per s, torques in N m or N.
     """

@@ -84,4 +84,5 @@ class Rays:
             mj.mj_multiRay(
                 model, data, np.array(start), rays, _GROUPS, True, -1, geoms, lengths, None, count, reach
             )
-        return np.where((lengths < 0) | (lengths > reach), inf, lengths).tolist()  # type: ignore[no-any-return]
+        is_missed = (lengths < 0) | (lengths > reach)
+        return np.where(is_missed, inf, lengths).tolist()  # type: ignore[no-any-return]

@@ -141,7 +141,7 @@ _NAMES = {
 class Figure(Protocol):
     """A figure of a record in `words`, with one value for each seed of a `training`, or a single one (None).
 
-    A number `what` is told in its unit. What never happened, such as a task that was not solved, is an
+    A number `what` is shown in its unit. What never happened, such as a task that was not solved, is an
     infinity: more hours than any bar allows.
     """
 
@@ -306,8 +306,8 @@ class Ahead:
         )
 
 
-def told(value: float, what: str) -> str:
-    """A value with its unit."""
+def with_unit(value: float, what: str) -> str:
+    """Return a value with its unit."""
     if not math.isfinite(value):
         return "never"
     unit = _UNITS.get(what, "")

@@ -495,15 +495,17 @@ def points(monitor: Path) -> list[Point]:
 
 
 def thinned(curve: list[Point]) -> dict[str, list[float]]:
-    """At most 200 points, the last of each of as many stretches of time; the first nine episodes say nothing
-    yet."""
-    settled = curve[9:] or curve
-    width = settled[-1].simulated_hours / POINTS if settled else 0.0
-    kept = {math.ceil(point.simulated_hours / width): point for point in settled}.values()
+    """Return at most `POINTS` points: the last one of each of as many intervals of simulated time.
+
+    The first nine points are left out, because each is a mean of fewer than ten episodes.
+    """
+    averaged = curve[9:] or curve
+    width = averaged[-1].simulated_hours / POINTS if averaged else 0.0
+    last_points = {math.ceil(point.simulated_hours / width): point for point in averaged}.values()
     return {
-        "simulated_hours": [round(point.simulated_hours, 4) for point in kept],
-        "return": [float(f"{point.mean_return:.4g}") for point in kept],
-        "success": [round(point.success, 3) for point in kept],
+        "simulated_hours": [round(point.simulated_hours, 4) for point in last_points],
+        "return": [float(f"{point.mean_return:.4g}") for point in last_points],
+        "success": [round(point.success, 3) for point in last_points],
     }
 
 

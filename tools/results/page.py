@@ -124,8 +124,16 @@ def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
                 continue
             low, middle, high = quartiles(values)
             worst = min(values) if isinstance(row.figure, Held) else max(values)
-            told = [_figure(value, row.figure.what) for value in (middle, low, high, worst)]
-            yield link, row.words, row.paper, told[0], f"{told[1]} .. {told[2]}", told[3], str(len(values))
+            texts = [_figure(value, row.figure.what) for value in (middle, low, high, worst)]
+            yield (
+                link,
+                row.words,
+                row.paper,
+                texts[0],
+                f"{texts[1]} .. {texts[2]}",
+                texts[3],
+                str(len(values)),
+            )
             link = ""
 
 

@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 
 from deepbots_cli.learning.statistics import ALPHA, wilson
 from tools.results import measure
-from tools.results.experiment import Bar, Experiment, Held, Training, told
+from tools.results.experiment import Bar, Experiment, Held, Training, with_unit
 
 Entry = Mapping[str, Any]
 
@@ -49,7 +49,7 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
     whose = "" if seeds == 1 else f", {statistic} of {seeds} seeds"
     requirement = (
         f"{'stretch: ' if bar.stretch else ''}at {'most' if bar.at_most is not None else 'least'}"
-        f" {told(limit, figure.what)}{whose}"
+        f" {with_unit(limit, figure.what)}{whose}"
     )
     good = sum(map(bar.holds, values))
     is_lost = bar.over == "all" and len(values) - good > bar.misses
@@ -64,12 +64,14 @@ def judge(experiment: Experiment, bar: Bar, record: Entry) -> Verdict:
     if bar.over == "all":  # seeds that fail are a miss, however many are still to come
         worst = max(values) if bar.at_most is not None else min(values)
         so_far = f", {len(values)} measured" if len(values) < seeds else ""
-        measured = told(worst, figure.what) + (
+        measured = with_unit(worst, figure.what) + (
             f", the worst; {good} of {seeds} seeds{so_far}" if seeds > 1 else ""
         )
         return Verdict(bar, what, requirement, measured, "missed" if is_lost else "met")
     value = fmean(values) if bar.over == "mean" else median(values)
-    return Verdict(bar, what, requirement, told(value, figure.what), "met" if bar.holds(value) else "missed")
+    return Verdict(
+        bar, what, requirement, with_unit(value, figure.what), "met" if bar.holds(value) else "missed"
+    )
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ class Reduction(NamedTuple):
     interval: Callable[[Interval, int], Interval] = lambda components, _count: components
     mean: bool = False
     counts: bool = False
-    """Whether the components are truth values, of which each true one counts as 1."""
+    """Whether the components are conditions; the function counts those that are true."""
     of_rows: bool = False
     """Whether the vectors of a vector for each row are reduced, to a value for each row; else the rows are,
     to one vector."""
