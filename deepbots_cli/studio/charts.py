@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import Any
+from typing import Any, Literal
 
 from deepbots_cli.studio.trainings import Curves, Point
 
@@ -11,6 +11,13 @@ _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
 _COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
 _GRID_COLOR = "rgba(128, 128, 128, 0.3)"
+_Kind = Literal["line", "dashes", "marks"]
+_ICONS: dict[_Kind, str] = {
+    "line": "path://M0 5h24v3h-24z",
+    "dashes": "path://M0 5h6v3h-6zM9 5h6v3h-6zM18 5h6v3h-6z",
+    "marks": "circle",
+}
+"""The icon of each kind of line in the legend. By default, ECharts shows a circle for all of them."""
 _MARGIN = "8%"
 """The distance of the lowest and the highest point from the ends of an axis, of the range of the points."""
 
@@ -19,15 +26,15 @@ def training_chart(curves: Curves, *, has_successes: bool, dark: bool) -> dict[s
     """Return the chart of a training as ECharts takes it."""
     lines = [
         _line("return in training", curves.returns, 0),
-        _line("evaluated return", curves.evaluations, 0, marks=True),
+        _line("evaluated return", curves.evaluations, 0, "marks"),
     ]
     has_successes = has_successes or bool(curves.successes)
     if has_successes:
         lines += [
             _line("success in training", _percent(curves.successes), 1),
-            _line("evaluated success", _percent(curves.evaluated_successes), 1, marks=True),
+            _line("evaluated success", _percent(curves.evaluated_successes), 1, "marks"),
         ]
-    terms = [_line(name, points, 0, dashed=True) for name, points in curves.terms.items()]
+    terms = [_line(name, points, 0, "dashes") for name, points in curves.terms.items()]
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in curves.stages[1:]]
     options = _chart([*lines, *_goals([curves], dark=dark), *terms], [curves], has_successes, dark)
     if stages:
@@ -43,8 +50,8 @@ def comparison_chart(curves: dict[str, Curves], *, dark: bool) -> dict[str, Any]
     for color, (name, run) in zip(_COLORS_ON_DARK if dark else _COLORS, curves.items(), strict=False):
         for line in (
             _line(f"{name} in training", run.returns, 0),
-            _line(f"{name} evaluated", run.evaluations, 0, marks=True),
-            _line(f"{name} success", _percent(run.successes), 1, dashed=True),
+            _line(f"{name} evaluated", run.evaluations, 0, "marks"),
+            _line(f"{name} success", _percent(run.successes), 1, "dashes"),
         ):
             lines.append({**line, "itemStyle": {"color": color}})
     has_successes = any(run.successes for run in curves.values())
@@ -80,7 +87,7 @@ def _chart(
             "top": 4,
             "textStyle": text,
             "inactiveColor": "#666666" if dark else "#bbbbbb",
-            "data": [line["name"] for line in lines],
+            "data": [{"name": line["name"], "icon": _ICONS[line["kind"]]} for line in lines],
         },
         "xAxis": {
             "type": "value",
@@ -124,7 +131,7 @@ def _goals(curves: Iterable[Curves], *, dark: bool) -> list[dict[str, Any]]:
     ends = {run.solved_return: run.last_step for run in sorted(curves, key=lambda run: run.last_step)}
     return [
         {
-            **_line(f"solved: {goal:g}", [(0.0, goal), (end, goal)], 0, dashed=True),
+            **_line(f"solved: {goal:g}", [(0.0, goal), (end, goal)], 0, "dashes"),
             "itemStyle": {"color": "#b8b8b8" if dark else "#5c5c5c"},
             "silent": True,
         }
@@ -133,16 +140,20 @@ def _goals(curves: Iterable[Curves], *, dark: bool) -> list[dict[str, Any]]:
     ]
 
 
-def _line(name: str, points: Any, axis: int, *, marks: bool = False, dashed: bool = False) -> dict[str, Any]:
+def _line(name: str, points: Any, axis: int, kind: _Kind = "line") -> dict[str, Any]:
     return {
         "name": name,
         "type": "line",
+        "kind": kind,
         "yAxisIndex": axis,
         "data": [list(point) for point in points],
-        "showSymbol": marks,
+        "showSymbol": kind == "marks",
         "symbol": "circle",
         "symbolSize": 7,
-        "lineStyle": {"type": "dashed" if dashed else "solid", "width": 1.2 if marks else 2},
+        "lineStyle": {
+            "type": "dashed" if kind == "dashes" else "solid",
+            "width": 1.2 if kind == "marks" else 2,
+        },
     }
 
 

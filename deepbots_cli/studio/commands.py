@@ -77,9 +77,7 @@ class Commands:
         self.training: WatchedTraining | None = None
         self._was_running: set[Path] = set()
 
-    def run(
-        self, words: Sequence[str], title: str, run: Path | None = None, output: Path | None = None
-    ) -> Task:
+    def run(self, words: Sequence[str], run: Path | None = None, output: Path | None = None) -> Task:
         """Start a command in a process of its own, and show its output.
 
         Args:
@@ -90,7 +88,7 @@ class Commands:
             UsageError: The folder cannot be written.
         """
         words = [*words, *self._allowed(words[0])]
-        self.task = self.tasks.start(words, title, folder=self._folder, run=run, output=output)
+        self.task = self.tasks.start(words, folder=self._folder, run=run, output=output)
         if run is not None and words[0] in _TRAINING_VERBS:
             self.watch(run)
         self._was_running.add(self.task.path)
@@ -100,14 +98,14 @@ class Commands:
     def train(self, scenario: str, options: Sequence[str] = ()) -> Task:
         """Train a scenario in a new run directory."""
         run = self.new_run(Path(scenario).stem)
-        return self.run(["train", scenario, "--run", str(run), *options], "train", run)
+        return self.run(["train", scenario, "--run", str(run), *options], run)
 
-    def run_with_output(self, words: Sequence[str], title: str, run: Path, name: str) -> Task:
+    def run_with_output(self, words: Sequence[str], run: Path, name: str) -> Task:
         """Start a command that writes a file `name` into a new place beside a run."""
         stem, suffix = Path(name).stem, Path(name).suffix
         numbers = (run.with_name(f"{run.name}-{stem}{number or ''}{suffix}") for number in range(10**6))
         output = next(path for path in numbers if not (self._folder / path).exists())
-        return self.run([*words, "-o", str(output)], title, run, output)
+        return self.run([*words, "-o", str(output)], run, output)
 
     async def call(self, words: Sequence[str]) -> tuple[str, int]:
         """Run a short command. Returns its output, or its messages if it has failed, and its exit code."""
@@ -158,7 +156,7 @@ class Commands:
     def _end_of(self, task: Task) -> str:
         """Return a sentence about a command that has ended."""
         code, run = task.exit_code, task.record.run
-        name = f"{task.record.title} of {run}" if run else task.record.title
+        name = f"{task.record.words[0]} of {run}" if run else task.record.words[0]
         if code == _INTERRUPTED:
             return f"{name} was stopped"
         if result := result_of(task):

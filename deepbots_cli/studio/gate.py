@@ -14,6 +14,8 @@ from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from contextlib import suppress
 from typing import Any
 
+from starlette.datastructures import Headers
+
 from deepbots_cli.view.access import Gate
 
 Scope = MutableMapping[str, Any]
@@ -82,23 +84,6 @@ _MAX_MESSAGE_BYTES = 1 << 20
 _MAX_REQUEST_BYTES = 20 << 20
 
 
-class Headers(Mapping[str, str]):
-    """The headers of a request, by name in any case; of several values, the last."""
-
-    def __init__(self, scope: Scope) -> None:
-        self._values = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-
-    def __getitem__(self, name: str) -> str:
-        value: str = self._values[name.lower().encode("latin-1")]
-        return value
-
-    def __iter__(self) -> Any:
-        return (name.decode("latin-1") for name in self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-
 class Guarded:
     """The application of the studio behind its checks."""
 
@@ -112,7 +97,7 @@ class Guarded:
             return
         is_socket = scope["type"] == "websocket"
         path, query = scope["path"], scope.get("query_string", b"").decode("latin-1")
-        refusal = self._gate.refuse(path, query, Headers(scope), opens_socket=is_socket)
+        refusal = self._gate.refuse(path, query, Headers(scope=scope), opens_socket=is_socket)
         if refusal is not None:
             if is_socket:
                 await receive()

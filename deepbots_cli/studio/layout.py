@@ -84,13 +84,20 @@ class Notices:
 
     def __init__(self) -> None:
         self._place = ui.element("div").classes("studio-notices").props('role="status" aria-live="polite"')
+        self._text = ""
 
     def show(self, text: str, *, is_warning: bool = False) -> None:
         """Show a message for some seconds, in place of the one before."""
         self._place.clear()
+        self._text = text
         with self._place, ui.element("div").classes("studio-notice") as box:
             # A new element begins the animation that hides it.
             box.style(f"animation-duration: {_NOTICE_S}s").props(f"title={json.dumps(text)}")
             box.classes("studio-notice-warning" if is_warning else "")
             ui.label(text)
             ui.button("×", on_click=self._place.clear).props('dense flat aria-label="Close the notice"')
+
+    def withdraw(self, text: str) -> None:
+        """Remove a message that no longer holds, if it is the one that is shown."""
+        if self._text == text:
+            self._place.clear()

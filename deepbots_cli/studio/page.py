@@ -21,8 +21,8 @@ from deepbots_cli.studio.layout import ICONS, Division, Notices
 from deepbots_cli.studio.meanings import Meaning, RobotPart
 from deepbots_cli.studio.outputs import CommandTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
-from deepbots_cli.studio.runs_tab import RunsTab
-from deepbots_cli.studio.session import Session, Topic
+from deepbots_cli.studio.runs_tab import RunsTab, values_text
+from deepbots_cli.studio.session import HAS_ERRORS, Session, Topic
 from deepbots_cli.studio.start import StartPage
 from deepbots_cli.studio.training_tab import TrainingTab
 
@@ -115,6 +115,7 @@ class StudioPage:
             )
             self._outline = ui.select([], on_change=lambda event: self._go_to_section(event.value)).props(
                 'dense outlined options-dense display-value="Go to" aria-label="Go to a section"'
+                " virtual-scroll-slice-size=100"
                 ' popup-content-style="max-height: 80vh"'
             )
             self._outline.classes("studio-outline")
@@ -131,13 +132,14 @@ class StudioPage:
         self._list = FindingList(self._session, self._editor.go_to, self._explain, self._notices.show)
 
     def _add_work(self) -> None:
-        with ui.tabs().props("dense no-caps align=left") as tabs:
+        self._tabs = ui.tabs().props("dense no-caps align=left")
+        with self._tabs as tabs:
             train, runs, command = ui.tab("Train"), ui.tab("Runs"), ui.tab("Commands")
             inspect = ui.tab("Inspect")
 
         with ui.tab_panels(tabs, value=train, animated=False).props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(runs):
-                self._runs = RunsTab(self._session, tabs.set_value, self._write_values)
+                self._runs = RunsTab(self._session, tabs.set_value, self._write_values, self._train)
             with ui.tab_panel(train):
                 self._training = TrainingTab(self._session, self._guarded, self._runs)
             with ui.tab_panel(command):
@@ -278,15 +280,13 @@ class StudioPage:
             )
         self._status.set_text(text)
         kind = findings[0].severity if findings else "good"  # errors come first
+        if not errors:
+            self._notices.withdraw(HAS_ERRORS)
         self._status.classes(replace=f"studio-status studio-state studio-state-{kind}")
         sections = {line: name for name, line in language.outline(file)}
         if sections and sections != self._outline.options:
             self._outline.set_options(sections, value=None)
         self._list.show(file, findings)
-
-    def _apply(self, file: OpenFile, edits: Any) -> None:
-        file.edit(edits)
-        self._session.edited(file)
 
     # What the person does
 
@@ -312,6 +312,7 @@ class StudioPage:
             self._train()
 
     def _train(self) -> None:
+        self._tabs.set_value("Train")
         self._training.train()
 
     def _save_file(self) -> None:
@@ -323,7 +324,8 @@ class StudioPage:
         if self._file is not None and not self._file.read_only:
             edits = self._session.language.formatted(self._file)
             if edits:
-                self._apply(self._file, edits)
+                self._file.edit(edits)
+                self._session.edited(self._file)
             else:
                 self._notices.show("the layout is canonical already, or the file has errors")
 
@@ -350,9 +352,7 @@ class StudioPage:
 
         def write() -> None:
             lines = self._session.write_values(values)
-            names = ", ".join(
-                f"{name}: {value}" if value else f"{name} removed" for name, value in values.items()
-            )
+            names = values_text(values)
             self._notices.show(f"{names} is in the text now; save it, or press Train, which saves it too")
             if self._file is not None and self._file.path == self._session.current:
                 self._editor.refresh()

@@ -149,6 +149,8 @@ class RobotPane:
         if state is not None and state.state == "running" and robot.reference != str(self._session.current):
             name = Path(robot.reference).name
             text = f"{name}: {state.note}" if state.note else f"driven by the policy of {name}"
+        elif state is not None and state.state == "running" and state.driver not in _DRIVERS:
+            text = "a script drives; nothing is learned"
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)
@@ -232,14 +234,12 @@ class RobotPane:
         with self._parameters:
             if is_written:
                 ui.label(f"In the text, not saved yet: {listed}")
-                self._add_parameter_button("Save", self._save)
-                self._add_parameter_button("Save and train", self._train)
+                acts = {"Save": self._save, "Save and train": self._train}
             else:
                 ui.label(f"Changed in the running world: {listed}")
-                self._add_parameter_button("Write into the text", lambda: self._write_values(values))
-
-    def _add_parameter_button(self, label: str, act: Callable[[], object]) -> None:
-        ui.button(label, on_click=lambda: act()).props("dense outline no-caps")
+                acts = {"Write into the text": lambda: self._write_values(values)}
+            for label, act in acts.items():
+                ui.button(label, on_click=act).props("dense outline no-caps")
 
     def _show_source(self, reference: str | None) -> None:
         if reference and reference != self._session.robot.reference:

@@ -6,7 +6,7 @@ import asyncio
 import json
 import re
 import shlex
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from nicegui import events, ui
 
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.changes import changed_values
-from deepbots_cli.learning.listing import ListedRun, read_listed
+from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.run import Run
 from deepbots_cli.studio.charts import comparison_chart
 from deepbots_cli.studio.commands import RUNS_FOLDER
@@ -68,9 +68,10 @@ class RunsTab:
         session: Session,
         show_tab: Callable[[str], object],
         write_advice: Callable[[dict[str, str]], None],
+        train: Callable[[], None],
     ) -> None:
         self._session = session
-        self._show_tab, self._write_advice = show_tab, write_advice
+        self._show_tab, self._write_advice, self._train = show_tab, write_advice, train
         self._is_dark = False
         self._compared: tuple[ui.echart, dict[str, Curves]] | None = None
         self._names: set[str] = set()
@@ -100,11 +101,11 @@ class RunsTab:
                 ("Watch", self.watch),
                 (
                     "Evaluate",
-                    lambda run: self._show_output(run, session.commands.run(["eval", str(run)], "eval", run)),
+                    lambda run: self._show_output(run, session.commands.run(["eval", str(run)], run)),
                 ),
                 ("Diagnose", self.diagnose),
-                ("Report", lambda run: self._make_file(run, "report", "report.html")),
-                ("Video", self.make_video),
+                ("Report", partial(self.make_file, "report", "report.html")),
+                ("Video", partial(self.make_file, "render", "video.mp4")),
                 ("Compare", self.compare),
                 ("Resume", self._resume),
             ):
@@ -153,7 +154,7 @@ class RunsTab:
                 "change": _unbroken(change.text) if change else "",
                 "state": run.problem or run.state,
                 "steps": f"{run.steps:,}" if run.steps is not None else "",
-                "return": _return_text(run),
+                "return": "" if run.mean_return is None else f"{run.mean_return:.4g} in {run.score}",
                 "success": f"{run.success_rate:.0%}" if run.success_rate is not None else "",
                 "solved": {True: "yes", False: "no", None: ""}[run.solved],
             }
@@ -204,7 +205,7 @@ class RunsTab:
     def _resume(self, run: Path) -> None:
         text = str(self._timesteps.value or "").strip()
         options = ["--timesteps", text] if text else []
-        self._session.commands.run(["resume", str(run), *options], "resume", run)
+        self._session.commands.run(["resume", str(run), *options], run)
         self._show_tab("Train")
 
     def _show_curve(self, run: Path) -> None:
@@ -215,13 +216,10 @@ class RunsTab:
         """Show the robot of a run, which its policy drives."""
         self._session.robot.show(self._session.folder / run)
 
-    def make_video(self, run: Path) -> None:
-        """Write a video of a run, and show how far it is."""
+    def make_file(self, verb: str, name: str, run: Path) -> None:
+        """Write a file about a run, such as a video, and show how far it is."""
         self._show_tab("Runs")
-        self._make_file(run, "render", "video.mp4")
-
-    def _make_file(self, run: Path, verb: str, name: str) -> None:
-        self._show_output(run, self._session.commands.run_with_output([verb, str(run)], verb, run, name))
+        self._show_output(run, self._session.commands.run_with_output([verb, str(run)], run, name))
 
     def _show_output(self, run: Path, task: Task) -> None:
         """Show the output of a command about a run."""
@@ -239,7 +237,7 @@ class RunsTab:
         # The earlier run is the first one.
         begun = {path: change.started for path in paths if (change := changes.get(folder / path))}
         one, other = sorted(paths, key=lambda path: begun.get(path, 0.0))
-        task = self._session.commands.run(["compare", str(one), str(other)], "compare")
+        task = self._session.commands.run(["compare", str(one), str(other)])
         runs = await asyncio.to_thread(lambda: [read_listed(folder / path) for path in (one, other)])
         curves = {path.name: await asyncio.to_thread(_curves_or_none, folder / path) for path in (one, other)}
         differences = await asyncio.to_thread(_differences, folder / one, folder / other)
@@ -312,18 +310,36 @@ class RunsTab:
             button.props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
 
     def _add_advised_values(self, settings: dict[str, Any], words: str) -> None:
-        """Add a button that writes values into the text; in its `words`, braces are their place."""
+        """Add a button that writes values into the text; in its `words`, braces are their place. Once the
+        text has the values, a button trains with them."""
         values = {str(name): str(value) for name, value in settings.items()}
+        if not values:
+            return
         session = self._session
-        file = session.files.get(session.current) if session.current is not None else None
-        if values and not (file is not None and session.language.has_values(file, values)):
-            text = words.replace("{}", ", ".join(f"{name}: {value}" for name, value in values.items()))
-            ui.button(text, on_click=lambda: self._write_advice(values)).props("dense outline no-caps")
+
+        def show() -> None:
+            bar.clear()
+            file = session.files.get(session.current) if session.current is not None else None
+            is_written = file is not None and session.language.has_values(file, values)
+            with bar:
+                if is_written:
+                    ui.label(f"In the text: {values_text(values)}")
+                    ui.button("Save and train", on_click=self._train).props("dense outline no-caps")
+                else:
+                    text = words.replace("{}", values_text(values))
+                    ui.button(text, on_click=write).props("dense outline no-caps")
+
+        def write() -> None:
+            self._write_advice(values)
+            show()
+
+        bar = ui.element("div").classes("studio-bar")
+        show()
 
     def _run_advised(self, command: list[str], output: ui.element) -> None:
         """Run the command that a diagnosis advises, and show its output in an element."""
         path = Path(command[1]) if command[0] == "resume" and len(command) > 1 else None
-        task = self._session.commands.run(command, command[0], path)
+        task = self._session.commands.run(command, path)
         if path is not None:
             self._show_tab("Train")
         else:
@@ -331,13 +347,9 @@ class RunsTab:
             self._result.watch(task, output)
 
 
-def _return_text(run: ListedRun) -> str:
-    """Return the mean return of a run, and whether it is that of the training, in which the policy
-    explores; empty without one."""
-    if run.mean_return is None:
-        return ""
-    explores = " in training" if run.score == "training" and run.state != "training" else ""
-    return f"{run.mean_return:.4g}{explores}"
+def values_text(values: Mapping[str, str]) -> str:
+    """Return values by their paths in one line; an empty one was removed."""
+    return ", ".join(f"{name}: {value}" if value else f"{name} removed" for name, value in values.items())
 
 
 def _rank(cause: dict[str, Any]) -> str:

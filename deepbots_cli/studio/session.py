@@ -37,6 +37,7 @@ _ROBOT_TABLES = ("links", "joints")
 
 Topic = Literal["text", "findings", "files", "robot", "task", "training", "runs", "notice"]
 Listener = Callable[[Topic], None]
+HAS_ERRORS = "the scenario has errors; correct them first"
 
 
 class Session:
@@ -297,7 +298,7 @@ class Session:
         # Right after a change, the command finds the errors itself.
         is_checked = self.language.checked_revision(self.current) == self.files[self.current].revision
         if is_checked and self.language.has_errors(self.current):
-            raise UsageError("the scenario has errors; correct them first")
+            raise UsageError(HAS_ERRORS)
         for file in self.files.values():
             if file.is_modified and not file.read_only:
                 self.save(file)

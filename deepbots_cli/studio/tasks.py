@@ -42,7 +42,6 @@ class TaskRecord(BaseModel, strict=True, frozen=True):
 
     Attributes:
         words: The arguments of `deepbots`.
-        title: The name of the command on the page.
         run: The run directory that the command makes or reads; empty without one.
         output: The file that the command writes for the person; empty without one.
         started: The time in s since 1970.
@@ -50,7 +49,6 @@ class TaskRecord(BaseModel, strict=True, frozen=True):
     """
 
     words: tuple[str, ...]
-    title: str
     folder: str
     run: str = ""
     output: str = ""
@@ -140,7 +138,6 @@ class Tasks:
     def start(
         self,
         words: Sequence[str],
-        title: str,
         *,
         folder: Path,
         run: Path | None = None,
@@ -154,7 +151,6 @@ class Tasks:
         path = self._folder / f"{self._next:04d}"
         record = TaskRecord(
             words=tuple(words),
-            title=title,
             folder=str(folder),
             run=str(run or ""),
             output=str(output or ""),

@@ -9,7 +9,6 @@ from typing import Any
 
 from nicegui import ui
 
-from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.listing import ListedRun
 from deepbots_cli.learning.report import duration
 from deepbots_cli.studio.charts import training_chart
@@ -71,7 +70,7 @@ class TrainingTab:
             for label, act in (
                 (_WHY, runs.diagnose),
                 ("Watch", runs.watch),
-                ("Video", runs.make_video),
+                ("Video", partial(runs.make_file, "render", "video.mp4")),
                 ("Compare", lambda run: runs.compare(run, self._others[-1])),
             ):
                 self._next[label] = ui.button(label, on_click=partial(self._act, act))
@@ -82,9 +81,9 @@ class TrainingTab:
         with ui.element("div").classes("studio-scroll"):
             self._result = Result()
             self._add_steps()
-            options = training_chart(Curves(), has_successes=False, dark=False)
-            self._chart = ui.echart(options).classes("studio-chart")
-            self._chart.set_visibility(False)
+            # A chart that is hidden when it is made has no size, and is first drawn as a narrow strip.
+            self._chart_place = ui.element("div").classes("studio-chart-place")
+            self._chart: ui.echart | None = None
             self._note = ui.label(_EXPLORING).classes("studio-note")
             self._note.set_visibility(False)
 
@@ -114,13 +113,9 @@ class TrainingTab:
         ]
 
         def train() -> None:
-            try:
-                task = self._session.commands.train(self._session.saved_name(), options)
-                self._session.following.begin(self._session.folder / task.record.run)
-                self._result.close()
-            except UsageError as error:
-                self._text.set_text(str(error))
-                raise
+            task = self._session.commands.train(self._session.saved_name(), options)
+            self._session.following.begin(self._session.folder / task.record.run)
+            self._result.close()
 
         self._guarded(train)
 
@@ -150,9 +145,8 @@ class TrainingTab:
         self._steps.set_visibility(False)
         if run is None:
             self._text.set_text(f"{training.path.name}: starting ..." if is_running else "")
-            self._chart.set_visibility(False)
-            self._note.set_visibility(False)
             self._drawn = None
+            self._draw(Curves(), has_successes=False)
             return
         activity = task.activity if task is not None and is_running else ""
         if is_running and not activity and (run.state == "finished" or training.stands_still):
@@ -162,14 +156,21 @@ class TrainingTab:
         key = (run.path, training.curves, self._is_dark)
         if key != self._drawn:
             self._drawn = key
-            self._chart.set_visibility(bool(training.curves.returns))
-            self._note.set_visibility(bool(training.curves.returns and training.curves.evaluations))
+            self._draw(training.curves, has_successes=run.success_rate is not None)
+
+    def _draw(self, curves: Curves, *, has_successes: bool) -> None:
+        """Draw the curves; without returns, there is no chart."""
+        self._note.set_visibility(bool(curves.returns and curves.evaluations))
+        options = training_chart(curves, has_successes=has_successes, dark=self._is_dark)
+        if not curves.returns:
+            self._chart_place.clear()
+            self._chart = None
+        elif self._chart is None:
+            with self._chart_place:
+                self._chart = ui.echart(options).classes("studio-chart")
+        else:
             self._chart.options.clear()
-            self._chart.options.update(
-                training_chart(
-                    training.curves, has_successes=run.success_rate is not None, dark=self._is_dark
-                )
-            )
+            self._chart.options.update(options)
             self._chart.update()
 
     @property
@@ -193,7 +194,7 @@ class TrainingTab:
 
     def _run(self, words: list[str]) -> None:
         def run() -> None:
-            self._result.watch(self._session.commands.run([*words, self._session.saved_name()], words[0]))
+            self._result.watch(self._session.commands.run([*words, self._session.saved_name()]))
 
         self._guarded(run)
 

@@ -353,7 +353,7 @@ def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_
 
     async def run() -> None:
         session = Session(tmp_path, Permissions((allowed,), code=code))
-        task = session.commands.run(["try", "none.yaml"], "try")
+        task = session.commands.run(["try", "none.yaml"])
         assert ("--allow-code" in task.record.words) == code
         assert f"--allow-path={allowed}" in task.record.words
         await _until(lambda: not task.is_running)
@@ -380,7 +380,7 @@ def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
     try:
         path = tmp_path / "0001"
         path.mkdir()
-        record = TaskRecord(words=("train",), title="train", folder="/", started=1e12, pid=sleeping.pid)
+        record = TaskRecord(words=("train",), folder="/", started=1e12, pid=sleeping.pid)
         write_record(path, record)
         (task,) = Tasks(tmp_path).all
         assert not task.is_running
@@ -397,7 +397,7 @@ def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
 
 
 def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
-    task = Task(tmp_path, TaskRecord(words=("train",), title="train", folder="/"))
+    task = Task(tmp_path, TaskRecord(words=("train",), folder="/"))
     assert task.activity == ""
     with (tmp_path / LOG_NAME).open("w", encoding="utf-8") as log:
         reporter, progress = ProgressReporter(log), TrainingProgress(8_000, 10_000, 40, 12.5, None)

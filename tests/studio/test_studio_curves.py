@@ -30,7 +30,7 @@ def test_the_axis_reaches_up_to_the_goal():
     options = training_chart(curves, has_successes=False, dark=False)
     heights = [value for line in options["series"] for _, value in line["data"]]
     assert max(heights) == 50.0
-    assert options["legend"]["data"] == ["return in training", "solved: 50"]
+    assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():
@@ -43,7 +43,11 @@ def test_the_axis_of_a_running_training_reaches_to_its_last_step():
 def test_a_comparison_has_the_goal_of_both_runs_once():
     curves = Curves(returns=((0.0, 10.0), (100.0, 20.0)), solved_return=50.0)
     options = comparison_chart({"a": curves, "b": curves}, dark=True)
-    assert options["legend"]["data"] == ["a in training", "b in training", "solved: 50"]
+    assert [entry["name"] for entry in options["legend"]["data"]] == [
+        "a in training",
+        "b in training",
+        "solved: 50",
+    ]
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])

@@ -377,9 +377,7 @@ def test_a_training_outlives_the_session_and_is_found_again(folder):
             await running.until(lambda: session.commands.training.listed.state != "training")
             await running.until(lambda: any("mine-1 was stopped" in notice for notice in running.notices))
             # The curve goes on when the training does.
-            session.commands.run(
-                ["resume", "runs/mine-1", "--timesteps", "40000"], "resume", Path("runs/mine-1")
-            )
+            session.commands.run(["resume", "runs/mine-1", "--timesteps", "40000"], Path("runs/mine-1"))
             await running.until(
                 lambda: getattr(session.commands.training.listed, "state", "") == "training", 120
             )
