@@ -42,6 +42,7 @@ html, body { background: var(--mantine-color-body, %s); }
 @media (min-width: 30rem) { .mantine-ScrollArea-content { padding-right: 11px; } }
 .mantine-ScrollArea-content .mantine-ScrollArea-content { padding: 0; }
 .mantine-ScrollArea-content [style*="width: 7.25em"] { width: 5.2em !important; }
+div:has(> div > .tabler-icon-cloud-check) { display: none !important; }
 html.waits::before { content: "starting the robot ..."; position: fixed; inset: 0; z-index: 9999; background: inherit;
   display: grid; place-items: center; font: 15px sans-serif; color: var(--mantine-color-dimmed); }
 html.waits::after { content: ""; position: fixed; inset: 0 0 5rem; margin: auto; z-index: 9999; width: 1.6rem;
@@ -71,6 +72,7 @@ const look = setInterval(() => {
 
 - its ground, which would be white before anything is drawn;
 - no notice of viser that the browser draws by software: it covers the robot;
+- no head of the controls while they are connected: the page has the name of the scenario already;
 - labels of enough contrast, and a place for the scroll bar beside the buttons;
 - the dark colors of `studio.css`, in which the floor of the scene does not glare;
 - the keys that lead out of the page, and those of the editor;

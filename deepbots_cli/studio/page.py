@@ -66,7 +66,7 @@ class StudioPage:
             with self._columns.splitter.before, _section("text", "Text"):
                 self._add_text()
             with self._columns.splitter.after:
-                self._rows = Division("robot", "Height of the robot", 48, horizontal=True)
+                self._rows = Division("robot", "Height of the robot", 52, horizontal=True)
             with self._rows.splitter.before, _section("robot", "Robot"):
                 self._robot = RobotPane(session, self._write_values, self._save_file, self._train)
             with self._rows.splitter.after, _section("work", "Training and commands"):

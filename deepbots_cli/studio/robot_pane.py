@@ -150,7 +150,7 @@ class RobotPane:
             name = Path(robot.reference).name
             text = f"{name}: {state.note}" if state.note else f"driven by the policy of {name}"
         elif state is not None and state.state == "running" and state.driver not in _DRIVERS:
-            text = "a script drives; nothing is learned"
+            text = "driven by a script, not by a policy"
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)

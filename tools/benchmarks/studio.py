@@ -103,7 +103,7 @@ def wait(page: StudioTab, script: str, seconds: float, what: str) -> None:
 
 def wait_for_robot(page: StudioTab) -> None:
     status = "document.querySelector('.studio-robot .studio-status').innerText"
-    wait(page, f"/^(runs the saved|a script drives)/.test({status})", 90, "running robot on the page")
+    wait(page, f"/^(runs the saved|driven by a script)/.test({status})", 90, "running robot on the page")
 
 
 def keystrokes(page: StudioTab, count: int) -> list[float]:
