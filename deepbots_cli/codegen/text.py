@@ -268,11 +268,13 @@ _OPERATORS = (
     (" + ", " - "),
     (" * ", " / "),
 )
+_LOOSER_THAN_NOT = (None, *_OPERATORS[:3])
 _BRACKET_OR_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"|[][(){}]', re.DOTALL)
 _DEEPER = dict.fromkeys("([{", 1) | dict.fromkeys(")]}", -1)
 # Of a statement, or of the piece of a line that was broken before: the operator in front, the comma behind.
 _STATEMENT = re.compile(
-    r"(?P<head>(?:(?:if|elif|else|return|or|and|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)", re.DOTALL
+    r"(?P<head>(?:(?:if|elif|else|return|or|and|[<>]=?|[=!]=|[-+*/]) )?)(?P<body>.*?)(?P<tail>[:,]?)",
+    re.DOTALL,
 )
 
 
@@ -300,8 +302,8 @@ def wrap_line(line: str) -> list[str]:
     statement = _STATEMENT.fullmatch(code[start:])
     if statement is None or code.startswith("def "):
         return _broken_at_brackets(pad, code)
-    head = f"{pad}{code[:start]}{statement['head']}("
-    body = statement["body"]
+    before, body = _head_and_body(statement)
+    head = f"{pad}{code[:start]}{before}("
     tail = f"{pad}){statement['tail']}"
     if code.startswith("for ") and " = " not in code and list(_places(code, " in ")):
         return _broken_at_brackets(pad, code)
@@ -315,6 +317,15 @@ def wrap_line(line: str) -> list[str]:
     if fits:
         return [head, f"{pad}    {body}", tail]
     return [head, *_one_operand_each(pad, body, operators), tail]
+
+
+def _head_and_body(statement: re.Match[str]) -> tuple[str, str]:
+    """Return what stays before the brackets that a long statement gets, and what is in them."""
+    head, body = statement["head"], statement["body"]
+    if body.startswith("not ") and _loosest_operators(body) not in _LOOSER_THAN_NOT:
+        # Of `not a + b < c`, the piece `(not a + b)` would compare the negation.
+        return f"{head}not ", body.removeprefix("not ")
+    return head, body
 
 
 def _loosest_operators(body: str) -> tuple[str, ...] | None:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.codegen.text import WIDTH, docstring, wrap_line
@@ -187,6 +189,8 @@ LINES = {
     "return": f"return {{{', '.join(f'{number}: {item}' for number, item in enumerate(LONG))}}}",
     "one item": f"self.drive(({' * '.join(LONG)},))",
     "product": f"x = ({' + '.join(LONG)}) * ({' - '.join(LONG)})",
+    "comparison": f"value = {' + '.join(LONG)} < {' - '.join(LONG)}",
+    "negated comparison": f"if not {' + '.join(LONG)} < 1.5 and not {' * '.join(LONG)} == 2.0:",
     "definition": f"def apply(self, {', '.join(f'a_long_name_{number}: Any' for number in range(20))}) ->"
     " None:",
     "comment": f"table = {{{', '.join(f'{number}: 1.0' for number in range(30))}}}  # {', '.join(LONG)}",
@@ -202,6 +206,24 @@ def test_a_long_line_is_broken_and_means_the_same(line: str) -> None:
     )
     assert broken == whole
     assert [text for text in lines if len(text) > WIDTH and not text.lstrip().startswith("#")] == []
+
+
+def _combined(parts: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
+    signs = st.sampled_from([" + ", " - ", " * ", " / ", " < ", " >= ", " == ", " and ", " or "])
+    bracketed = parts.map("({})".format)
+    chains = st.builds(str.join, signs, st.lists(bracketed, min_size=2, max_size=5))
+    choices = st.builds("{} if {} else {}".format, bracketed, bracketed, bracketed)
+    return chains | choices | bracketed.map("not {}".format)
+
+
+PARTS = st.sampled_from(["a_name_of_a_quantity_of_a_robot", "self.memory_of_a_call(1.0, x)", "2.5"])
+
+
+@settings(max_examples=500)
+@given(st.recursive(PARTS, _combined, max_leaves=60))
+def test_any_long_line_means_the_same(expression: str) -> None:
+    line = "value = " + ast.unparse(ast.parse(expression, mode="eval"))  # without needless brackets
+    assert ast.dump(ast.parse("\n".join(wrap_line(line)))) == ast.dump(ast.parse(line))
 
 
 @pytest.mark.parametrize(
