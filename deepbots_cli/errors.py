@@ -71,9 +71,21 @@ class MissingExtraError(UsageError):
         super().__init__(f"{purpose} needs the '{extra}' extra; {install_hint(extra)}")
 
 
+_EXTRAS_OF_MODULES = {
+    "PIL": "sim",
+    "py_mini_racer": "webots-js",
+    "rsl_rl": "rsl",
+    "websockets": "view",
+    "zmq": "zmq",
+}
+"""The extras of the modules whose packages have other names."""
+
+
 def extra_with(module: str) -> str | None:
     """Return the smallest extra that requires the package of a module, by the metadata of the installation;
     None if there is none."""
+    if module in _EXTRAS_OF_MODULES:
+        return _EXTRAS_OF_MODULES[module]
     packages = _packages_by_extra()
     fitting = [extra for extra, names in packages.items() if module.lower() in names]
     return min(fitting, key=lambda extra: len(packages[extra]), default=None)

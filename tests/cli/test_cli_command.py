@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 from importlib.machinery import PathFinder
-from importlib.metadata import PackageNotFoundError
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 
 import pytest
@@ -17,7 +17,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS, doctor
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.errors import install_hint
+from deepbots_cli.errors import extra_with, install_hint
 from deepbots_cli.processes import python_command, python_environment
 from tests.few import few
 
@@ -172,20 +172,20 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
 @pytest.mark.parametrize(
     ("gone", "message"),
     [
-        (("pygls",), "everything works except what needs a missing extra: the language server"),
+        (("pygls",), "everything works except what needs a missing extra: the language server, the studio"),
         ((), "everything works"),
         (
             ("torch",),
             "everything works except what needs a missing extra: training, MaskablePPO, RecurrentPPO and"
-            " TQC, rsl_rl.PPO, policies as ONNX,"
+            " TQC, rsl_rl.PPO, the studio, policies as ONNX,"
             " --cluster, searches by tune",
         ),
         (
             ("mujoco",),
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC, rsl_rl.PPO,"
-            " several agents as an environment of PettingZoo, self-play, the page of view and play, policies"
-            " as ONNX,"
+            " several agents as an environment of PettingZoo, self-play, the page of view and play, the studio,"
+            " PROTOs of Webots with JavaScript, policies as ONNX,"
             " --cluster, searches by tune",
         ),
     ],
@@ -202,6 +202,18 @@ def test_the_doctor_does_not_say_that_everything_works_where_an_extra_is_missing
     ran = deepbots("doctor")
     assert ran.code == 0
     assert ran.err == f"{message}\n"
+
+
+def test_the_doctor_knows_all_extras_of_users(deepbots):
+    extras = set(metadata("deepbots-cli").get_all("Provides-Extra")) - {"dev", "docs"}
+    checks = json.loads(deepbots("doctor", "--json").out)["checks"]
+    assert {check["what"] for check in checks} >= {f"extra {extra}" for extra in extras}
+
+
+def test_a_missing_module_names_its_extra():
+    assert extra_with("PIL") == "sim"  # of the package pillow
+    assert extra_with("optuna") == "tune"
+    assert extra_with("no_such_module") is None
 
 
 def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
