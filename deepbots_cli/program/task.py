@@ -450,6 +450,17 @@ class ScenarioTest:
 # Training
 
 
+ACTIVATIONS = {
+    "elu": "ELU",
+    "gelu": "GELU",
+    "leaky_relu": "LeakyReLU",
+    "relu": "ReLU",
+    "silu": "SiLU",
+    "tanh": "Tanh",
+}
+"""The classes of `torch.nn` by the names of activations."""
+
+
 @dataclass(frozen=True)
 class Network:
     """Hidden layers of actor and critic, and their activation."""

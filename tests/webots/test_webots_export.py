@@ -155,6 +155,15 @@ def test_the_training_of_one_world_updates_as_often_per_step_as_that_of_many(tmp
     assert "learning_rate=lambda left: 0.0001 + left * (0.001 - 0.0001)," in text
 
 
+def test_the_training_has_the_settings_of_the_scenario(tmp_path: Path):
+    exported("cartpole", tmp_path, "train.clip_range=0.1", "train.vf_coef=0.7", "train.init_std=0.5")
+    text = (tmp_path / "controllers/train/train.py").read_text()
+    assert "clip_range=0.1," in text
+    assert "vf_coef=0.7," in text
+    assert "policy_kwargs=dict(net_arch=[10, 10], activation_fn=nn.ReLU)," in text
+    assert "leaves out `init_std`" in (tmp_path / "README.md").read_text()
+
+
 def test_the_command_lists_differences_and_overwrites_nothing(tmp_path: Path):
     folder = tmp_path / "out"
 

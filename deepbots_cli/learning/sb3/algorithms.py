@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from inspect import signature, unwrap
@@ -28,21 +28,12 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.sb3 import defaults, internals
 from deepbots_cli.learning.sb3.asymmetric import asymmetric
 from deepbots_cli.plugins import import_attribute
+from deepbots_cli.program.task import ACTIVATIONS, AdaptiveRate, Hyperparameter, Schedule, Training
 from deepbots_cli.program.task import ActionNoise as NoiseSettings
-from deepbots_cli.program.task import AdaptiveRate, Hyperparameter, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.scenario.training import Training as Model
 
 Settings = dict[str, Any]
-
-_ACTIVATIONS: Mapping[str, type[nn.Module]] = {
-    "elu": nn.ELU,
-    "gelu": nn.GELU,
-    "leaky_relu": nn.LeakyReLU,
-    "relu": nn.ReLU,
-    "silu": nn.SiLU,
-    "tanh": nn.Tanh,
-}
 _MIN_RATE, _MAX_RATE = 1e-5, 1e-2
 _MOST_LAYERS = 16
 _MOST_WEIGHTS = 50_000_000  # per network; with gradients and moments, actor and critic then take 1.6 GB
@@ -143,7 +134,7 @@ def _networks(training: Training, algorithm: type[Model], memory: int | None, st
     layers = list(training.network.hidden)
     networks: Settings = {
         "net_arch": {"pi": layers, "vf": layers} if algorithm.on_policy else layers,
-        "activation_fn": _ACTIVATIONS[training.network.activation],
+        "activation_fn": getattr(nn, ACTIVATIONS[training.network.activation]),
     }
     if memory is not None:
         networks["lstm_hidden_size"] = memory

@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen.text import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.program.task import Schedule
+from deepbots_cli.program.task import ACTIVATIONS, Schedule
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
 from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static_gaps
@@ -31,8 +31,14 @@ OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 _LEARNERS = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
 _SETTINGS = (
     *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "learning_rate", "ent_coef"),
+    *("vf_coef", "max_grad_norm", "clip_range", "clip_range_vf", "target_kl"),
     *("buffer_size", "learning_starts", "train_freq", "gradient_steps", "tau"),
+    *("target_update_interval", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps"),
+    *("policy_delay", "target_policy_noise", "target_noise_clip"),
 )
+"""The settings of learners that are passed on if their values are numbers."""
+_LEFT_OUT = ("action_noise", "replay", "normalize", "teacher", "patience", "symmetry", "self_play")
+"""What else a training may have, and `train.py` has not."""
 _OFF_POLICY = ("DQN", "SAC", "TD3", "DDPG")
 _PER_WORLD = ("n_steps", "train_freq")
 """The settings that count the steps of each world."""
@@ -71,6 +77,8 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
         bodies = [body.name for body in project.world.objects] + [*project.robots]
         starts = {name: recorder.pose(name)() for name in bodies}
     _require_none(compiled.program, gaps)
+    if left_out := _left_out(compiled.program):
+        gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
     return WebotsProject(compiled, project, _remotes(project, task), gaps, starts)
 
 
@@ -190,7 +198,7 @@ def _one_line(text: str) -> str:
 
 
 def _learner(program: Program) -> dict[str, Any]:
-    """Return the algorithm, and those of its settings that are plain numbers of Stable-Baselines3."""
+    """Return the algorithm, its network, and those of its settings that are numbers."""
     training = program.agent.training
     name = training.algorithm if training is not None else ""
     hyperparameters = {}
@@ -207,6 +215,9 @@ def _learner(program: Program) -> dict[str, Any]:
             settings.append((key, f"lambda left: {value.end!r} + left * ({value.start!r} - {value.end!r})"))
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             settings.append((key, value * worlds if key in _PER_WORLD else value))
+    if training is not None and name in _LEARNERS:
+        layers, activation = list(training.network.hidden), ACTIVATIONS[training.network.activation]
+        settings.append(("policy_kwargs", f"dict(net_arch={layers}, activation_fn=nn.{activation})"))
     default = "PPO" if program.agent.choices else "SAC"
     return {
         "algorithm": name if name in _LEARNERS else default,
@@ -214,6 +225,22 @@ def _learner(program: Program) -> dict[str, Any]:
         "total": getattr(training, "total_timesteps", None) or 100_000,
         "policy": "MultiInputPolicy" if program.agent.goal is not None else "MlpPolicy",
     }
+
+
+def _left_out(program: Program) -> list[str]:
+    """Return what `train.py` has not of the training of a scenario, by the names of the scenario."""
+    training = program.agent.training
+    if training is None:
+        return []
+    if training.algorithm not in _LEARNERS:
+        return [f"`algorithm: {training.algorithm}` with its settings"]
+    numbers = (int, float, Schedule)
+    names = [
+        entry.name
+        for entry in training.hyperparameters
+        if entry.name not in _SETTINGS or not isinstance(entry.value, numbers)
+    ]
+    return [f"`{name}`" for name in (*names, *(name for name in _LEFT_OUT if getattr(training, name)))]
 
 
 def _requirements() -> str:
