@@ -45,7 +45,7 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
     except ElementTree.ParseError as error:
         raise FaultyColladaError("the mesh is not a COLLADA file") from error
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+        element.tag = element.tag.rpartition("}")[2]  # ElementTree writes {namespace}tag
     _require(root, _REFERENCES)
     for mesh in root.iter("mesh"):
         yield from _triangles_of(mesh)
@@ -112,6 +112,7 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
         raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")
     stride = 1 + max(_count(element, "offset", 0) for element in inputs)
     text = next((element.text or "" for element in triangles.iter("p")), "")
+    # The limit keeps the rest of a huge text in one piece, which is then refused.
     tokens = text.split(None, _MAX_INDICES)
     if len(tokens) > _MAX_INDICES:
         raise FaultyColladaError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")

@@ -359,6 +359,7 @@ def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: S
             if stages
             else np.full(len(values), True)
         )
+        # Means by differences of sums: linear in the number of episodes, whatever the window.
         sums = np.concatenate([[0.0], np.cumsum(values[mine])])
         count = len(sums) - 1
         ends = 1 + np.linspace(0, count - 1, min(count, _MAX_MEANS)).round().astype(int)
