@@ -39,6 +39,7 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
         FaultyColladaError: PyBullet cannot read the file.
     """
     try:
+        # No entity can expand here: `meshes._dae` refuses a file with a DOCTYPE before.
         root = ElementTree.fromstring(
             data.decode("utf-8", errors="replace").removeprefix("\ufeff").strip(" \t\r\n\0")
         )

@@ -137,7 +137,7 @@ class Simulation:
         outbox, self._outbox = self._outbox, []
         started = time.thread_time()
         self.physics.step()
-        # CPU time of this thread: controllers and drawing have others.
+        # CPU time of this thread: that of others, such as the page's, is left out.
         self.physics_seconds += time.thread_time() - started
         self.physics.end_pushes()
         self.ticks += self.basic_step

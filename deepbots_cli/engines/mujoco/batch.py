@@ -182,6 +182,7 @@ class MuJoCoBatch:
         self._world = self.single._world
         self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
+        # `cpu_count` would include cores that a container may not use; macOS and Windows have nothing better.
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self._threads = min(cores, count)
         self.attached: int | None = None

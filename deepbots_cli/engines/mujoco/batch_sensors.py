@@ -80,7 +80,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
             added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
     compiled = spec.compile()
-    # Set after the first compilation: `ModelBuilder.compile` and `MujocoWorld` change the compiled model.
+    # `ModelBuilder.compile` and `MujocoWorld` set these in the compiled model, not in the specification.
     compiled.opt.disableflags = model.opt.disableflags
     compiled.opt.jacobian = model.opt.jacobian
     compiled.stat.meaninertia = model.stat.meaninertia

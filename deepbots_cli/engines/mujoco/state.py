@@ -404,7 +404,7 @@ class MujocoWorld:
         self._mass_changed = True
 
     def _nominal_values(self, name: str) -> FloatArray:
-        return self._nominal[2 + VARIED_ARRAYS.index(name)]
+        return self._nominal[2 + VARIED_ARRAYS.index(name)]  # after gravity and surfaces
 
     def _update_contact_pairs(self) -> None:
         """Set the friction and restitution of all pairs.
@@ -513,7 +513,7 @@ def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
     Nothing bounces by less than exp(-2) here.
     """
     low, high = 0.0, 1.0 - 1e-9
-    for _ in range(60):  # 2^-60 is below the resolution of a float in this interval
+    for _ in range(60):  # 2^-60 is below the resolution of a float near 1
         ratio = (low + high) / 2
         root = sqrt(1.0 - ratio * ratio)
         rebound = exp(-ratio / root * (pi - atan2(2 * ratio * root, root * root - ratio * ratio)))

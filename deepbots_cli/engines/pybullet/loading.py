@@ -133,7 +133,7 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
-        # PyBullet loads URDF and meshes from files alone.
+        # PyBullet loads a URDF, and the meshes that it names, from files alone.
         file, cylinder = Path(folder, "body.urdf"), Path(folder, _CYLINDER)
         cylinder.write_text(_cylinder_mesh(), encoding="ascii")
         for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
