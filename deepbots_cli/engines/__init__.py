@@ -69,6 +69,7 @@ def create(name: str, world: WorldModel) -> Engine:
         (f"'{joint}' of '{robot.name}'" for robot in world.robots for joint in robot.model.followers), None
     )
     if follower is not None and "mimic" not in engine.capabilities:
+        # A world of PyBullet takes about 29 MB until it is closed.
         engine.close()
         raise EngineError(
             f"the engine '{name}' does not move joints that follow others (<mimic>), such as {follower};"
@@ -138,7 +139,7 @@ def _plugin_engine(entry: EntryPoint) -> EngineFactory:
         factory = entry.load()
         if not callable(factory):
             raise TypeError("it makes no engine")
-    except Exception as error:
+    except Exception as error:  # the import of another package may raise anything
         if isinstance(error, ModuleNotFoundError) and error.name in _OF_EXTRA_SIM:
             raise
         raise UsageError(plugins.unavailable_message(entry, error)) from error

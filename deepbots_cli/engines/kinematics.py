@@ -132,6 +132,7 @@ class Chain:
                 break
             now = np.array([joints[index] for index in self._driven])
             normal = jacobian.T @ jacobian + damping * np.eye(len(now))
+            # Damping keeps the matrix invertible where a stretched chain makes the Jacobian lose rank.
             step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
             tried = list(joints)
             for index, value in zip(
@@ -219,6 +220,8 @@ def _path(model: RobotModel, link: str) -> list[Joint]:
 
 def _rotation_vector(q: Quaternion) -> Triple:
     """Return the axis of a rotation times its angle (rad), at most half a turn."""
+    # q and -q are the same rotation; the one with w >= 0 is the shorter way.
     x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
     length = float(np.hypot(np.hypot(x, y), z))
+    # 2 is the limit of the ratio for small angles.
     return frames.scaled((x, y, z), 2.0 * atan2(length, w) / length if length > 0.0 else 2.0)

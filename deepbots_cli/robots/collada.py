@@ -39,13 +39,14 @@ def collada_triangles(data: bytes) -> Iterator[Triangles]:
         FaultyColladaError: PyBullet cannot read the file.
     """
     try:
+        # No entity can expand here: `meshes._dae` refuses a file with a DOCTYPE before.
         root = ElementTree.fromstring(
             data.decode("utf-8", errors="replace").removeprefix("\ufeff").strip(" \t\r\n\0")
         )
     except ElementTree.ParseError as error:
         raise FaultyColladaError("the mesh is not a COLLADA file") from error
     for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
+        element.tag = element.tag.rpartition("}")[2]  # ElementTree writes {namespace}tag
     _require(root, _REFERENCES)
     for mesh in root.iter("mesh"):
         yield from _triangles_of(mesh)
@@ -112,6 +113,7 @@ def _corners(triangles: ElementTree.Element, offset: int) -> array[int]:
         raise FaultyColladaError("an <input> of the COLLADA file lacks its semantic, source or offset")
     stride = 1 + max(_count(element, "offset", 0) for element in inputs)
     text = next((element.text or "" for element in triangles.iter("p")), "")
+    # The limit keeps the rest of a huge text in one piece, which is then refused.
     tokens = text.split(None, _MAX_INDICES)
     if len(tokens) > _MAX_INDICES:
         raise FaultyColladaError(f"a <triangles> of the COLLADA file has more than {_MAX_INDICES:,} indices")

@@ -66,7 +66,7 @@ def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
     for (ax, ay, az), (bx, by, bz), (cx, cy, cz) in sample:
         bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
         x, y, z = x + abs(by * cz - bz * cy), y + abs(bz * cx - bx * cz), z + abs(bx * cy - by * cx)
-    share = count / len(sample) / 2
+    share = count / len(sample) / 2  # a cross product is twice the area of its triangle
     axes = zip(*(corner for triangle in sample for corner in triangle), strict=True)
     a, b, c = (max(coordinates) - min(coordinates) for coordinates in axes)
     return Coverage((share * x, share * y, share * z), (b * c, a * c, a * b))
@@ -74,6 +74,7 @@ def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
 
 def _chosen(count: int, random: Random) -> list[int]:
     """Return the numbers of some of so many triangles, in order; none if there are few."""
+    # Few triangles cannot cover each other more than `MAX_LAYERS` times.
     return sorted(random.sample(range(count), min(count, _SAMPLE))) if count > MAX_LAYERS else []
 
 

@@ -249,6 +249,7 @@ class _Builder:
         self.version = "1.0"
         self._count = 0
         self._mark = (0, 0)
+        # Overrides the encoding that the file declares: `data` is encoded anew from the text.
         self.parser = expat.ParserCreate("utf-8")
         self.parser.StartElementHandler = self._start
         self.parser.EndElementHandler = self._end

@@ -130,6 +130,7 @@ def package_folder(name: str) -> Path | None:
     modules."""
     from importlib.util import find_spec
 
+    # `find_spec` imports the parents of a dotted name, and a robot file must run no code.
     if not name.isidentifier():
         return None
     try:
@@ -196,7 +197,7 @@ def _above(reference: str, folder: Path, roots: list[str]) -> MeshAboveRobot | N
     """Return the nearest file of that name seen from a folder above; PyBullet's `findExistingMeshFile` looks
     there in the same order."""
     for above in folder.absolute().parents:
-        path = Path(os.path.realpath(above / reference))
+        path = Path(os.path.realpath(above / reference))  # a link may point out of the allowed folders
         if any(path.is_relative_to(root) for root in roots) and path.is_file():
             return MeshAboveRobot(path, os.path.relpath(above / reference, folder).replace(os.sep, "/"))
     return None
@@ -217,6 +218,7 @@ class MeshReader:
             if isinstance(resolved, UnusableMesh):
                 return resolved
             path = resolved.path if isinstance(resolved, MeshAboveRobot) else resolved
+            # A mesh that is visual and collision shape is read once, and counts once in the total.
             if path not in self._loaded:
                 self._loaded[path] = self._digest(path)
         except OSError as error:
@@ -309,7 +311,7 @@ def mesh_bounds(mesh: Mesh) -> tuple[Vector, Vector] | None:
     if bounds is None:
         return None
     ends = [
-        sorted((low * factor, high * factor))
+        sorted((low * factor, high * factor))  # a negative factor mirrors the mesh
         for low, high, factor in zip(bounds.lower, bounds.upper, mesh.scale, strict=True)
     ]
     (x, x_end), (y, y_end), (z, z_end) = ends
@@ -363,6 +365,7 @@ def mesh_size(suffix: str, data: bytes) -> MeshSize | None:
             float(number) for vertex in _VERTEX_COORDINATES.findall(data) for number in vertex.split()[:3]
         ]
         faces = sum(max(len(_INDEX.findall(face)) - 2, 1) for face in _FACE.findall(data))
+    # Some programs begin the header of a binary file with `solid` too.
     elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data:
         numbers = [float(number) for vertex in _PLACE_STL.findall(data) for number in vertex.split()[:3]]
         faces = len(numbers) // 9
@@ -398,6 +401,7 @@ def _stl(data: bytes) -> str | None:
 
 def _stl_numbers(data: bytes) -> array[float]:
     """Return the coordinates of all corners of a binary file, one after the other."""
+    # A header of 80 bytes and a count of 4; then 50 bytes per triangle: a normal of 12, corners of 36, and 2.
     numbers = array("f", b"".join(data[at : at + 36] for at in range(96, len(data), 50)))
     if sys.byteorder == "big":
         numbers.byteswap()
@@ -430,6 +434,7 @@ def _obj(data: bytes) -> str | None:
             return f"the faces of the OBJ file together have more than {_MAX_CORNERS:,} corners"
     if not indices:
         return "the OBJ file contains no face"
+    # As text, without leading zeros: `int` refuses more than 4300 digits.
     last = max(indices, key=lambda digits: (len(digits), digits))
     if len(last) > 9 or int(last) > vertices:
         return (

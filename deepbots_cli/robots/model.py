@@ -352,6 +352,7 @@ def homogeneous_inertial(shape: Shape, mass: float, origin: Pose = _IDENTITY_POS
         case Capsule(r, length):
             middle = mass * length / (length + 4 / 3 * r)
             ends = mass - middle
+            # A half ball has its center 3/8 r from its flat face; about the middle by the parallel axis theorem.
             across = middle / 12 * (3 * r * r + length * length) + ends * (
                 2 / 5 * r * r + length * length / 4 + 3 / 8 * length * r
             )
@@ -420,6 +421,7 @@ def _element(
 
 def _value(value: str | float | tuple[float, ...]) -> str:
     numbers = value if isinstance(value, tuple) else (value,)
+    # The shortest text of the same float.
     text = value if isinstance(value, str) else " ".join(map(repr, numbers))
     return f'"{text.translate(_ESCAPES)}"'
 

@@ -131,7 +131,7 @@ def read(
     headline = "the robot file is not a regular file" if path.exists() else "the robot file does not exist"
     if path.is_file():  # a pipe would block for ever
         try:
-            data = read_at_most(path, MAX_BYTES + 1)
+            data = read_at_most(path, MAX_BYTES + 1)  # one more shows that the file is larger
             return read_bytes(
                 data, display, findings, resolve_mesh=resolve_mesh or mesh_resolver(path.absolute().parent)
             )
@@ -152,6 +152,7 @@ def read_bytes(
         return cached
     before = len(findings)
     robot = _read(data, display, findings, resolve_mesh)
+    # Files of meshes may change, and each caller gets the findings anew: such robots are read again.
     if robot is not None and not robot.meshes and len(findings) == before:
         if len(_CACHE) >= MAX_CACHED_FILES:
             _CACHE.clear()
@@ -503,6 +504,7 @@ def _axis(joint: Element, kind: JointType) -> Vector:
             remedy="write the direction the joint turns about or slides along",
         )
         return (1.0, 0.0, 0.0)
+    # A unit axis keeps its digits: dividing again by a rounded length could change what `to_urdf` wrote.
     return (x, y, z) if abs(length - 1) < 1e-12 else (x / length, y / length, z / length)
 
 
@@ -522,6 +524,7 @@ def _limit(joint: Element, kind: JointType, name: str) -> Limit:
         return Limit()
     effort = element.non_negative_number("effort", 0.0) or None
     velocity = element.non_negative_number("velocity", 0.0) or None
+    # URDF's own default of both is 0.
     lower, upper = element.number("lower", 0.0), element.number("upper", 0.0)
     if kind in ("revolute", "prismatic"):
         if not {"lower", "upper"} & element.attributes.keys():
@@ -726,6 +729,7 @@ def _cycles(above: Mapping[str, str]) -> list[list[str]]:
     """Return the cycles of a graph in which each name has at most one name above it."""
     cycles = []
     visited: set[str] = set()
+    # Each name is visited once, so this is linear in the number of links.
     for start in above:
         path: dict[str, None] = {}
         name = start

@@ -56,6 +56,7 @@ class Gate:
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if (
+            # Another page can let its name resolve to this machine (DNS rebinding), but Host keeps its name.
             not may_be_called(host, self.host, self.port)
             or origin not in (None, f"http://{host}")
             or (opens_socket and origin is None and self.token)
@@ -66,9 +67,11 @@ class Gate:
             return None
         cookie = f"deepbots-{self.port}={self.token}"
         token = urllib.parse.parse_qs(query).get("token", [""])[0]
+        # The time of a plain comparison depends on the first difference, and would reveal the token in parts.
         if secrets.compare_digest(token.encode(), self.token.encode()):
             set_cookie = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
             target = "/" + urllib.parse.quote(path.lstrip("/"))  # two slashes would begin the name of a host
+            # The token leaves the address, and so the history.
             return Refusal(302, "Found", "", {"Location": target, "Set-Cookie": set_cookie})
         sent = [part.strip() for part in headers.get("Cookie", "").split(";")]
         if not any(secrets.compare_digest(part.encode(), cookie.encode()) for part in sent):
@@ -130,6 +133,7 @@ def listening_socket(host: str, port: int | None, first: int = FIRST_PORT) -> so
             family, kind, _, _, address = socket.getaddrinfo(host, number, type=socket.SOCK_STREAM)[0]
             listener = socket.socket(family, kind)
             try:
+                # Otherwise a port is refused for about a minute after a server that had connections.
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 listener.bind(address)
                 listener.listen(_BACKLOG)

@@ -420,6 +420,7 @@ class FrameReader:
                 if several
                 else (observation, action)
             )
+            # A reset begins at 0.
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, own_observation, own_action, self._returns[name])
         images = {key: camera.reading for key, camera in self._cameras.items()}

@@ -55,6 +55,7 @@ class LogPlayer(ReplayPlayer):
         assert isinstance(opened.recording, RobotLog)
         self.log = opened.recording
         self._numbers = [episode.number for episode in self.log.episodes]
+        # On the instance: a cache on the method would keep the player, and with it its engine, in memory.
         self._read = lru_cache(maxsize=2000)(self._frame_of)
         Player.__init__(self, opened, ROBOT)
 

@@ -163,7 +163,7 @@ def turns_left(player: Player, seed: int, episode: int) -> bool:
             frame = player.step(by_hand=True)
         yaws.append(roll_pitch_yaw(frame.links[robot.name, robot.model.root][1])[2])
     player.begin(seed, episode)
-    return math.remainder(yaws[0] - yaws[1], math.tau) > 0.01
+    return math.remainder(yaws[0] - yaws[1], math.tau) > 0.01  # yaws on both sides of pi are close
 
 
 def _key_name(code: str) -> str:

@@ -91,6 +91,7 @@ class Page:
         self._output = output
         self.frame_rate = frame_rate
         self._embedded = embedded
+        # viser calls functions of controls in its own threads, and engines and OpenGL are used in one.
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.playback = Playback(
             seed=seed,
@@ -98,7 +99,7 @@ class Page:
             batch_world=world,
             driver=driver,
             by_hand=playing,
-            on_begin=lambda: self.panel.begin(),
+            on_begin=lambda: self.panel.begin(),  # the panel is made later, and anew for another scenario
             on_change=lambda: self.panel.update_texts(),
         )
         self._changed: dict[str, str] = {}
@@ -197,6 +198,7 @@ class Page:
             if playback.by_hand
             else None
         )
+        # The old players stay open until all new ones have begun, so that an error leaves the world before.
         players = [open_player(opened, name)]
         try:
             if self._compare is not None:
@@ -346,6 +348,7 @@ class Page:
                 )
                 self._draw(texts=frame_count % FRAMES_PER_TEXT == 0)
             frame_count = frame_count + 1
+            # After a long step, pictures that are overdue by more than this are left out.
             due = max(due + period, time.perf_counter() - MAX_STEPPING_S)
             time.sleep(max(0.0, due - time.perf_counter()))
 

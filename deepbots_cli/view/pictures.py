@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".mp4", ".gif", ".html")
 # Pictures per second.
-_GIF_FRAME_RATE = 12.5
+_GIF_FRAME_RATE = 12.5  # GIF has delays of 0.01 s, and this is 8 of them
 _MP4_FRAME_RATE = 30.0
 _PAGE_FRAME_RATE = 20.0
 _GIF_COLORS = 96
@@ -450,6 +450,7 @@ def _pictures(
 ) -> tuple[Iterator[Any], float]:
     """Return pictures at most `rate` times a second, and their number in a second. At most one picture is
     drawn per step."""
+    # Without the margin, a ratio such as 1.0000000001 would leave out every second picture.
     every = max(1, math.ceil(speed / player.program.period / rate - 1e-9))
 
     def taken() -> Iterator[Any]:
@@ -497,6 +498,7 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     )
     palette = sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, kmeans=2)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    # ms; browsers show shorter delays than 20 ms as 100 ms. The last picture stays for 1.2 s.
     pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
     small[0].save(
         path,
@@ -506,7 +508,7 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
         duration=pause,
         loop=0,
         optimize=True,
-        disposal=1,
+        disposal=1,  # the picture before stays below the changed pixels
     )
 
 

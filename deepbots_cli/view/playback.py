@@ -250,6 +250,7 @@ class Playback:
             while world.elapsed_s >= timestep and not world.has_ended and not self.paused:
                 world.elapsed_s -= timestep
                 self._step(world)
+                # A world that is slower than its time would otherwise fall behind further with each picture.
                 if time.perf_counter() - began > MAX_STEPPING_S:
                     world.elapsed_s = 0.0
 

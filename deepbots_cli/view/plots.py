@@ -359,6 +359,7 @@ def _averaged(episodes: Any, values: NDArray[np.float64], window: int, stages: S
             if stages
             else np.full(len(values), True)
         )
+        # Means by differences of sums: linear in the number of episodes, whatever the window.
         sums = np.concatenate([[0.0], np.cumsum(values[mine])])
         count = len(sums) - 1
         ends = 1 + np.linspace(0, count - 1, min(count, _MAX_MEANS)).round().astype(int)
@@ -643,6 +644,7 @@ def _common_steps(curves: Sequence[Curve]) -> NDArray[np.float64]:
     break."""
     first, last = max(steps[0] for steps, _ in curves), min(steps[-1] for steps, _ in curves)
     last = max(last, curves[0][0][0] + 1)
+    # The breaks are points too: a gap between two equal distances would else be drawn as a line.
     breaks = np.concatenate([steps[np.isnan(values)] for steps, values in curves])
     return np.union1d(np.linspace(first, last, _MAX_CURVE_POINTS), breaks[(breaks > first) & (breaks < last)])
 

@@ -94,6 +94,7 @@ def _packed(value: Any) -> dict[str, Any]:
 def _hash(*parts: bytes) -> str:
     digest = hashlib.sha256()
     for part in parts:
+        # With lengths: parts that are split elsewhere must have another hash.
         digest.update(len(part).to_bytes(8, "little") + part)
     return digest.hexdigest()[:32]
 
@@ -163,6 +164,7 @@ class TopicEncoder:
                 "terms": dict(agent.terms),
                 "allowed": {str(number): may for number, may in enumerate(agent.allowed)},
             }
+        # NaN becomes null, which `_floats` reads back; bytes become base64.
         encoded = {topic: msgspec.json.encode(content) for topic, content in topics.items()}
         encoded["/step"] = msgspec.json.encode(self._step(encoded))
         for key, image in frame.cameras.items():
@@ -207,6 +209,7 @@ def _fan(beams: SensorRays) -> tuple[Frame, float] | None:
     """Return the frame of rays that lie in a plane at equal angles, the first along x, and the angle (rad)
     between two; None for others."""
     starts, ways = beams.starts, beams.directions
+    # foxglove.LaserScan has one origin and equal angles; other rays become a PointCloud.
     if len(ways) < 3 or not np.allclose(starts, starts[0]):
         return None
     step = float(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0)))
@@ -330,7 +333,7 @@ class RecordingWriter:
                     number = self.mcap.register_schema(_type_of(topic, content), "jsonschema", schema)
                     self._channels[topic] = self.mcap.register_channel(topic, "json", number)
                 self.mcap.add_message(self._channels[topic], time, payload, time)
-        self._begun = time + NS_PER_S
+        self._begun = time + NS_PER_S  # episodes are 1 s apart, so that times ascend in the file
 
 
 def record(
@@ -431,6 +434,7 @@ class DrivenEpisodes:
         if not self._has_unsaved:
             return
         # A copy is finished, because a finished MCAP file takes no more episodes.
+        # Both in one call, so that the copied writer writes to the copied stream.
         mcap, stream = deepcopy((self._writer.mcap, self._stream))
         mcap.finish()
         with atomic_write(self.path) as draft:
@@ -475,7 +479,7 @@ def versions() -> dict[str, str]:
     }
     for name in ("gymnasium", "mujoco", "numpy", "pybullet"):
         with suppress(PackageNotFoundError):
-            installed[name] = version(name)
+            installed[name] = version(name)  # without importing it
     return installed
 
 
@@ -585,6 +589,7 @@ def _link(key: str) -> LinkName:
 def _picture(data: str) -> Image:
     import PIL.Image
 
+    # A recording may be a stranger's: one decoder only, and Pillow reads the size before it decodes pixels.
     with PIL.Image.open(io.BytesIO(msgspec.convert(data, bytes)), formats=("PNG",)) as image:
         if max(image.size) > _MAX_SIDE or image.mode not in ("L", "RGB"):
             raise ValueError(image.size)

@@ -159,6 +159,7 @@ def verify(
                 raise
             except DeepbotsError as error:
                 return Divergence(recorded.number, index, "error", "none", str(error))
+            # The same times as `RecordingWriter.encoded`, because the encoded topics contain them.
             time = begun + round(frame.time * NS_PER_S)
             new = describer.encode(time, recorded.number, recorded.seed)
             with damaged(recording.path):

@@ -75,6 +75,7 @@ def triangles(mesh: Mesh) -> Any:
     except Exception as error:  # the readers of trimesh raise many kinds of exceptions
         raise EngineError(f"mesh {mesh.path} cannot be read") from error
     unit = re.search(rb'<unit[^>]*meter="([0-9.eE+-]+)"', data[:20_000]) if kind == "dae" else None
+    # trimesh returns the coordinates of a COLLADA file in the unit of the file.
     loaded.apply_scale(np.asarray(mesh.scale) * (float(unit[1]) if unit else 1.0))
     return with_edges(loaded)
 
@@ -83,6 +84,7 @@ def with_edges(solid: trimesh.Trimesh) -> Any:
     """Return triangles with normals that show sharp edges."""
     import trimesh
 
+    # Files repeat a vertex for each face or normal; faces must share it to be shaded as one surface.
     solid.merge_vertices(merge_tex=True, merge_norm=True)
     return trimesh.graph.smooth_shade(solid, angle=_EDGE_ANGLE)
 
@@ -150,6 +152,7 @@ def aim_camera(server: viser.ViserServer, view: View) -> float:
     camera.position = view.eye
     camera.look_at = view.target
     camera.fov = view.fov
+    # The resolution of depth falls with the ratio of far to near.
     camera.near, camera.far = max(0.002, size / 200), 60 * size
     server.scene.set_up_direction("+z")
     server.scene.configure_default_lights(cast_shadow=False)
@@ -229,7 +232,7 @@ class SceneCameras:
         view = view_around(self._boxes, *size)
         camera.position = view.eye
         camera.look_at = view.target
-        framed.pop(size, None)
+        framed.pop(size, None)  # so that the newest size is the last
         framed[size] = view.eye
 
 
@@ -337,6 +340,7 @@ class WorldScene:
                 position=(0.0, 0.0, -0.0002 * self._size),
             )
         for number, line in enumerate(world.lines):
+            # Each line lies a little above the one before: surfaces in one plane flicker.
             points, faces = stroke_triangles(line, 0.0004 * self._size * (1 + 0.1 * number))
             scene.add_mesh_simple(
                 f"{root}/lines/{number}",
@@ -456,7 +460,9 @@ class WorldScene:
             self._trail = []
             self._rays_before = self._rays_now
         else:
+            # A body that appears does not fly in from its last place.
             self._before = np.where(np.isnan(self._now) | np.isnan(rows), rows, self._now)
+            # q and -q are the same rotation; between opposite signs, the link would turn the long way.
             opposite = (self._before[:, 3:] * rows[:, 3:]).sum(axis=1) < 0.0
             self._before[opposite, 3:] *= -1.0
         self._now = rows
@@ -473,6 +479,7 @@ class WorldScene:
         """Move the world to `share` (0 to 1) of the way from the frame before to the newest."""
         rows = self._before + share * (self._now - self._before)
         rows[:, 3:] /= np.linalg.norm(rows[:, 3:], axis=1, keepdims=True)
+        # Absent bodies have NaN, which is unequal to itself: without the check, each frame would send them.
         changed = np.flatnonzero((rows != self._sent).any(axis=1) & ~np.isnan(rows[:, 0]))
         for row in changed:
             node = self._nodes[self._parts[row]]

@@ -148,6 +148,7 @@ def _is_offered(value: object, control: Any) -> bool:
         return isinstance(value, bool)
     if isinstance(control.value, int | float):
         low, high = (getattr(control.props, end, None) for end in ("min", "max"))
+        # bool is a subclass of int; `not <=` refuses NaN too.
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _MAX_NUMBER:
             return False
         # A slider rounds its value to its steps.
@@ -182,7 +183,7 @@ def _guarded(host: str, token: str, on_drive: OnDrive, key: str) -> Iterator[Non
             gate = access.Gate(host, port, token)
             return _check(request, gate, page, f"viser-v{viser.__version__}")
 
-        options |= {"max_size": MAX_MESSAGE_BYTES}
+        options |= {"max_size": MAX_MESSAGE_BYTES}  # viser itself allows 50 MiB
         return original(handle, host_, port, process_request=check, **options)
 
     wire.serve = guarded  # viser's thread looks it up before the constructor returns

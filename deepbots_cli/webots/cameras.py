@@ -92,8 +92,9 @@ class Camera(_Optics):
         import numpy as np
 
         colors = self._pictures().colors(self._frame(), self._size, self._fov, self.getNear())
-        noise = number(self._spec.node, "noise") * 255
+        noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
         if noise > 0:
+            # numpy draws a picture at once; its seed comes from the world, so that runs repeat.
             generator = np.random.default_rng(self._simulation.random.getrandbits(64))
             noisy = colors + generator.normal(0.0, noise, colors.shape)
             colors = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
@@ -168,6 +169,7 @@ class RangeFinder(_Optics):
         node = self._spec.node
         depths = self._pictures().depths(self._frame(), self._size, self._fov).astype(np.float32)
         least, most = self.getMinRange(), self.getMaxRange()
+        # Before the noise, which would move depths across the limits.
         is_seen = (depths >= least) & (depths <= most)
         noise, resolution = number(node, "noise") * most, number(node, "resolution")
         if noise > 0:

@@ -46,6 +46,7 @@ class Device:
         print(f"Warning: {self._spec.name}: {message}", file=sys.stderr)
 
     def _noise(self, deviation: float) -> float:
+        # A device without noise draws nothing, so that it does not shift the draws of others.
         return self._simulation.random.gauss(0.0, deviation) if deviation else 0.0
 
     def _rounded(self, value: float) -> float:

@@ -90,6 +90,7 @@ class Motor(JointDevice):
             self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
             position = min(max(position, low), high)
         state = self._state
+        # Many controllers repeat their command in each step: the integral of the PID control then goes on.
         if position != state.target_position or state.torque is not None:
             state.target_position, state.integral, state.last_error = position, 0.0, 0.0
             self._leave_torque()
@@ -104,6 +105,7 @@ class Motor(JointDevice):
                     f"velocity {velocity:g} exceeds maxVelocity {state.max_velocity:g}, and is limited"
                 )
             velocity = math.copysign(state.max_velocity, velocity)
+        # Under position control, the sign follows from the error, and the velocity is its limit.
         state.target_velocity = velocity if math.isinf(state.target_position) else abs(velocity)
         self._leave_torque()
 

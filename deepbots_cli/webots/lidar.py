@@ -92,7 +92,7 @@ class Lidar(Sensor):
         least, most = self._range
         rays = self._rays[:, columns].reshape(-1, 3) @ axes
         distances = self._simulation.physics.rays.distances(start, rays, most, robot.index if robot else None)
-        noise = number(self._spec.node, "noise") * most
+        noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
         for number_, distance in enumerate(distances):
             layer, at = divmod(number_, len(columns))

@@ -82,6 +82,7 @@ def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:
     spot = 1.0
     if node.type == "SpotLight":
         axis = frames.rotate(frame[1], _unit(vector(node, "direction")))
+        # The product of unit vectors may round beyond 1.
         spot = _spot_share(node, math.acos(max(-1.0, min(1.0, -frames.dot(axis, direction)))))
     return _Beam(direction, distance, 1 / weakened if weakened > 0 else 0.0, spot)
 

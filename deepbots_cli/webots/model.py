@@ -48,6 +48,7 @@ class ModelBuilder:
         spec.compiler.degree = False
         spec.compiler.autolimits = False
         spec.compiler.alignfree = False
+        # `_is_inertia` accepts moments that are rounded by 0.1 %, which MuJoCo would refuse without this.
         spec.compiler.balanceinertia = True
         spec.compiler.boundmass = 1e-9
         spec.compiler.boundinertia = 1e-14
@@ -79,7 +80,7 @@ class ModelBuilder:
         if (body.joints or body.is_free) and massless:
             matrix = (KINEMATIC_INERTIA,) * 3 + (0.0,) * 3
             self._add_inertia_to(element, KINEMATIC_MASS, ORIGIN, matrix)
-            element.gravcomp = 1.0
+            element.gravcomp = 1.0  # a solid without physics has no weight in Webots
 
     def _add_joint(self, element: Any, joint: Joint, name: str) -> Any:
         kinds = {
@@ -90,7 +91,7 @@ class ModelBuilder:
         added = element.add_joint(name=name, type=kinds[joint.kind], pos=joint.anchor)
         if joint.kind != "ball":
             added.axis = joint.axis
-            added.ref = joint.position
+            added.ref = joint.position  # the position of the joint in the pose that the file has
         low, high = joint.limits
         if low < high:
             added.limited = 1
@@ -239,6 +240,7 @@ def _may_touch(first: Body, second: Body) -> bool:
 
 def _friction(contact: Contact) -> list[float]:
     rolling, _, spinning = contact.rolling
+    # 1e-5 is mjMINMU, MuJoCo's least coefficient.
     return [max(contact.friction, 1e-5), max(spinning, 1e-5), max(rolling, 1e-5)]
 
 

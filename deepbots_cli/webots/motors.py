@@ -124,6 +124,7 @@ class Motors:
             self._data.qfrc_applied[motor.dof] = motor.torque or 0.0
             if is_active:
                 self._active.append(motor)
+        # MuJoCo has a row of friction for each of these, in this order, after the rows of equalities (`ne`).
         rows = np.flatnonzero(self._model.dof_frictionloss > 0).tolist()
         self._rows = np.array([rows.index(motor.dof) for motor in self._active], np.intp)
         self._dofs = np.array([motor.dof for motor in self._active], np.intp)
@@ -139,6 +140,7 @@ class Motors:
         """Let the active motors reach their target velocities in `time` s. The rows of constraints exist
         after the first half of a substep."""
         if self._active:
+            # A row of friction exerts at most `dof_frictionloss`; this reference makes it drive, not brake.
             velocity_change = targets - self._data.qvel[self._dofs]
             self._data.efc_aref[self._rows + self._data.ne] = velocity_change / time
 

@@ -99,7 +99,7 @@ class Physics:
     def stop(self) -> None:
         """Set all velocities to 0, and the torques of motors under torque control."""
         self.data.qvel[:] = 0.0
-        self.data.qacc_warmstart[:] = 0.0
+        self.data.qacc_warmstart[:] = 0.0  # the solver would start from the motion before the stop
         self.motors.stop()
         self._has_velocities = False
 
@@ -110,6 +110,7 @@ class Physics:
             FloatingPointError: The state is not finite any more.
         """
         model, data, count = self.model, self.data, self.substeps
+        # Between both halves, motors and bounces set rows of constraints, before the solver runs.
         step1, step2 = mj.mj_step1, mj.mj_step2
         bounces = self._bounces.is_needed
         targets = self.motors.target_velocities(self.substep * count)
@@ -183,6 +184,7 @@ class Physics:
         """Return the center of mass of a body; its origin if it has no mass."""
         self.update_positions()
         weld = self.model.body_weldid
+        # A stated inertia is a body of its own, welded to the one that it belongs to.
         parts = np.flatnonzero(weld == weld[self.bodies[body.index]])
         masses = self.model.body_mass[parts]
         if not masses.sum() > 0:
@@ -318,6 +320,7 @@ class _BounceTable:
     def apply(self, data: Any, step: float) -> None:
         """Let contacts that close fast leave with a share of their speed: their reference acceleration
         reverses them in one substep."""
+        # MuJoCo orders rows as equalities, frictions, limits, contacts.
         first = data.ne + data.nf + data.nl
         speeds = data.efc_vel[first :: self._rows_per_contact]
         if not speeds.size or speeds.min() >= -self._slowest:
@@ -331,7 +334,7 @@ class _BounceTable:
         fast = speeds < -np.maximum(self._speed[ones, others], 1e-6)
         if fast.any():
             fast_rows = rows[fast]
-            impedance = data.efc_KBIP[fast_rows, 2]
+            impedance = data.efc_KBIP[fast_rows, 2]  # stiffness, damping, impedance and its derivative
             shares = 1.0 + self._bounce[ones, others][fast]
             data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
 

@@ -150,7 +150,7 @@ class Expander:
         return proto
 
     def _check_fields(self, node: Node, proto: Proto) -> None:
-        for name, value in list(node.fields.items()):
+        for name, value in list(node.fields.items()):  # a copy: fields are deleted on the way
             entry = proto.interface.get(name)
             if entry is None:
                 near = nearest_word(name, proto.interface)

@@ -41,6 +41,7 @@ class Radar(Sensor):
         gain = 10 ** (number(node, "antennaGain") / 10)
         frequency = number(node, "frequency") * 1e9
         wavelength = LIGHT_SPEED / frequency if frequency > 0 else 0.0
+        # The radar equation: P = Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4).
         self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
         """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
 
@@ -90,6 +91,7 @@ class Radar(Sensor):
         if distance == 0 or distance - radius > far or distance + radius < near:
             return None
         left, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
+        # Half the angle under which the ball appears.
         share, azimuth = math.asin(min(1.0, radius / distance)), -left
         half = self.getHorizontalFov() / 2
         if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:

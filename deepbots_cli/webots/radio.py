@@ -28,6 +28,7 @@ class Emitter(Device):
     def send(self, message: str | bytes | Sequence[float]) -> int:
         """Send a text, bytes or numbers; returns 1, or 0 if the message is larger than the buffer."""
         if isinstance(message, str):
+            # A C string, as in Webots; it counts for the size of the buffer.
             data = message.encode("utf-8") + b"\0"
         elif isinstance(message, bytes | bytearray | memoryview):
             data = bytes(message)

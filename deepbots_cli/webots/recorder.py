@@ -83,6 +83,7 @@ class Recorder:
                 write(draft, self._taken(), self._rate)
         except Exception as error:  # noqa: BLE001  # raised in the thread of the run
             self._error = error
+            # Taken on, so that the thread of the run does not wait for room in the queue.
             for _ in self._taken():
                 continue
 

@@ -187,7 +187,7 @@ class _VisualModel:
             rgb1=color,
             rgb2=color,
             width=16,
-            height=96,
+            height=96,  # six faces of a cube, one below another
         )
 
     def _add(self, visual: Visual) -> None:
@@ -261,6 +261,7 @@ class _VisualModel:
         mesh = self.spec.add_mesh(name=name)
         mesh.uservert = np.array(shape.vertices, np.float64).ravel()
         mesh.userface = np.array(shape.faces, np.int32).ravel()
+        # Flat meshes have no volume, and need none here.
         mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_SHELL
         return name
 

@@ -170,6 +170,7 @@ class Runner:
     def _begin(self) -> None:
         """Start a thread for each controller, and let the first one run."""
         for controller in self.controllers:
+            # Locked before the thread starts, so that the thread waits until it gets the turn.
             controller.turn.acquire()
             controller.thread = threading.Thread(
                 target=self._work, args=(controller,), daemon=True, name=controller.name
@@ -241,6 +242,7 @@ class Runner:
             for module in {module for controller in self.controllers for module in controller.private}:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - modules_before:
+                # The next run imports the module anew: it belongs to another simulation.
                 if module.partition(".")[0] == "controller":
                     del sys.modules[module]
             if main is not None:
@@ -373,6 +375,7 @@ class Runner:
     def find_private(self, name: str) -> ModuleSpec | None:
         """Return a module of the folder of the controller that runs."""
         controller = self._current
+        # Threads of the page and of videos import too, while a controller has the turn.
         if controller is None or threading.current_thread() is not controller.thread:
             return None
         spec = importlib.machinery.PathFinder.find_spec(name, [str(controller.program.parent)])
@@ -423,6 +426,7 @@ class Prefixed:
         return len(text)
 
     def _write(self, name: str, lines: Sequence[str]) -> None:
+        # Whole lines in one call, so that lines of several controllers do not mix.
         self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
         if self._on_line is not None:
             for line in lines:

@@ -151,7 +151,7 @@ class _Builder:
             self.add(inner, site)
 
     def _link(self, inner: Node, outer: Node) -> None:
-        self.scene.parents.setdefault(inner, outer)
+        self.scene.parents.setdefault(inner, outer)  # a node that USE repeats keeps its first place
         if inner.body is not None:
             self.scene.parents.setdefault(real(inner), outer)
 

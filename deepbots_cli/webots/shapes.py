@@ -123,6 +123,7 @@ def _face_set(node: Node, scale: Triple, findings: WorldFindings) -> Shape | Non
         if index >= 0:
             corners.append(int(index))
             continue
+        # A fan is right for convex faces, which VRML assumes by default.
         faces += [(corners[0], corners[at], corners[at + 1]) for at in range(1, len(corners) - 1)]
         corners = []
     if any(corner >= len(points) for face in faces for corner in face):
@@ -178,6 +179,7 @@ def _solid_mesh(
 
 
 def _mesh_volume(vertices: Sequence[Triple], faces: Sequence[tuple[int, int, int]]) -> float:
+    # Signed tetrahedra with the origin (divergence theorem); faces that point inward give a negative sum.
     total = 0.0
     for a, b, c in faces:
         total += frames.dot(vertices[a], frames.cross(vertices[b], vertices[c]))

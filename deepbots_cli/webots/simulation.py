@@ -137,6 +137,7 @@ class Simulation:
         outbox, self._outbox = self._outbox, []
         started = time.thread_time()
         self.physics.step()
+        # CPU time of this thread: that of others, such as the page's, is left out.
         self.physics_seconds += time.thread_time() - started
         self.physics.end_pushes()
         self.ticks += self.basic_step
@@ -184,7 +185,7 @@ class Simulation:
 
     def enable(self, sensor: Sampled, period: int) -> None:
         """Let a device measure in every `period` ms, in whole basic time steps; first after one period."""
-        steps = max(1, -(-period // self.basic_step))
+        steps = max(1, -(-period // self.basic_step))  # rounded up
         sensor.period = steps * self.basic_step
         sensor.due = self.ticks + sensor.period
         if sensor not in self._sensors:

@@ -29,6 +29,7 @@ MAX_TOKENS = 1_500_000
 OLDEST_RELEASE = (2022, "a")
 """The first release whose worlds have z upward, and cylinders along z."""
 
+# Possessive in strings, so that one without an end costs linear time.
 _TOKEN = re.compile(
     r"""[\s,]+|\#[^\n]*                # white space, commas and comments
     |("[^"\\]*+(?:\\.[^"\\]*+)*")              # 1: a string
@@ -277,7 +278,7 @@ class _Parser:
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
             return proto
-        outer, self.definitions = self.definitions, {}
+        outer, self.definitions = self.definitions, {}  # DEF names of the body are its own
         self.take()
         while self.token.text != "}":
             if not self.token.kind:

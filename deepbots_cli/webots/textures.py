@@ -99,10 +99,12 @@ def _pixels(path: Path) -> Pixels | None:
     try:
         data = read_at_most(path, MAX_PICTURE_BYTES + 1)
         with Image.open(BytesIO(data[:MAX_PICTURE_BYTES]), formats=("PNG", "JPEG")) as picture:
+            # Pillow has read the header alone, so that a huge picture is refused before it takes memory.
             if max(picture.size) > MAX_PICTURE_SIDE:
                 return None
             picture.thumbnail((SIDE, SIDE))
             return np.asarray(picture.convert("RGB"))
+    # Pillow raises SyntaxError for a broken PNG.
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return None
 

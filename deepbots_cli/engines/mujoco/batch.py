@@ -113,6 +113,7 @@ class BatchMember(EngineProxy):
         at = form_and_link[0].position_index
 
         def read_free() -> Frame:
+            # The shared engine may have changes that the row lacks until `_release`.
             if batch.attached == index:
                 return read_attached()
             px, py, pz, w, x, y, z = batch.qpos[index, at : at + 7].tolist()
@@ -179,8 +180,9 @@ class MuJoCoBatch:
         self._builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self._builder)
         self._world = self.single._world
-        self.nominal = copy(self._world.model)
+        self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
+        # `cpu_count` would include cores that a container may not use; macOS and Windows have nothing better.
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         self._threads = min(cores, count)
         self.attached: int | None = None
@@ -316,7 +318,7 @@ class MuJoCoBatch:
             worlds = np.flatnonzero(pushes.waits & goes)
             if len(worlds):
                 links = pushes.links[worlds]
-                rotations = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]
+                rotations = self._observer.read("xquat")[worlds, links].T[[1, 2, 3, 0]]  # MuJoCo has w first
                 centers = (
                     self.rows["body_ipos"][worlds, links]
                     if "body_ipos" in self.rows
@@ -456,7 +458,7 @@ class MuJoCoBatch:
         if column is None:
             rows = part()
             column = self._columns[key] = np.ascontiguousarray(rows.reshape(self.count, -1).T)
-            column.flags.writeable = False
+            column.flags.writeable = False  # several readers share it
         return column
 
     def _state(self, name: str) -> Column:
@@ -595,6 +597,7 @@ class MuJoCoBatch:
             total = np.zeros(self.count)
             for number in numbers if self._built == len(self._sensors) else ():
                 at = self._batch.model.sensor_adr[number]
+                # The fields of a slot: the number of contacts, and the force with the normal first.
                 counts, forces = (
                     self._outputs["sensordata"][:, at : at + 4 * FORCE_SLOTS]
                     .reshape(self.count, FORCE_SLOTS, 4)
@@ -657,6 +660,7 @@ class MuJoCoBatch:
         ]
 
         def read() -> Column:
+            # `initial` stands for bodies without a pair of geoms, such as those that are only seen.
             apart = self._observer.read("sensordata")[:, numbers].min(axis=1, initial=MAX_CLEARANCE_M)
             apart = np.where(apart < MAX_CLEARANCE_M, np.maximum(0.0, apart), inf)
             for index in absent:

@@ -80,6 +80,7 @@ def model_with_sensors(builder: ModelBuilder, model: Any, sensors: Collection[Se
             added = spec.add_sensor(type=mj.mjtSensor.mjSENS_CONTACT, **subjects)
             added.intprm[:3] = sum(1 << int(field) for field in fields), reduced, slots
     compiled = spec.compile()
+    # `ModelBuilder.compile` and `MujocoWorld` set these in the compiled model, not in the specification.
     compiled.opt.disableflags = model.opt.disableflags
     compiled.opt.jacobian = model.opt.jacobian
     compiled.stat.meaninertia = model.stat.meaninertia
@@ -117,6 +118,7 @@ class Observer:
             self._built = len(self._distances)
             self._bound.clear()
         bound: Column = self._views.bind(name)
+        # The only array that needs velocities.
         stage = int(mj.mjtStage.mjSTAGE_VEL) if name == "cvel" else self._stage
         if not self.is_current or name not in self._bound or stage > self._stage:
             self._bound.add(name)

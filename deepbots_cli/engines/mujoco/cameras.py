@@ -46,7 +46,7 @@ _OPEN_RENDERERS: WeakSet[WorldRenderer] = WeakSet()
 
 
 def _close_all() -> None:
-    for pictures in tuple(_OPEN_RENDERERS):
+    for pictures in tuple(_OPEN_RENDERERS):  # a weak set may shrink during iteration
         pictures.close()
 
 
@@ -110,6 +110,7 @@ class WorldRenderer:
         self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
         self._cast_shadows(renderer, view)
         self._lay_tiles(renderer)
+        # 16 bits have room for the sum of 16 x 16 samples of 255.
         fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
         return self._brightened((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
 
@@ -148,7 +149,7 @@ class WorldRenderer:
         renderer.enable_segmentation_rendering()
         geoms = renderer.render()[..., 0]
         renderer.disable_segmentation_rendering()
-        self._lower_ground(renderer, -FACE_DISTANCE_M)
+        self._lower_ground(renderer, -FACE_DISTANCE_M)  # depths are those of the ground itself
         renderer.enable_depth_rendering()
         depth = np.minimum(renderer.render(), np.float32(CAMERA_RANGE_M))
         renderer.disable_depth_rendering()
@@ -213,12 +214,12 @@ class WorldRenderer:
             self._owners[lines] = self._owners[ground[0]]
 
     def _aim(self, renderer: Any, eye: Triple, ahead: Any, up: Any, fov: float) -> None:
-        for camera in renderer.scene.camera:
+        for camera in renderer.scene.camera:  # one for each eye; a picture is from between them
             camera.pos = eye
             camera.forward = ahead
             camera.up = up
             camera.frustum_center = 0.0
             camera.frustum_top = NEAR_CLIP_M * tan(fov / 2)
             camera.frustum_bottom = -camera.frustum_top
-            camera.frustum_width = 0.0
+            camera.frustum_width = 0.0  # MuJoCo then takes the aspect of the picture
             camera.frustum_near, camera.frustum_far = NEAR_CLIP_M, FAR_CLIP_M

@@ -90,6 +90,7 @@ class MuJoCoEngine:
         renewed = self._motors.gain_updates
         if not (acts or renewed or world.has_pushes or self._wrench_monitor):
             if touches is None:
+                # One call for 8 substeps of a free body takes 12.6 us, 8 calls take 14.4 us.
                 mj.mj_step(model, data, substeps)
             else:
                 look = touches.update
@@ -109,7 +110,7 @@ class MuJoCoEngine:
             advance(model, data)
             world.invalidate_after_step()
             if world.has_pushes:
-                data.xfrc_applied[:] = 0.0
+                data.xfrc_applied[:] = 0.0  # MuJoCo keeps it, but a push lasts for one engine step
                 world.has_pushes = False
             if touches is not None:
                 touches.update()
@@ -157,6 +158,7 @@ class MuJoCoEngine:
             data.mocap_quat[form.mocap_index] = (w, x, y, z)
         elif form.position_index >= 0:
             data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
+            # A free joint has its linear velocity in the world frame, its angular one in that of the link.
             data.qvel[form.velocity_index : form.velocity_index + 6] = (
                 *velocity,
                 *frames.rotate_back(rotation, angular_velocity),
@@ -169,6 +171,7 @@ class MuJoCoEngine:
         (number,) = self._joints(robot, (joint,))
         data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
         body = self._pool(robot).current
+        # A follower that stays behind would be pulled to its leader in the next step, with a jolt.
         for follower, mimic in body.model.followers_of(joint).items():
             number = body.joints[follower]
             data.qpos[model.jnt_qposadr[number]] = mimic.position(position)

@@ -140,12 +140,15 @@ class ModelBuilder:
         spec.option.timestep = step
         spec.option.gravity = world.gravity
         spec.option.integrator = mj.mjtIntegrator.mjINT_EULER
+        # With elliptic cones, the first row of a contact is its normal force, which
+        # `MujocoWorld.forces` reads; the rows of a pyramid are its edges.
         spec.option.cone = mj.mjtCone.mjCONE_ELLIPTIC
         spec.option.disableflags = mj.mjtDisableBit.mjDSBL_AUTORESET
-        spec.compiler.degree = False
+        spec.compiler.degree = False  # rad; MuJoCo's own default is degrees
         spec.compiler.autolimits = False
+        # Aligned, the pose of a free body would be that of its center of mass, not that of its link.
         spec.compiler.alignfree = False
-        spec.stat.extent = 1.0
+        spec.stat.extent = 1.0  # m; MuJoCo multiplies the clipping distances by it
         spec.visual.map.znear, spec.visual.map.zfar = NEAR_CLIP_M, FAR_CLIP_M
         self._response = (max(CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS * step), 1.0)
         self._made: list[
@@ -154,6 +157,7 @@ class ModelBuilder:
         self._flat = world.terrain is None and world.ground is not None and not for_rendering
         self._wheels: set[str] = set()
         self._tires: set[str] = set()
+        # Elements are named by number: names in MuJoCo are unique, and two robots may come from one file.
         self._elements = self._absent = 0
         self._links: list[tuple[int, str, str]] = []
         """The number of the first element of each link, its body and its name, for errors."""
@@ -242,7 +246,7 @@ class ModelBuilder:
             friction = Friction(lateral=world.terrain.friction)
             color = world.terrain.color or TERRAIN_COLOR
         elif world.ground is not None:
-            shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}
+            shape = {"type": mj.mjtGeom.mjGEOM_PLANE, "size": (0.0, 0.0, 1.0)}  # a size of 0 is endless
             friction = Friction(lateral=world.ground.friction, restitution=world.ground.restitution)
             color = world.ground.color
         else:
@@ -273,12 +277,13 @@ class ModelBuilder:
             raise EngineError(f"{lack.reason}; {lack.help}")
         rows, columns = relief.heights.shape
         low, high = float(relief.heights.min()), float(relief.heights.max())
-        span = max(high - low, 1e-6)
+        span = max(high - low, 1e-6)  # MuJoCo refuses a height field without height
         self._spec.add_hfield(
             name=GROUND,
             nrow=rows,
             ncol=columns,
             size=(relief.size[0] / 2, relief.size[1] / 2, span, GROUND_DEPTH_M),
+            # MuJoCo takes heights as shares, which it multiplies by the third size.
             userdata=((relief.heights - low) / span).ravel().tolist(),
         )
         return relief
@@ -353,6 +358,7 @@ class ModelBuilder:
         if pooled:
             self._absent += 1
             home = (
+                # Above the ground: a plane is a half-space in MuJoCo, and a body below it is in contact.
                 (-self._absent * PARKING_SPACING_M, 0.0, self._absent * PARKING_SPACING_M),
                 frames.IDENTITY_ROTATION,
             )
@@ -383,6 +389,7 @@ class ModelBuilder:
                 name=f"b{self._elements}", pos=position, quat=frames.wxyz(rotation), gravcomp=weightless
             )
             if above is None:
+                # A mocap body can be placed anew in an episode, without another compilation.
                 body_element.mocap = body.fixed
                 if not body.fixed:
                     body_element.add_freejoint()
@@ -465,6 +472,7 @@ class ModelBuilder:
             type=kinds.mjJNT_SLIDE if joint.type == "prismatic" else kinds.mjJNT_HINGE,
             axis=joint.axis,
             limited=not open_ended and low <= high,
+            # MuJoCo refuses a range whose ends are equal or crossed.
             range=(low, max(high, low + 1e-9)),
             damping=joint.damping,
             frictionloss=joint.friction,
@@ -491,6 +499,7 @@ class ModelBuilder:
             objtype=mj.mjtObj.mjOBJ_JOINT,
             name1=follower.name,
             name2=leader.name,
+            # The coefficients of a polynomial of the leader's position, from degree 0 on.
             data=(mimic.offset, mimic.multiplier, *(0.0,) * (mj.mjNEQDATA - 2)),
             solref=(GEAR_STEPS * self._spec.option.timestep, 1.0),
             solimp=GEAR_IMPEDANCE,
@@ -557,6 +566,7 @@ class ModelBuilder:
         Shapes that are only drawn need no hull: flat meshes have none.
         """
         corners = mesh_triangles(mesh).reshape(-1, 3)
+        # Files of triangles repeat a vertex for each face that meets there; MuJoCo gets it once.
         vertices, faces = np.unique(corners, axis=0, return_inverse=True)
         self._elements += 1
         name = f"m{self._elements}"
@@ -619,7 +629,7 @@ class ModelBuilder:
             self._spec.add_pair(
                 geomname1=first.name,
                 geomname2=second.name,
-                condim=3,
+                condim=3,  # until `MujocoWorld._update_contact_pairs` sets it with the friction
                 margin=0.0,
                 gap=0.0,
                 solref=self._response,
@@ -703,6 +713,7 @@ def _without_excess(tensor: Matrix) -> Matrix:
     excess = largest - middle - smallest
     if excess <= 0.0:
         return tensor
+    # Raising each moment by `more` lowers the excess by `more`; the margin exceeds rounding.
     more = excess + 1e-9 * largest
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
     return ((xx + more, xy, xz), (xy, yy + more, yz), (xz, yz, zz + more))

@@ -67,6 +67,7 @@ class Motors:
         self.gain_updates.update(renewed)
         for motor in of_joint.values():
             motor.is_active = all(of_joint.get(joint) is motor for joint in motor.joints)
+            # The caller restores the arrays of the model too, so the next command writes its gains again.
             motor.gains = []
 
     def torques(self, joints: Sequence[int]) -> TorqueReader:
@@ -104,6 +105,7 @@ class WrenchMonitor:
         mj.mj_step(model, data)
         after = data.qvel.copy()
         data.qvel[:] = before
+        # `mj_step` computes `cfrc_int` only if the model has sensors that need it.
         mj.mj_rnePostConstraint(model, data)
         data.qvel[:] = after
         for index, link in enumerate(self._links):

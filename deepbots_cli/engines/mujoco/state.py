@@ -86,7 +86,7 @@ class MujocoWorld:
     def __init__(self, model: Any, world: WorldModel, pools: Sequence[Pool[Body]]) -> None:
         self.model = model
         self.data = mj.MjData(model)
-        self.scratch_data = mj.MjData(model)
+        self.scratch_data = mj.MjData(model)  # for computations that overwrite the state
         self.pools = {pool.name: pool for pool in pools}
         self.closed = self.has_positions = self.has_velocities = self.has_pushes = False
         self.colors: dict[tuple[str, str], Sequence[float]] = {}
@@ -190,6 +190,7 @@ class MujocoWorld:
             exerted = self.data.efc_force.tolist()
             pairs = zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)
             self._forces = [
+                # The address of a contact without constraint rows is -1.
                 (first, second, exerted[address] if address >= 0 else 0.0)
                 for (first, second), address in pairs
             ]
@@ -218,6 +219,7 @@ class MujocoWorld:
         """
         self.require_open()
         if self.settle_values():
+            # `mj_setConst` computes at the reference position, and leaves its data there.
             mj.mj_setConst(self.model, self.scratch_data)
 
     def settle_values(self) -> bool:
@@ -259,7 +261,9 @@ class MujocoWorld:
         self._restore_values(snapshot.values, snapshot.mean_inertia)
         mj.mj_resetData(self.model, self.data)
         mj.mj_setState(self.model, self.data, snapshot.state, FULL_STATE)
+        # mjSTATE_INTEGRATION leaves these out; `Motors.torques` reads them before the next step.
         self.data.qfrc_actuator[:], self.data.qacc[:] = snapshot.actuator_forces, snapshot.accelerations
+        # Not strict: readers that were bound after the snapshot have no memory in it.
         for (_, write), memory in zip(self.state_accessors, snapshot.memory[3:], strict=False):
             write(memory)
         self.remember(snapshot.memory[:3])
@@ -289,7 +293,8 @@ class MujocoWorld:
 
     def _restore_values(self, varied: list[Any], mean_inertia: float) -> None:
         for values, saved in zip(self._varied_arrays, varied, strict=True):
-            values[...] = saved
+            values[...] = saved  # in place: motors and readers keep views of these arrays
+        # MuJoCo's solver scales its tolerance by the mean inertia, which `mj_setConst` recomputes.
         self.model.stat.meaninertia = mean_inertia
         self._mass_changed = self._friction_changed = False
         self.is_stale = self.closed
@@ -399,7 +404,7 @@ class MujocoWorld:
         self._mass_changed = True
 
     def _nominal_values(self, name: str) -> FloatArray:
-        return self._nominal[2 + VARIED_ARRAYS.index(name)]
+        return self._nominal[2 + VARIED_ARRAYS.index(name)]  # after gravity and surfaces
 
     def _update_contact_pairs(self) -> None:
         """Set the friction and restitution of all pairs.
@@ -413,7 +418,9 @@ class MujocoWorld:
         spinning, rolling = (
             first[kind] * second[LATERAL] + second[kind] * first[LATERAL] for kind in (SPINNING, ROLLING)
         )
+        # In MuJoCo's order: sliding along both tangents, spinning, rolling about both tangents.
         model.pair_friction[:] = np.stack([sliding, sliding, spinning, rolling, rolling], axis=1)
+        # The smallest dimension with all frictions of the pair: each further one adds a row for the solver.
         model.pair_dim[:] = np.where(
             rolling > 0.0, 6, np.where(spinning > 0.0, 4, np.where(sliding > 0.0, 3, 1))
         )
@@ -431,6 +438,7 @@ class MujocoWorld:
             EngineError: A pose or joint is not finite; the error names the body.
         """
         data = self.require_open().data
+        # A sum is finite only if each summand is; an overflow of finite values leads to the full check below.
         if np.isfinite(data.qpos.sum() + data.qvel.sum() + data.mocap_pos.sum()):
             return
         # Robots are checked first: objects get values that are not finite from them.
@@ -461,6 +469,7 @@ def force_vectors(world: MujocoWorld) -> Sequence[ForceVector]:
         pairs = zip(contact.geom.tolist(), contact.frame.reshape(-1, 3, 3), strict=True)
         for index, ((first, second), axes) in enumerate(pairs):
             mj.mj_contactForce(world.model, world.data, index, force)
+            # The rows of `axes` are normal and tangents; the normal points from the first geom to the second.
             x, y, z = (force[:3] @ axes).tolist()
             vectors.append((first, second, (x, y, z)))
     return world.force_vectors
@@ -490,6 +499,7 @@ class LinkMotions(NamedTuple):
         spins = np.einsum("wlij,wlj,wlkj,wlk->wli", axes, self.moments, axes, turning)
         about_root = (spins + masses * np.cross(arms, speeds)).sum(axis=1)
         first, flow = ((masses * part).sum(axis=1) for part in (arms, speeds))
+        # From the center of the root link to that of the robot: L - r x p.
         momentum: FloatArray = about_root - np.cross(first, flow) / masses.sum(axis=1)
         return momentum
 
@@ -503,7 +513,7 @@ def bounce_spring(restitution: float, step: float) -> tuple[float, float]:
     Nothing bounces by less than exp(-2) here.
     """
     low, high = 0.0, 1.0 - 1e-9
-    for _ in range(60):
+    for _ in range(60):  # 2^-60 is below the resolution of a float near 1
         ratio = (low + high) / 2
         root = sqrt(1.0 - ratio * ratio)
         rebound = exp(-ratio / root * (pi - atan2(2 * ratio * root, root * root - ratio * ratio)))

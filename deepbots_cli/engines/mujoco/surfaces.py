@@ -64,6 +64,7 @@ class ContactMonitor:
         them."""
         if self._data.ncon:
             pairs = self._contacts.geom.tolist()
+            # A robot at rest has the same contacts in many steps, and often none that a reader asks for.
             if pairs != self._ignored_pairs:
                 met = [
                     index
@@ -81,6 +82,7 @@ class ContactMonitor:
         self._ignored_pairs = []
         for geom in own_geoms:
             for other_geom in other_geoms:
+                # MuJoCo orders the geoms of a contact itself, whatever the order of the pair.
                 self._readers_by_pair.setdefault((geom, other_geom), []).append(index)
                 self._readers_by_pair.setdefault((other_geom, geom), []).append(index)
         touched.append(False)
@@ -126,9 +128,11 @@ def clearance(world: MujocoWorld, first_geoms: Sequence[int], second_geoms: Sequ
         world.update_positions()
         smallest = MAX_CLEARANCE_M
         for first, second in pairs:
+            # With the smallest distance so far as the cutoff: MuJoCo returns the cutoff for pairs beyond it.
             apart = between(model, data, first, second, smallest, None)
             if apart < smallest:
                 smallest = apart
+        # Negative for surfaces within each other.
         return max(0.0, smallest) if smallest < MAX_CLEARANCE_M else inf
 
     return distance
@@ -208,6 +212,7 @@ def rays(
     groups = world.model.geom_group
     starts = np.array([origin for origin, _ in ray_frames])
     directions = np.array([frames.rotate(rotation, (1.0, 0.0, 0.0)) for _, rotation in ray_frames])
+    # MuJoCo numbers geoms along the tree of links, so those of one body follow each other; a slice is a view.
     own_groups = groups[min(geoms) : max(geoms) + 1] if geoms else groups[:0]
     cast = _Rays(link, own_groups, starts, directions, reach, upright)
     center = _meeting_point(starts, directions)
@@ -253,7 +258,7 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
     aside = np.ascontiguousarray(directions.T)
     count = len(starts)
     ahead = np.einsum("ij,ij->i", starts - center, directions).tolist()
-    far = reach + max(ahead)
+    far = reach + max(ahead)  # MuJoCo measures from the center, the port from each start
     geoms = np.zeros(count, np.int32)
     met = np.zeros(count)
 
@@ -302,6 +307,7 @@ def line_of_sight(
         length = float(np.linalg.norm(direction))
         saved = own_groups.copy()
         own_groups.fill(HIDDEN_GROUP)
+        # A length of 0 would divide by 0: both points are then the same.
         free = mj.mj_ray(model, data, start, direction / (length or 1.0), SEEN_GROUPS, True, -1, met, None)
         own_groups[:] = saved
         return free < 0.0 or free > length - SIGHT_TOLERANCE_M or int(met[0]) in its_own
@@ -313,6 +319,7 @@ def _meeting_point(starts: FloatArray, directions: FloatArray) -> FloatArray | N
     """Return the point behind or at all starts where the lines of the rays meet, if there is one."""
     if len(starts) < 2:
         return None
+    # The point nearest to all lines in least squares: the sum of (1 - d d^T)(p - s) is 0.
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     total = across.sum(axis=0)
     if np.linalg.cond(total) > 1e6:

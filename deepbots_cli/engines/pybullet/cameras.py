@@ -141,6 +141,7 @@ def fill_background(
     `rays` have a length of 1 along the line of sight (world frame), `pixel` is the width of a pixel at a
     distance of 1 m.
     """
+    # Rays closer to the horizon would meet the floor so far away that the division loses its meaning.
     down = rays[..., 2] < -1e-6 if floor is not None and eye[2] > 0.0 else np.zeros_like(where)
     sky = where & ~down
     if sky.any():
@@ -171,6 +172,7 @@ def downsampled(picture: Image, samples: int) -> Image:
     if samples == 1:
         return picture
     height, width, _ = picture.shape
+    # A sum of slices takes 1 ms for 640 x 480 pixels; a sum over reshaped axes takes 11 ms.
     total = np.zeros((height // samples, width // samples, 3), np.uint16)
     for row in range(samples):
         for column in range(samples):
@@ -244,7 +246,7 @@ class Camera:
             lightDiffuseCoeff=0.5,
             lightSpecularCoeff=0.05,
             shadow=0,
-            renderer=p.ER_TINY_RENDERER,
+            renderer=p.ER_TINY_RENDERER,  # on the CPU, without OpenGL or a display
             physicsClientId=self._client,
         )
         shape = (height, width)
@@ -287,6 +289,7 @@ class Camera:
         colors = picture.copy()
         bare = numbers < 0
         rays = self._world_rays(aim)
+        # The inverse of OpenGL's perspective, in which the buffer is nonlinear in the distance.
         depth = CAMERA_RANGE_M * NEAR_CLIP_M / (
             CAMERA_RANGE_M - (CAMERA_RANGE_M - NEAR_CLIP_M) * buffer
         ) + np.float32(EYE_OFFSET_M)

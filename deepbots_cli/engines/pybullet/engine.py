@@ -117,6 +117,7 @@ class PyBulletEngine:
         self._client = loading.create_client(world)
         self._cache = ReadCache()
         self._substeps = Substeps([], [], [], [])
+        # A finalizer has no reference to the engine, so that a dropped engine is released too.
         self._release = weakref.finalize(self, _release, self._client, self._substeps, self._cache)
         self.step = self._substeps.stepper(self._client, self._cache.generation)
         self._timestep = world.timestep / world.substeps
@@ -137,7 +138,7 @@ class PyBulletEngine:
             self._ground = [body.number for body in self._pools.get(GROUND, ())]
             loading.join_islands(self._client, self._pools.values())
             self.reset()
-        except BaseException:
+        except BaseException:  # also Ctrl-C: the client would stay in memory
             self.close()
             raise
 
@@ -160,6 +161,7 @@ class PyBulletEngine:
                 ((row * loading.PARKING_SPACING_M, 0.0, loading.PARKING_SPACING_M), frames.IDENTITY_ROTATION),
                 dict.fromkeys(body.brakes, NEGLIGIBLE_FORCE),
             )
+        # All bodies are far apart in this step, so that the solver forgets the contacts of the past episode.
         p.stepSimulation(self._client)
         for body in (*self._fixed, *self._moving):
             self._reset_body(body, body.initial_pose, body.brakes)
@@ -189,6 +191,7 @@ class PyBulletEngine:
         form = self._pool(body).activate()
         pose = form.center_pose(position, frames.normalized(orientation))
         p.resetBasePositionAndOrientation(form.number, *pose, self._client)
+        # PyBullet has the velocity of the center of mass; a reset of the pose before sets it to 0.
         of_center = frames.add(velocity, frames.cross(angular_velocity, frames.subtract(pose[0], position)))
         p.resetBaseVelocity(form.number, of_center, angular_velocity, self._client)
         self._cache.invalidate()

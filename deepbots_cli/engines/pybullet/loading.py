@@ -111,6 +111,7 @@ def bodies(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
             (form, link) for form in pool for link in form.model.links if world.terrain is None
         ]:
             if not link.friction.restitution:
+                # Links with restitution keep the distance 0 that `_make_contact` has set.
                 p.changeDynamics(
                     body.number,
                     body.links[link.name],
@@ -132,6 +133,7 @@ def _loaded(client: int, world: WorldModel) -> Iterator[Pool[Body]]:
         yield Pool(GROUND, [(GROUND, floor)], pooled=False)
     parked = 0
     with tempfile.TemporaryDirectory(prefix="deepbots-") as folder:
+        # PyBullet loads a URDF, and the meshes that it names, from files alone.
         file, cylinder = Path(folder, "body.urdf"), Path(folder, _CYLINDER)
         cylinder.write_text(_cylinder_mesh(), encoding="ascii")
         for object_body in (*(arena_walls(world.arena) if world.arena else ()), *world.objects):
@@ -202,6 +204,7 @@ def _load(
     self_collision: bool = False,
 ) -> Body:
     file.write_text(to_urdf(for_loader(model, file.parent)), encoding="utf-8")
+    # Without the second flag, PyBullet makes up the inertia from the collision shapes.
     flags = p.URDF_USE_IMPLICIT_CYLINDER | (p.URDF_USE_INERTIA_FROM_FILE if inertia_known else 0)
     flags |= p.URDF_USE_SELF_COLLISION if self_collision else 0
     with capture_native_output() as output:
@@ -216,9 +219,9 @@ def _load(
     for follower, mimic in model.followers.items():
         _follow(client, number, body.joints[follower], body.joints[mimic.joint], mimic)
     for setting in (
-        {"linearDamping": 0.0},
+        {"linearDamping": 0.0},  # by default a free body at 1 m/s loses 7.5 % of its speed in 1 s
         {"angularDamping": 0.0},
-        {"maxJointVelocity": UNREACHABLE_SPEED},
+        {"maxJointVelocity": UNREACHABLE_SPEED},  # PyBullet caps joints at 100 rad/s or m/s by default
         {"activationState": p.ACTIVATION_STATE_DISABLE_SLEEPING},
     ):
         p.changeDynamics(number, BASE_LINK, **setting, physicsClientId=client)
@@ -266,6 +269,7 @@ def _make_contact(client: int, body: Body) -> None:
 
 def _plane(client: int, ground: Ground) -> Body:
     shape = p.createCollisionShape(p.GEOM_PLANE, physicsClientId=client)
+    # Without a visual shape, PyBullet would draw the collision shape; `cameras.Floor` draws the ground.
     unseen = p.createVisualShape(
         p.GEOM_SPHERE, radius=1e-3, visualFramePosition=(0.0, 0.0, -1000.0), physicsClientId=client
     )
@@ -298,7 +302,7 @@ def _terrain(client: int, ground: Terrain) -> Body:
             p.GEOM_HEIGHTFIELD,
             meshScale=(*heights.cell, 1.0),
             heightfieldData=heights.heights.ravel().tolist(),
-            numHeightfieldRows=columns,
+            numHeightfieldRows=columns,  # PyBullet's rows run along x
             numHeightfieldColumns=rows,
             physicsClientId=client,
         )
@@ -318,6 +322,7 @@ def _drawn_terrain(
     normals = np.zeros_like(vertices)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     for corner in range(3):
+        # `+=` with an array of indices would count a vertex of several faces once.
         np.add.at(normals, faces[:, corner], np.cross(b - a, c - a))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     shape: int = p.createVisualShape(

@@ -65,6 +65,7 @@ class Body:
         self.joints: dict[str, int] = {}
         for index in range(p.getNumJoints(number, client)):
             info = p.getJointInfo(number, index, client)
+            # PyBullet numbers a joint and its child link alike; 1 is the joint's name, 12 the link's.
             self.joints[info[1].decode()] = index
             self.links[info[12].decode()] = index
         self.brakes = {self.joints[joint.name]: joint.friction for joint in model.moving_joints}
@@ -209,6 +210,7 @@ def pose(client: int, owner: Body, index: int, read_cache: ReadCache) -> PoseRea
     if index != BASE_LINK:
         read_link: Callable[[], tuple[Triple, ...]] = partial(p.getLinkState, number, index, 0, 1, client)
         key = ("pose", number, index)
+        # 4 and 5 are the frame of the link; 0 and 1 would be that of its inertia.
         return read_cache.cached(key, lambda: read_link()[4:6])  # type: ignore[return-value, arg-type]
     if owner.is_centered:
         return partial(p.getBasePositionAndOrientation, number, client)
@@ -227,6 +229,7 @@ def velocity(client: int, owner: Body, index: int, read_cache: ReadCache) -> Vel
 def motion(client: int, owner: Body, index: int, read_cache: ReadCache) -> MotionReader:
     number = owner.number
     if index != BASE_LINK:
+        # The arguments 1, 1: with velocities, and with kinematics of the present state.
         read_link = partial(p.getLinkState, number, index, 1, 1, client)
 
         def of_link() -> Motion:
@@ -399,6 +402,7 @@ class Parameters:
         )
 
     def _set_gravity(self, x: float, y: float, z: float) -> None:
+        # The first call of an episode finds the value of the world model.
         self._undo.setdefault("gravity", partial(self._apply_gravity, self.gravity))
         self._apply_gravity((x, y, z))
 
@@ -415,7 +419,7 @@ class Parameters:
         key = ("color", owner.number, index)
         if key not in self._undo:
             shapes = p.getVisualShapeData(owner.number, physicsClientId=self._client)
-            usual = [shape[7] for shape in shapes if shape[1] == index]
+            usual = [shape[7] for shape in shapes if shape[1] == index]  # 1 is the link, 7 the color
             self._undo[key] = partial(self._paint, owner.number, index, usual)
         p.changeVisualShape(owner.number, index, rgbaColor=color, physicsClientId=self._client)
 

@@ -82,7 +82,7 @@ class ContactMonitor:
         learned = False
         for query in self._queries:
             for point in query():
-                if point[9] > 0.0 or point[8] <= 0.0:
+                if point[9] > 0.0 or point[8] <= 0.0:  # 9 is the normal force, 8 the distance
                     other_body, link, other_link = point[2:5]
                     for mark in self._open_flags:
                         if (mark.link == link or mark.link == ANY_LINK) and mark.is_other(
@@ -240,6 +240,7 @@ class Rays:
         rounded = self._round_surfaces
 
         def read() -> list[float]:
+            # PyBullet mounts rays on the cached pose of a link, which is one engine step old without this.
             if refresh is not None:
                 refresh()
             hits = cast()

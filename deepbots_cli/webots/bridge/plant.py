@@ -126,6 +126,7 @@ class _JointReader:
     def __init__(self, plant: Plant, robot: str, joint: Joint) -> None:
         self.name = joint.name
         self._plant, self._robot, self._joint = plant, robot, joint
+        # URDF has the axis in the frame of the joint; this is that of the parent link.
         self._axis = frames.rotate(frames.frame(joint.origin)[1], joint.axis)
         self._field: Any = None
 

@@ -278,6 +278,7 @@ class WebotsRobot:
         """Begin an episode, if this is the message that begins one; return whether it is."""
         if cells[0] != START:
             return False
+        # deepbots splits a message at its commas, so the JSON is joined again.
         start = json.loads(",".join(cells[1:]))
         if self._streams is None or start["anew"]:
             self._streams = Streams(start["root"], start["copy"])

@@ -220,6 +220,7 @@ def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable
         step()
         for robot, _, _, inward in lines:
             newest = None
+            # The queue is emptied: a message that is left would be a timestep late in all further steps.
             while (cells := host.receive_from(robot)) is not None:
                 newest = cells
             # Messages that arrive in the first timestep were sent before the world was placed.

@@ -147,7 +147,7 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
         undefined=StrictUndefined,
         keep_trailing_newline=True,
         trim_blocks=True,
-        autoescape=False,
+        autoescape=False,  # the files are Python, Markdown and worlds, not HTML
     )
     project, program = prepared.project, prepared.compiled.program
     controllers = {names.controller_name(name): spec for name, spec in project.robots.items()}

@@ -311,6 +311,7 @@ class _RobotWriter:
     def _joint(self, joint: Joint) -> NodeText:
         slides = joint.type == "prismatic"
         low, high = joint.ends(0.0)
+        # Webots has stops of hinges from -pi to pi alone; equal stops are none.
         is_limited = low < high and (slides or max(-low, high) <= pi)
         parameters = node(
             "JointParameters" if slides else "HingeJointParameters",
@@ -361,6 +362,7 @@ class _RobotWriter:
                         "DistanceSensor",
                         **_pose_fields(ray),
                         name=names.distance_sensor(number),
+                        # The reading is the distance, without noise.
                         lookupTable=[(0.0, 0.0, 0.0), (reach, reach, 0.0)],
                         numberOfRays=1,
                         aperture=0.0,
@@ -397,9 +399,10 @@ def _physics(link: Link) -> NodeText | None:
     )
     return node(
         "Physics",
-        density=-1.0,
+        density=-1.0,  # Webots then takes the mass
         mass=inertial.mass,
         centerOfMass=[inertial.origin.xyz],
+        # Moments first, then products, in the axes of the link: Webots has no rotation of an inertia.
         inertiaMatrix=[(xx, yy, zz), (xy, xz, yz)] if inertial.is_stated else None,
     )
 

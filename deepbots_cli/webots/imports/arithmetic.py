@@ -61,12 +61,14 @@ def _computed(op: ast.operator, left: float, right: float, location: CodeLocatio
             case ast.Mod():
                 result = left % right
             case ast.Pow():
+                # Floats overflow at once; a power of large integers could take hours and gigabytes.
                 result = float(left) ** float(right)
                 result = int(result) if isinstance(left, int) and result.is_integer() else result
             case _:
                 return Unknown(location)
     except (ArithmeticError, TypeError, ValueError):
         return Unknown(location)
+    # A fractional power of a negative number.
     if isinstance(result, complex) or (isinstance(result, int) and abs(result) > _LARGEST):
         return Unknown(location)
     return result

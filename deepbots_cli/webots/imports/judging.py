@@ -250,6 +250,7 @@ def _end(task: Task, part: Part, names: Names, *, is_success: bool) -> None:
     if match := _TIME.fullmatch(part.text):
         _limit(task, "max_time", f"{match.group(2)} s")
     elif match := _STEP.fullmatch(part.text):
+        # `>` is true a step later than `>=`.
         _limit(task, "max_steps", str(int(match.group(2)) + (match.group(1) == ">")))
     elif _RETURN.fullmatch(part.text):
         task.success.append(Entry(names.new("enough", "ending"), part.text, part.note))

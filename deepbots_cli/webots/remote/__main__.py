@@ -21,6 +21,7 @@ def main() -> None:
     packages = [
         folder for folder in os.environ.pop("DEEPBOTS_CONTROLLER_PACKAGES", "").split(os.pathsep) if folder
     ]
+    # `python_environment` has set it for this process alone, not for those that the program starts.
     os.environ.pop("PYTHONSAFEPATH", None)
     sys.path[:0] = [str(Path(program).parent), str(SITE), *packages]
     sys.argv = [program, *arguments]

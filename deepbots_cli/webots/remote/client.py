@@ -66,6 +66,7 @@ class Session:
 
     def release(self, number: int) -> None:
         """Say with the next call that an object is not needed any more."""
+        # Not sent at once: `__del__` may run within another request, and their answers would mix.
         self._unused.append(number)
 
     def _ask(self, request: Create | Call) -> Any:

@@ -68,6 +68,7 @@ class ProcessRunner(Runner):
     def _execute(self, controller: Controller) -> None:
         local_end, remote_end = Pipe()
         with local_end:
+            # Closed here once the process has its copy: otherwise `recv` would not end with the process.
             with remote_end:
                 process = self._start(controller, remote_end.fileno())
             readers = [
@@ -88,6 +89,7 @@ class ProcessRunner(Runner):
 
     def _start(self, controller: Controller, pipe: int) -> subprocess.Popen[str]:
         changes = {name: os.environ.get(name, value) for name, value in CONTROLLER_ENVIRONMENT.items()}
+        # Else lines arrive late through a pipe.
         changes |= {"PYTHONUNBUFFERED": "1", PACKAGES: os.pathsep.join(self.packages)}
         process = subprocess.Popen(
             python_command(
