@@ -162,6 +162,7 @@ def _whole(text: str) -> int | None:
         number = float(replacement or text)
     except ValueError:
         return None
+    # Beyond 2**53, about 9e15, a float skips whole numbers.
     return int(number) if number.is_integer() and number < 1e15 else None
 
 
@@ -553,6 +554,7 @@ class Commands(TyperGroup):
             raise
         except KeyboardInterrupt:
             terminal.note("interrupted")
+            # 128 plus the number of SIGINT, as shells report it.
             raise typer.Exit(130) from None
 
 

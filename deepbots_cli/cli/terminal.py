@@ -120,6 +120,7 @@ def json_text(data: object) -> str:
 
 def uses_color(stream: TextIO) -> bool:
     """Return whether to write color to `stream`: a terminal, unless NO_COLOR is set."""
+    # By no-color.org, any value of NO_COLOR but an empty one turns color off.
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 

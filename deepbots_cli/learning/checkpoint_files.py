@@ -170,6 +170,7 @@ S = TypeVar("S", bound=CheckpointState)
 
 def latest_checkpoint(run: Run) -> Path | None:
     """Return the last checkpoint of a run, if there is one."""
+    # isdecimal alone also accepts the digits of other scripts.
     folders = run.checkpoints.iterdir() if run.checkpoints.is_dir() else ()
     return max(
         (path for path in folders if len(path.name) == 12 and path.name.isdecimal() and path.name.isascii()),
@@ -271,6 +272,7 @@ def write_arrays(path: Path, arrays: Arrays, data: str = "") -> None:
         for name, array in arrays.items():
             # zipfile does not know the size beforehand, and a replay buffer may exceed 2 GiB.
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                # write_array keeps Fortran order, which `_read_array` refuses.
                 np.lib.format.write_array(
                     member, np.asarray(array, order="C"), version=(1, 0), allow_pickle=False
                 )

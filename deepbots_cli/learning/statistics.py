@@ -97,8 +97,10 @@ def rate_evidence(rate: float, successes: int, episodes: int) -> float:
     from scipy.special import betaln
 
     failures = episodes - successes
+    # Such an outcome is impossible under the rate.
     if (rate == 0 and successes) or (rate == 1 and failures):
         return math.inf
+    # 0 * log(0) counts as 0 here, but math.log(0) raises a ValueError.
     likelihood = (successes * math.log(rate) if successes else 0.0) + (
         failures * math.log1p(-rate) if failures else 0.0
     )
@@ -115,6 +117,7 @@ def rate_sequence(successes: int, episodes: int) -> Interval:
         return rate_evidence(rate, successes, episodes) - math.log(1 / ALPHA)
 
     rate = successes / episodes
+    # At a rate of 0 or 1 the evidence may be infinite, from which brentq cannot interpolate.
     tiny = 1e-12
     low = 0.0 if excess(tiny) <= 0 else brentq(excess, tiny, max(rate, 2 * tiny))
     high = 1.0 if excess(1 - tiny) <= 0 else brentq(excess, min(rate, 1 - 2 * tiny), 1 - tiny)
@@ -147,8 +150,10 @@ def _capital(gains: Sequence[float], largest_loss: float) -> float:
         return 0.0
     total = squares = capital = 0.0
     for gain in gains:
+        # A bet below 0 would gain from a mean on the other side, and the test is one-sided.
         if total > 0:
             capital += math.log1p(min(total / squares, _LARGEST_BET / largest_loss) * gain)
+        # After the bet: with a bet that depends on its own gain, the capital is not a martingale.
         total, squares = total + gain, squares + gain * gain
     return capital
 
@@ -198,8 +203,10 @@ def gate_mean(
     left = planned - len(returns)
     so_far = f"mean return {fmean(returns):.4g} in {len(returns)} episodes"
     above, below = mean_evidence(required, returns, bounds)
+    # Each of the two one-sided tests has half of ALPHA.
     if left and max(above, below) >= math.log(2 / ALPHA):
         return Verdict(above > below, f"{so_far}; confidence sequence at 95 %")
+    # A plain sum of ten returns of 0.1 is below 1, and would miss a required mean of 0.1.
     total = math.fsum(returns)
     needed = required * planned
     if left == 0:
@@ -251,8 +258,10 @@ def compare_seeds(
         return Difference(mean, None, improvement)
     parts = [variance(group) / len(group) for group in (first, second)]
     standard_error = math.sqrt(sum(parts))
+    # Without any spread the degrees of freedom below are 0 / 0.
     if standard_error == 0:
         return Difference(mean, (mean, mean), improvement)
+    # The Welch-Satterthwaite equation (F. E. Satterthwaite, Biometrics Bulletin 2, 1946, p. 110).
     freedom = sum(parts) ** 2 / sum(
         part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True)
     )

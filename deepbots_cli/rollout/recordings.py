@@ -68,6 +68,7 @@ class Recording:
         if path.exists() and not (path.is_file() or path.is_dir()):  # opening a pipe waits for ever
             raise RecordingError(f"{path} is not a regular file")
         try:
+            # One byte more than allowed, so that a larger file is noticed and not cut.
             data = read_at_most(path, _MAX_FILE + 1)
         except OSError as error:
             raise RecordingError(
@@ -95,6 +96,7 @@ class Recording:
         if "resolved.yaml" not in files or not steps:
             raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
         recording = Recording(path, metadata, list(_episodes(path, steps)), scenario_folder(path, files))
+        # finalize also runs when the interpreter exits, at which `__del__` may not be called.
         weakref.finalize(recording, shutil.rmtree, recording.folder, ignore_errors=True)
         return recording
 

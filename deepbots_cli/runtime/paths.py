@@ -155,6 +155,7 @@ class _PathQuery:
         (x, y, _), turn = self._here()
         ahead_x, ahead_y = self._current().ahead(x, y)
         angle = atan2(ahead_y - y, ahead_x - x) - roll_pitch_yaw(turn)[2]
+        # From -pi, excluded, to pi: the remainder has the sign of the divisor in Python.
         return pi - (pi - angle) % (2.0 * pi)
 
     def is_open(self) -> bool:
@@ -228,6 +229,7 @@ class DistanceField:
         away = np.hypot(self._x - goal[0], (self._y - goal[1])[:, None])
         self._unit = max(1.0, self.cell * MAX_CELLS / _WIDE_AREA_M)
         self._step = self.cell / self._unit
+        # A goal may be 0.71 cells from the nearest node, so nodes up to 1.5 cells away count.
         starts = np.where(
             (away <= max(radius + goal_radius, 1.5 * self.cell)) & ~blocked,
             away / self._unit,
@@ -239,6 +241,7 @@ class DistanceField:
             lengths = np.where(self._outside, UNREACHABLE_LENGTH, away / self._unit)
         self._found = lengths
         self._filled = False
+        # Elements of lists are floats, and single numbers of numpy are slower to index and to compute with.
         self._lengths: list[list[float]] = lengths.tolist()
         self._open: list[list[bool]] = self._reached.tolist()
         self._rows, self._columns = rows, columns
@@ -259,6 +262,7 @@ class DistanceField:
 
     def _block(self, blocked: Mask, patch: Patch, radius: float) -> None:
         """Take away the nodes at which the disc would cut into a patch."""
+        # Shorter by a micrometer: rounding must not block a disc that only touches the patch.
         reach = radius - 1e-6
         wide, deep = patch.half_extents
         columns = slice(*np.searchsorted(self._x, (patch.x - wide - reach, patch.x + wide + reach)))
@@ -277,6 +281,7 @@ class DistanceField:
         column, row = (x - self._left) / self.cell, (y - self._low) / self.cell
         inside_column = min(max(column, 0.0), self._columns - 1.0)
         inside_row = min(max(row, 0.0), self._rows - 1.0)
+        # At the last node there is no cell beyond: u or v is 1 in the cell before.
         i, j = min(int(inside_column), self._columns - 2), min(int(inside_row), self._rows - 2)
         u, v = inside_column - i, inside_row - j
         i, j = i + MARGIN_CELLS, j + MARGIN_CELLS

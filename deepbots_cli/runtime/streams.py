@@ -39,6 +39,7 @@ _MAX_NAMES = 24
 
 def derive_seed(root: int, *names: str | int) -> int:
     """Return a 32-bit seed for the purpose `names` under the root seed; any whole number is a root, 0 too."""
+    # Python's own hash of a text differs between processes.
     text = "/".join(str(name) for name in (root, *names))
     return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "little")
 

@@ -89,7 +89,9 @@ class Graph:
         """Return the name of a weight; equal weights are kept once. `value` is an array, a tensor of torch, a
         number or a list."""
         array = value.detach().cpu().numpy() if hasattr(value, "detach") else np.asarray(value)
+        # ascontiguousarray returns at least one dimension, also for a scalar.
         array = np.ascontiguousarray(array, dtype).reshape(array.shape)
+        # Bytes differ between 0.0 and -0.0, which compare equal, and agree for a NaN.
         key = (array.dtype.str, array.shape, array.tobytes())
         if key not in self._constants:
             self._constants[key] = f"w{len(self.weights)}"

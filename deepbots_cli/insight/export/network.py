@@ -52,12 +52,14 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
                 value = layers(graph, inner, value)
             return value
         case nn.Linear():
+            # torch stores weights as [outputs, inputs].
             return str(
                 graph.add("Gemm", value, graph.constant(module.weight), graph.constant(module.bias), transB=1)
             )
         case nn.Conv2d() if module.groups == 1 and module.padding_mode == "zeros" and module.bias is not None:
             sides: dict[str, Any] = {
                 "strides": module.stride,
+                # ONNX lists the starts of all axes, then their ends.
                 "pads": [*module.padding, *module.padding],
                 "dilations": module.dilation,
             }
@@ -69,6 +71,7 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
         case nn.SiLU():
             return str(graph.add("Mul", value, graph.add("Sigmoid", value)))
         case nn.GELU() if module.approximate == "none":
+            # GELU is x / 2 * (1 + erf(x / sqrt(2))); ONNX has an operator for it from opset 20 on.
             erf = graph.add("Erf", graph.add("Mul", value, graph.constant(0.5**0.5)))
             return str(
                 graph.add(
@@ -221,6 +224,7 @@ def _features(graph: Graph, network: PolicyNetwork, name: str, value: str, *, is
 def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> tuple[str, list[str]]:
     """Add the layers of an LSTM, and return its results and states; zeros begin an episode."""
     units, layer_states = lstm.hidden_size, []
+    # An LSTM of ONNX takes [time, batch, features], and the graph is run for one timestep.
     value = graph.add("Unsqueeze", value, graph.constant([0], np.int64))
     for layer in range(lstm.num_layers):
         before = [
@@ -229,8 +233,10 @@ def _memory(graph: Graph, lstm: nn.LSTM, value: str, states: Sequence[str]) -> t
         ]
         weights = [_gates(getattr(lstm, f"{name}_l{layer}"))[None] for name in ("weight_ih", "weight_hh")]
         bias = torch.cat([_gates(getattr(lstm, f"bias_{name}_l{layer}")) for name in ("ih", "hh")])[None]
+        # The empty name leaves out `sequence_lens`; the leading axis of weights is that of directions.
         inputs = [value, *map(graph.constant, weights), graph.constant(bias), "", *before]
         out, *after = graph.add("LSTM", *inputs, outputs=3, hidden_size=units)
+        # The result is [time, directions, batch, units].
         value = graph.add("Squeeze", out, graph.constant([1], np.int64))
         layer_states.append(after)
     states_after = [
@@ -273,7 +279,9 @@ def largest_difference(
     options: dict[str, Any] = {}
     if learner.takes_masks:
         sizes = [len(choice.options) for choice in program.agent.choices]
+        # Random numbers are below 1, so a limit of 2.0 allows every option.
         allowed = random.random((count, sum(sizes))) < (0.5 if takes_masks(learner, program) else 2.0)
+        # The first option of each choice is allowed, so that no row forbids all options.
         allowed[:, np.cumsum([0, *sizes[:-1]])] = True
         options["action_masks"] = allowed
         if takes_masks(learner, program):
