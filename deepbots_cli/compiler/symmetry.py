@@ -97,7 +97,9 @@ class _SymmetryReader:
                         f"`{original}` has two mirror images, `{self._words[original]}` and `{image}`",
                         "write each word in one pair; a mirror image of a mirror image is the original",
                     )
+        # A regular expression takes the first alternative that fits: `left_hand` must precede `left`.
         words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
+        # `_` separates words, which `\b` takes for a letter.
         self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{words})(?![A-Za-z0-9])") if words else None
 
     def image(self, name: str) -> str:
