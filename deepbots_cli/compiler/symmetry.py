@@ -225,4 +225,5 @@ def _between_ranges(number: RangedName, image_number: RangedName, sign: float) -
     """Return factor and offset from the other number, scaled to [-1, 1], to this one."""
     middles = [(entry.low + entry.high) / 2.0 for entry in (number, image_number)]
     halves = [(entry.high - entry.low) / 2.0 for entry in (number, image_number)]
+    # Adding 0.0 turns -0.0 into 0.0.
     return sign * halves[1] / halves[0], (sign * middles[1] - middles[0]) / halves[0] + 0.0
