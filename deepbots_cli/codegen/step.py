@@ -577,6 +577,7 @@ def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
         ticks.append(
             (max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time")
         )
+    # Of equal limits, the name is `max_steps`, since tuples compare their texts next.
     return min(ticks) if ticks else None
 
 
