@@ -529,6 +529,7 @@ def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: 
     ended = supervisor.ended_of(agent)
     acts = supervisor.acts(agent)
     printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
+    # `alone` is a set of texts, whose order differs between processes.
     holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
     failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
     endings_code = _held(supervisor, printer, failures, member.program.successes)

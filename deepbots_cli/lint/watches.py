@@ -338,6 +338,7 @@ class ArmWatch:
 
 def _angle(q: frames.Quaternion) -> float:
     """Return the angle of a rotation, rad from 0 to half a turn."""
+    # q and -q are the same rotation. `acos` of the last component loses digits for small angles.
     return 2.0 * atan2(hypot(q[0], q[1], q[2]), abs(q[3]))
 
 
