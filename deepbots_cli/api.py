@@ -342,6 +342,7 @@ def _build_batch(
     from deepbots_cli.runtime.copies import make_batch
 
     name = class_name(program.name)
+    # The file name is a key of `linecache`, so programs of the same name need different ones.
     mark = digest(program)[:12]
     of_batch = load_module(
         generate_module(program, "batch", scripts),

@@ -30,6 +30,7 @@ def evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Array:
     Raises:
         DeepbotsError: The tree is not computed from names and numbers alone.
     """
+    # `where` computes both branches, so a division that it guards would still warn.
     with np.errstate(all="ignore"):
         return np.asarray(_evaluate(scalar, values))
 

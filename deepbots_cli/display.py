@@ -43,6 +43,7 @@ class Display:
         if self._live is None:
             print(text, file=self._stream, flush=True)
         else:
+            # `out` neither wraps the line nor reads brackets in it as rich markup.
             self._live.console.out(text, highlight=False)
 
     def show(self, content: Callable[[int], RenderableType], *, at_once: bool = False) -> None:

@@ -101,6 +101,7 @@ class EngineKind(NamedTuple):
             return True
         if self.library in sys.modules:  # None there: a program that forbids it
             return sys.modules[self.library] is not None
+        # `find_spec` does not import the library.
         return find_spec(self.library) is not None
 
     @property
@@ -197,6 +198,7 @@ def diagonal_of(engine: str) -> Diagonal:
 def with_engine(overrides: Iterable[str] | None, engine: str | None) -> list[str]:
     """Return the assignments of `--set` followed by that of `--engine`, so that the scenario is checked for
     this engine."""
+    # The last assignment to a path wins.
     return [*(overrides or ()), *([] if engine is None else [f"world.engine={engine}"])]
 
 

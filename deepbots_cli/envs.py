@@ -48,6 +48,7 @@ def _register() -> None:
 
 
 def _register_one(identifier: str, entry_point: str, options: dict[str, Any]) -> None:
+    # Gymnasium warns of an identifier that is registered twice.
     if identifier not in gymnasium.registry:
         gymnasium.register(identifier, entry_point=entry_point, kwargs=options)
 

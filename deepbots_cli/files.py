@@ -54,9 +54,11 @@ def check_writable(path: Path) -> None:
         raise UsageError(f"{path} cannot be written: it is a directory")
     if not folder.is_dir():
         raise UsageError(f"{path} cannot be written: there is no directory {path.parent}")
+    # `/dev` refuses a temporary file to most users, although `/dev/null` itself can be written to.
     if path.exists() and not path.is_file():  # a device or a pipe
         return
     try:
+        # `os.access` may answer wrongly, for example on network file systems.
         with TemporaryFile(dir=folder):
             pass
     except OSError as error:
@@ -141,23 +143,30 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
     Raises:
         UsageError: The system refuses it; `refused` is the class to raise.
     """
+    # `replace` would replace a symbolic link; the file that it leads to is written instead.
     path = path.resolve()
+    # A rename is atomic only within a file system, so the draft is in the folder of the file.
+    # The thread is part of the name because two threads may write the same file.
     # The name does not contain that of the file, which may be as long as names can be.
     draft = path.with_name(f".deepbots-{os.getpid()}-{threading.get_ident()}{path.suffix}")
     try:
         if path.exists() and not path.is_file():  # a device or a pipe, which is written to as it is
             yield path
             return
+        # A killed process with the same number may have left this draft.
         draft.unlink(missing_ok=True)
         os.close(
+            # O_EXCL refuses a symbolic link at this name, so the draft is never written through a link.
             os.open(
                 draft,
                 os.O_WRONLY | os.O_CREAT | os.O_EXCL,
+                # The draft of a private file is private from the start; 0o600 lets this process write to it.
                 path.stat().st_mode & 0o777 | 0o600 if path.exists() else 0o666,
             )
         )
         yield draft
         if path.exists():
+            # `os.open` has removed the bits of the umask.
             shutil.copymode(path, draft)
         draft.replace(path)
     except OSError as error:

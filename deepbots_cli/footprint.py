@@ -198,6 +198,7 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
         case Capsule(radius, length):
             for end in (-length / 2, length / 2):
                 yield x + end * axis[0], y + end * axis[1], radius
+        # 1e-3 is the sine of the tilt: less than a milliradian from upright.
         case Cylinder(radius) if hypot(axis[0], axis[1]) < 1e-3:
             yield x, y, radius
         case _:
@@ -339,6 +340,7 @@ def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0
     robot do not count."""
     tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
     if not isinstance(body, RobotModel):
+        # `0.0 - z` and not `-z`, which is -0.0 for a body with its lowest point at the origin.
         return 0.0 - bounds_of_shape(body, tilted)[0][2]
     return 0.0 - min(
         (bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in _solids(body)),
@@ -356,6 +358,7 @@ def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bound
             dx, dy, dz = (abs(c) * length / 2 + radius for c in frames.rotate(turn, (0.0, 0.0, 1.0)))
         case Cylinder(radius, length):
             axis = frames.rotate(turn, (0.0, 0.0, 1.0))
+            # Rounding may take |c| above 1, and Python's root of a negative number is complex.
             dx, dy, dz = (abs(c) * length / 2 + radius * max(0.0, 1.0 - c * c) ** 0.5 for c in axis)
         case _:
             xs, ys, zs = zip(*_corners(shape, frame), strict=True)

@@ -48,6 +48,7 @@ edge."""
 Heights = Callable[["Column", "Column"], "Column"]
 """The same for columns, to the bit; NaN where a coordinate is NaN."""
 
+# g (1 - g) is largest at g = exp(-r^2 / 2) = 1/2, with r in widths of the bell.
 RIM_RADIUS_PER_SIGMA = sqrt(2.0 * log(2.0))
 """The radius of a pit's rim over the width of its bell."""
 _PIT_CELLS = 200
@@ -122,6 +123,7 @@ class HeightGrid:
             # NaN, as of a lost world, is in no cell: converted to a whole number, it is any index.
             exists = ~(np.isnan(u) | np.isnan(v))
             u, v = np.where(exists, u, 0.0), np.where(exists, v, 0.0)
+            # The edges at the greatest x and y are part of the last cells.
             column = np.minimum(u.astype(int), columns - 2)
             row = np.minimum(v.astype(int), rows - 2)
             u, v = u - column, v - row
@@ -265,10 +267,12 @@ def _pit(pit: Pit) -> HeightGrid:
 def _value_noise() -> NDArray[np.float64]:
     """Return fixed noise from 0 to 1 over the grid of a pit: random values a twentieth of the side apart,
     smoothly joined."""
+    # The bit generator is named because that of `default_rng` may change with NumPy.
     values = np.random.Generator(np.random.PCG64(0)).random((_LUMPS + 1, _LUMPS + 1))
     at = np.arange(_PIT_CELLS + 1) * _LUMPS / _PIT_CELLS
     first = np.minimum(at.astype(int), _LUMPS - 1)
     part = at - first
+    # Smoothstep: its slope is 0 at both ends, so the surface has no creases at the lumps.
     part = part * part * (3 - 2 * part)
     along = values[:, first] * (1 - part) + values[:, first + 1] * part
     return np.asarray(along[first] * (1 - part)[:, None] + along[first + 1] * part[:, None])
@@ -286,6 +290,7 @@ def _picture(picture: Picture) -> HeightGrid:
     if wrong is not None:
         raise EngineError(f"picture {picture.path} cannot be read: {wrong}")
     bits = data[24]  # bits of a pixel, by the header
+    # The rows of a picture go down, the rows of a grid along y.
     return HeightGrid(picture_pixels(data)[::-1] * (picture.height / (2**bits - 1)), picture.size)
 
 
@@ -316,6 +321,7 @@ def _formula(formula: Formula) -> HeightGrid:
         heights = evaluate(formula.heights, {Name("x"): x, Name("y"): y})
     except DeepbotsError as error:
         raise EngineError(f"the heights of the terrain cannot be computed: {error}") from error
+    # A formula without x and y is one number; `broadcast_to` gives a read-only view.
     return HeightGrid(np.broadcast_to(np.asarray(heights, np.float64), x.shape).copy(), formula.size)
 
 
@@ -326,6 +332,7 @@ def _mesh_height(corners: NDArray[np.float64]) -> Height:
     # Twice the area of each triangle, seen from above.
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     is_level = np.abs(area) > _MIN_AREA_M2
+    # Avoids a division by zero for vertical triangles, which `is_level` excludes below.
     area = np.where(is_level, area, 1.0)
     beyond = _edge_height(corners[is_level])
 
@@ -337,6 +344,7 @@ def _mesh_height(corners: NDArray[np.float64]) -> Height:
         is_inside = (
             is_level & (b >= -_EDGE_TOLERANCE) & (c >= -_EDGE_TOLERANCE) & (b + c <= 1 + _EDGE_TOLERANCE)
         )
+        # `initial` is the result for a mesh without triangles, where `np.max` raises ValueError.
         top = np.max(np.where(is_inside, az + b * (bz - az) + c * (cz - az), -inf), initial=-inf)
         return float(top) if top > -inf else beyond(x, y)
 
@@ -355,6 +363,7 @@ def _edge_height(corners: NDArray[np.float64]) -> Height:
         distances = np.hypot(*(away - share[:, None] * along[:, :2]).T)
         nearest = distances <= distances.min(initial=inf) + 1e-9
         heights = (starts[:, 2] + share * along[:, 2])[nearest]
+        # 0 * (x + y) is NaN for a place that is NaN.
         return float(heights.max()) if len(heights) else 0.0 * (x + y)
 
     return height_at
@@ -417,6 +426,7 @@ def _solid(link: Link) -> trimesh.Trimesh:
     import yourdfpy
 
     shapes = link.collisions or link.visuals
+    # yourdfpy opens the files itself and checks no digest.
     for geometry in shapes:
         if isinstance(geometry.shape, Mesh):
             read_verified(geometry.shape)

@@ -33,6 +33,7 @@ T = TypeVar("T")
 
 def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
     """Return the entry points of a group, in the order in which packages are found."""
+    # The path is the key of the cache: a folder that is added to `sys.path` later is searched, too.
     return _group_on_path(group, tuple(sys.path))
 
 

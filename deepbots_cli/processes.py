@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+# Processes inherit the variable; the option -P would have to be in each command line.
 _SAFE_PATH = "PYTHONSAFEPATH"
 
 

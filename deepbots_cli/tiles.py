@@ -76,6 +76,7 @@ def _blocks(square: _Square, height: float, side: float) -> Heights:
     """Boxes of random height side by side."""
     count = max(1, int(np.ceil(2.0 * square.half / side)))
     values = square.random.random((count, count))
+    # 1e-9 absorbs rounding at the edge of a box: 0.3 / 0.1 is 2.9999999999999996.
     column = np.minimum(((square.x + square.half) / side + 1e-9).astype(int), count - 1)
     row = np.minimum(((square.y + square.half) / side + 1e-9).astype(int), count - 1)
     is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
@@ -114,8 +115,11 @@ def tile_heights(tiles: Tiles, kind: int, level: int) -> Heights:
     """Heights (m) of one tile; shape (n, n), rows along y and columns along x."""
     tile = tiles.tiles[kind]
     share = level / max(1, tiles.levels - 1)
+    # linspace misses round numbers by up to 1e-15, which would put points on either side of an edge.
     along = np.linspace(-tiles.side / 2, tiles.side / 2, round(tiles.side / tiles.cell) + 1).round(9)
     x, y = np.meshgrid(along, along)
+    # Each tile has its own stream, so that another kind of tile changes none of the others.
+    # `default_rng` does not fix its bit generator, and the terrain of a seed must not change with NumPy.
     random = np.random.Generator(np.random.PCG64([tiles.seed, kind, level]))
     square = _Square(x, y, np.maximum(np.abs(x), np.abs(y)), tiles.side / 2, tiles.platform / 2, random)
     measures = {name: low + (high - low) * share for name, low, high in tile.measures}

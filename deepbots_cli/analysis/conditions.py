@@ -123,6 +123,7 @@ def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Thre
     count = max(len(left), len(right))
     rising = node.operator.startswith("greater")
     dimension = node.args[0].type.dimension
+    # A single number is compared with each component of a vector.
     for a, b in zip(left * (count // len(left)), right * (count // len(right)), strict=True):
         for side, bound_side, typed, above in (
             (a, b, node.args[0], rising),
@@ -165,6 +166,7 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
     limit, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
     if not limit.is_finite or ranges.of(unknown).is_single:
         return
+    # The side of the threshold depends on the sign of the factor; a / b jumps where b passes 0.
     if op in ("mul", "div") and (limit.low <= 0.0 <= limit.high or (op == "div" and unknown is b)):
         return
     above = threshold.above

@@ -77,6 +77,7 @@ def ways(analysis: Analysis, condition: Scalar, *, truth: bool = True) -> list[W
 
 
 def _together(parts: list[list[Way]]) -> list[Way]:
+    # The number of combinations is exponential in the number of parts.
     combined = (merged(*combination) for combination in product(*parts))
     return [way for way in islice(combined, _MAX_WAYS * _MAX_WAYS) if way is not None][:_MAX_WAYS]
 

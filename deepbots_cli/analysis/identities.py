@@ -22,6 +22,7 @@ class Identities:
         """Return a number that two trees share if they mean the same quantity."""
         cached = self._identities.get(id(node))
         if cached is None:
+            # The tree is kept, so that no other tree gets its id.
             cached = self._identities[id(node)] = (node, self._identity(node))
         return cached[1]
 
@@ -40,6 +41,7 @@ class Identities:
                 return self._number("world", function, subjects, component)
             case Op(op, args):
                 return self._number(op, *map(self.of, args))
+            # Two calls with the same arguments have the same value, so the slot is left out.
             case State(function, args, _):
                 return self._number(function, *map(self.of, args))
             case Draw(_, _, stream):

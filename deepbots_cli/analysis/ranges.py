@@ -138,6 +138,7 @@ class Ranges:
             case "duration":
                 return NEVER if args[0] == NEVER else Interval(0.0, self._time.high)
             case "integral":
+                # An integral begins at 0.
                 return hull((NEVER, iv.multiply(args[0], Interval(0.0, self._time.high))))
             case "rising_edge":
                 return NEVER if args[0] == NEVER else TRUTH
@@ -154,6 +155,7 @@ class Ranges:
             else:
                 branches = args[1:]
             return hull([self.of(arg) for arg in branches])
+        # As a product of two intervals, the range of x * x would reach below 0.
         if op == "mul" and args[0] == args[1]:
             return iv.power(self.of(args[0]), single(2.0))
         if op == "sub" and self.analysis.identity(args[0]) == self.analysis.identity(args[1]):
@@ -183,6 +185,7 @@ class Ranges:
                     "greater" | "greater_equal", (large, small)
                 ):
                     high = self.of(large).high
+                    # `less` excludes the bound itself.
                     high = math.nextafter(high, -INF) if condition.op in ("less", "greater") else high
                     yield analysis.identity(small), Interval(-INF, high)
                     if isinstance(inner := analysis.resolve_aliases(small), Op) and inner.op == "abs":

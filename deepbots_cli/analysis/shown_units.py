@@ -72,5 +72,6 @@ class ShownUnits:
             for unit in units_in(inline_text(node))
             if unit.dimension.rad
         )
+        # The most common unit is the last one, which replaces the others of its dimension.
         most = {str(unit.dimension): unit for unit, _ in reversed(counts.most_common())}
         return {dimension: unit for dimension, unit in most.items() if unit.dimension.rad == 1}

@@ -29,6 +29,7 @@ _TOLERANCE = 1.1
 drives on by 0.02 %."""
 _GROUND_GAP = 0.01
 """m; casters often end a little above the ground, so that the weight is on the wheels."""
+# `math.exp` raises OverflowError above 709.
 _MAX_EXPONENT = 50.0
 _AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_error", "arc_length"})
 """The measures that follow the body; a path on a grid, and the inner side of a curve, may be a little
@@ -102,8 +103,10 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
     )
     # The distance of the origin from the rectangle of the driven wheels.
     off = hypot(max(0.0, back, -front), max(0.0, left, -right))
+    # Without a track, the wheels do not limit how fast the robot turns.
     if off > 1e-6 and right - left < 1e-6:
         return INF
+    # Wheels at v and -v turn the robot at 2 v / track; the origin is `off` from the line between them.
     turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0
     return fastest * max(1.0, turning) * _TOLERANCE
 
@@ -209,15 +212,18 @@ def _rate_of_operation(analysis: Analysis, op: str, args: Sequence[Scalar], rate
         case "neg" | "abs" | "add" | "sub":
             return sum(rates)
         case "hypot":
+            # Cauchy-Schwarz: |x x' + y y'| / |(x, y)| is at most |(x', y')|.
             return hypot(*rates)
         case "min" | "max" | "clamp":
             return max(rates)
         case "mul" if intervals[1].is_single or intervals[0].is_single:
             at = 0 if intervals[1].is_single else 1
+            # `iv.multiply` takes 0 times infinity as 0.
             return iv.multiply(Interval(0.0, rates[at]), iv.absolute(intervals[1 - at])).high
         case "div" if intervals[1].is_single and intervals[1].low != 0.0:
             return rates[0] / abs(intervals[1].low)
         case "exp" if intervals[0].high < _MAX_EXPONENT:
+            # The chain rule: the slope of exp is greatest at the greatest argument.
             return rates[0] * exp(intervals[0].high)
         case _:
             return INF

@@ -218,6 +218,7 @@ def load_module(code: str, name: str, filename: str) -> ModuleType:
     `filename` appears in tracebacks (`<deepbots CartPole 1a2b3c4d>`); its lines are registered, so that
     tracebacks and debuggers show them.
     """
+    # `linecache.checkcache` keeps an entry whose time of change is None.
     linecache.cache[filename] = (len(code), None, code.splitlines(keepends=True), filename)
     module = ModuleType(name)
     module.__file__ = filename
@@ -228,4 +229,5 @@ def load_module(code: str, name: str, filename: str) -> ModuleType:
 @lru_cache(maxsize=16)
 def _compiled(code: str, filename: str) -> CodeType:
     """Return the compiled code, which copies of one environment share."""
+    # By default, `compile` applies the `__future__` imports of this module to the code.
     return compile(code, filename, "exec", dont_inherit=True)

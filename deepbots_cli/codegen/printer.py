@@ -256,6 +256,7 @@ class Printer:
         lazy = tree.op in ("or", "and") and code.startswith("[") and " for " in code
         if joined in ("minimum", "maximum"):
             code = f"*{code}"
+        # Without its brackets, the comprehension is a generator, which `any` and `all` need not exhaust.
         return Code(f"{joined}({code[1:-1] if lazy else code})")
 
     def _column(self, trees: Sequence[Scalar]) -> Column | None:

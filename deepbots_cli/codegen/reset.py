@@ -189,6 +189,7 @@ def _ordered(places: Sequence[Placement]) -> list[Placement]:
     """Return places by how they are found, then in file order; a body that stands on another comes after
     it."""
     ranks = {Region: 2, Top: 2, Cells: 1}
+    # `sorted` is stable: places of one rank stay in file order.
     waiting = sorted(places, key=lambda place: ranks.get(type(place.spot), 0))
     ordered: list[Placement] = []
     while waiting:

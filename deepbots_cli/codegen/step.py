@@ -529,6 +529,7 @@ def _print_ending_alone(supervisor: SupervisorPrinter, printer: Printer, agent: 
     ended = supervisor.ended_of(agent)
     acts = supervisor.acts(agent)
     printer.line(f"{acts} = {printer.operation('not', [Code(ended)]).text}")
+    # `alone` is a set of texts, whose order differs between processes.
     holds = printer.operation("or", [Code(supervisor.local(name)) for name in sorted(member.alone)])
     failures = [ending for ending in member.program.endings if ending.name in member.program.failures]
     endings_code = _held(supervisor, printer, failures, member.program.successes)
@@ -577,6 +578,7 @@ def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
         ticks.append(
             (max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time")
         )
+    # Of equal limits, the name is `max_steps`, since tuples compare their texts next.
     return min(ticks) if ticks else None
 
 

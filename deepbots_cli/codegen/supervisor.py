@@ -287,6 +287,7 @@ def _print_pick(supervisor: SupervisorPrinter, printer: Printer, part: Choices, 
     if supervisor.target is BATCH:
         numbers = [Const(names.index(option)) for option in pick.options]
         tree: Scalar = numbers[-1]
+        # The first condition has precedence, so its `where` is the outermost.
         for condition, number in zip(reversed(pick.scalars), reversed(numbers[:-1]), strict=True):
             tree = Op("where", (condition, number, tree))
         printer.line(f"{target} = {printer.value(tree)}")

@@ -148,6 +148,7 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
         ).append(file)
     names: dict[Path, str] = {}
     for number, members in enumerate(groups.values()):
+        # The common path of a single file would be the file itself.
         top = os.path.commonpath([file.parent for file in members])
         folder = f"{ELSEWHERE}{number}" if number else ""
         names |= {file: PurePath(folder, file.relative_to(top)).as_posix() for file in members}

@@ -67,6 +67,7 @@ def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[N
         *_parts(namespace, "" if ("robots",) in reference.sections else robot, reference.parts),
         *(NameEntry(word, meaning) for word, meaning in words.items()),
     )
+    # Reversed, so that the first entry of a name replaces the later ones.
     return list({entry.name: entry for entry in reversed(entries)}.values())[::-1]
 
 

@@ -76,6 +76,7 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
         }
     if agent.copies is not None:
         settings["environments"] = max(1, settings["environments"] // agent.copies.count)
+    # The horizon 1 / (1 - gamma) is a quarter of the episode.
     settings["gamma"] = min(max(round(1 - 4 / steps, 2), 0.9), 0.99)
     reasons["gamma"] = (
         f"gamma {settings['gamma']:g}: it looks {1 / (1 - settings['gamma']):.0f} of at most {steps:,} steps"

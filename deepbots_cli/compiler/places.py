@@ -89,6 +89,7 @@ class PlacementChecker(NamespaceReader):
             )
         elif (
             region.mesh
+            # 0.3 / 0.1 is 2.9999999999999996, which `int` alone cuts to 2.
             and (cells := int(width / region.mesh + 1e-9) * int(depth / region.mesh + 1e-9)) < copies
         ):
             headline = (
@@ -312,6 +313,7 @@ def _turn_between(place: Placement, support: Placement) -> float | None:
 
 def _fits(top: Footprint, kind: Footprint, turn: float | None, margin: float) -> bool:
     """Return whether a body fits on a top: in the middle, at this turn, or as far as is known at any."""
+    # 1e-6 m: a body exactly as wide as the top fits despite rounding.
     if turn is not None or top.half is None or kind.half is None:
         middle = kind._replace(middle=(0.0, 0.0))
         return top.at(0.0, 0.0, 0.0).contains(middle.at(0.0, 0.0, turn or 0.0), margin - 1e-6)
@@ -597,6 +599,7 @@ class Layouts(NamespaceReader):
         assert isinstance(spec, dict)  # the caller has checked it
         all_shares = {name: self._fields.fixed(self._spec.reset, "layout", name) for name in spec}
         shares = {name: share for name, share in all_shares.items() if share is not None}
+        # 0.7 + 0.2 + 0.1 is 0.9999999999999999.
         if len(shares) == len(all_shares) and abs(sum(shares.values()) - 1.0) > 1e-6:
             headline = f"the shares add up to {100 * sum(shares.values()):g} %"
             self._values.add_at_key("DB105", ("reset", "layout"), headline, "make the shares add up to 100 %")

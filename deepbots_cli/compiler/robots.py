@@ -270,6 +270,7 @@ def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Inter
         if match is None:
             return None
         span = text.part(*match.span())
+        # The text of a quoted value may differ from its source, which the fix edits.
         if span.text != match.group():
             return None
         if value != number.value:
@@ -280,6 +281,7 @@ def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Inter
 def _clamped(number: syntax.Number, allowed: Interval) -> float:
     factor = number.unit.to_si(1.0) if number.unit else 1.0
     low, high = (end / factor for end in allowed)
+    # Rounding to a few digits must not lead beyond the limit again.
     if number.value < low:
         return _rounded(low, math.ceil)
     if number.value > high:

@@ -341,6 +341,7 @@ def _intrinsics(namespace: Namespace, spec: Camera) -> CameraIntrinsics | None:
 def _angle_of_view(namespace: Namespace, spec: Radar, key: str, limit: float) -> float | None:
     """Return an angle of view of a radar, in rad, of at most `limit` degrees; None after a finding."""
     angle = namespace.fields.fixed(spec, key)
+    # The conversion to radians and back may exceed the written number by rounding.
     if angle is not None and math.degrees(angle) > limit * (1.0 + 1e-12):
         _report_angle_of_view(namespace, spec, key, angle, f"write at most {limit:g} deg")
         return None
@@ -624,6 +625,7 @@ def _with_period(
         return faults
     ticks = round(seconds / timestep)
     span = values.span((*spec.path, "period"))
+    # 3 * 0.1 is 0.30000000000000004.
     if ticks < 1 or abs(seconds - ticks * timestep) > 1e-9 * seconds:
         headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
         values.add("DB308", span, headline, "write a multiple of the timestep")

@@ -97,7 +97,9 @@ class _SymmetryReader:
                         f"`{original}` has two mirror images, `{self._words[original]}` and `{image}`",
                         "write each word in one pair; a mirror image of a mirror image is the original",
                     )
+        # A regular expression takes the first alternative that fits: `left_hand` must precede `left`.
         words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
+        # `_` separates words, which `\b` takes for a letter.
         self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{words})(?![A-Za-z0-9])") if words else None
 
     def image(self, name: str) -> str:
@@ -223,4 +225,5 @@ def _between_ranges(number: RangedName, image_number: RangedName, sign: float) -
     """Return factor and offset from the other number, scaled to [-1, 1], to this one."""
     middles = [(entry.low + entry.high) / 2.0 for entry in (number, image_number)]
     halves = [(entry.high - entry.low) / 2.0 for entry in (number, image_number)]
+    # Adding 0.0 turns -0.0 into 0.0.
     return sign * halves[1] / halves[0], (sign * middles[1] - middles[0]) / halves[0] + 0.0

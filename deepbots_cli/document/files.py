@@ -235,6 +235,7 @@ def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
                     for entry in entries
                     if not entry.name.startswith(".") and entry.name not in _NOT_SEARCHED
                 )
+                # Symbolic links may form loops, or lead out of the project.
                 waiting += [
                     (entry, level + 1) for entry in below if entry.is_dir() and not entry.is_symlink()
                 ]
@@ -267,9 +268,11 @@ def resolve_reference(
 
 
 def _file_at(reference: str, base: Path, roots: tuple[Path, ...]) -> Path | UnusableFile:
+    # `resolve` raises ValueError for a null character.
     path = base / reference.replace("\0", "\ufffd")
     try:
         unresolved, path = Path(os.path.normpath(base.resolve() / path)), path.resolve()
+        # The answer for a path outside is the same whether or not there is a file.
         if not any(path.is_relative_to(root) for root in roots):
             through_link = any(unresolved.is_relative_to(root) for root in roots)
             return UnusableFile("outside", reference, path, roots, through_link)
@@ -329,6 +332,7 @@ def decode(
         data.decode("utf-8")
     except UnicodeDecodeError as error:
         if "\0" not in source.text:
+            # `error.start` is in bytes, a span in characters.
             at = len(data[: error.start].decode("utf-8"))
             findings.add("DB001", Span(source, at, at + 1), "the file is not UTF-8 text", "save it as UTF-8")
             return source, False

@@ -122,6 +122,7 @@ class _Problem:
         """Return the line from `start` on, without a comment."""
         end = self.source.text.find("\n", start)
         line = self.source.text[start : end if end >= 0 else len(self.source.text)]
+        # YAML begins a comment only after white space.
         return re.split(r"\s#", line, maxsplit=1)[0].rstrip()
 
     def says(self, *words: str) -> bool:

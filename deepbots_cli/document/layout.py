@@ -186,6 +186,7 @@ def _indented(text: str) -> str:
 
 
 def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
+    # From the right, so that the places of the other dashes stay valid.
     for dash in reversed(dashes):  # `-   a: 1` becomes `- a: 1`
         line = f"{line[: dash + 1]} {line[dash + 1 :].lstrip(' ')}"
     if not line.strip(" "):
@@ -251,6 +252,7 @@ def _nest(levels: list[str], kind: str) -> None:
 # Writing a tree
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]")
+# YAML 1.1, which other programs read, takes `yes` and `on` for truth values.
 _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
 _UNSAFE_IN_QUOTES = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff]")
 """Characters that YAML does not read, or reads as line breaks, and that JSON does not escape."""

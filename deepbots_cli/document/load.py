@@ -123,6 +123,7 @@ def load(
         data = drafts[file] if file in drafts else files.read(file)
     except FileNotFoundError:
         raise UsageError(f"there is no file {name}") from None
+    # `resolve` raises ValueError for a null character, RuntimeError for a loop of symbolic links.
     except (OSError, ValueError, RuntimeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise UsageError(f"{name} cannot be read: {(reason or 'not a usable file name').lower()}") from None
@@ -155,6 +156,7 @@ def _roots(
         project.resolve() if project else files.project_root(folder),
         *([files.project_root(Path.cwd())] if overrides else []),
     ]
+    # `files.UnusableFile` takes the first root for the project.
     return tuple(dict.fromkeys((*folders, *shipped.data_roots(), *allowed_folders(permissions.folders))))
 
 
@@ -311,6 +313,7 @@ class _Reader:
                 "merge some of them",
             )
             return None
+        # The findings of a file are reported once, however many files include it.
         if path not in self.trees:
             self.trees[path] = self.read(path, value.span, chain)
         return self.trees[path]
@@ -432,6 +435,7 @@ def apply_assignment(
             remedy = f"write an equals sign: --set {match[1]}={match[2]}"
         findings.add("DB107", whole, f"`{path}` is set to nothing", remedy)
     else:
+        # Spaces in place of the path: the offsets of the value are those in the assignment.
         value = parse(source, findings, budget, text=" " * (len(path) + 1) + text)
         return _set(root, ScalarNode(Span(source, 0, len(path)), path, path), value, whole, findings)
     return root

@@ -218,6 +218,7 @@ def follow_dotted(node: Node, dotted: str) -> tuple[NodePath, Node, str]:
             # int() of a long text takes quadratic time; no list has 100 000 items.
             if (
                 isinstance(node, SequenceNode)
+                # `isdigit` alone accepts `²`, which `int` refuses.
                 and piece.isascii()
                 and piece.isdigit()
                 and len(piece) < 6

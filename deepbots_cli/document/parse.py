@@ -90,7 +90,7 @@ def parse(
         else:
             broken = hints.syntax_error_finding(source, error)
             findings.append(broken)
-    except _OverLimitError:
+    except _OverLimitError:  # `noticed` contains the finding
         pass
     finally:
         for finding in noticed:
@@ -121,6 +121,7 @@ class _Builder:
         self.budget = budget
         self.events: Iterator[Event] = yaml.parse(text, Loader=hints.LOADER)
         self.anchors: dict[str, Node | None] = {}
+        # PyYAML ends a block collection at the next token, behind blank lines and comments.
         self.end = 0  # the end of the last token
 
     def document(self) -> Node | None:
@@ -166,6 +167,8 @@ class _Builder:
             remedy = "put text that starts with `!` in quotes; `not` negates a condition"
             self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", remedy)
             node = None
+        # An anchor is registered after the node below it: an alias within its own anchor is an error, and no
+        # tree contains itself.
         if event.anchor is not None:
             self.anchors[event.anchor] = node
         return node
@@ -191,6 +194,7 @@ class _Builder:
 
     def value(self, event: Event) -> ScalarNode | None:
         scalar = self.scalar(event)
+        # `resolve_plain_scalar` gives infinity for 1e999 and for integers of too many digits.
         if scalar.value in (math.inf, -math.inf):
             self.findings.add("DB105", scalar.span, "the number is too large", "write a smaller number")
             return None
@@ -201,6 +205,7 @@ class _Builder:
     def scalar(self, event: Event) -> ScalarNode:
         start, end = self.start(event), event.end_mark.index
         style = _STYLES.get(event.style, "plain")
+        # The end mark of PyYAML for a block scalar is behind its trailing blank lines.
         if style in _BLOCKS:
             end = start + len(self.text[start:end].rstrip())
         if end > start:

@@ -62,6 +62,7 @@ class Library(NamedTuple):
 
     def path(self, name: str) -> Path | None:
         """Return the file called `name` (`cartpole`), if there is one."""
+        # A name with `/` would lead out of the folder; `is_file` raises OSError for more than 255 bytes.
         if not _NAME.fullmatch(name) or len(name) > 100:
             return None
         paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
@@ -78,6 +79,7 @@ def is_shipped_path(reference: str) -> bool:
     steps = [step for step in re.split(r"[/\\]", reference) if step not in ("", ".", "..")]
     try:
         return bool(steps) and steps[0] in ("scenarios", "robots") and data_dir().joinpath(*steps).is_file()
+    # The path is too long, or has a null character.
     except (OSError, ValueError):
         return False
 

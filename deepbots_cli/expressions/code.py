@@ -38,6 +38,7 @@ class Code(NamedTuple):
 
 def number_code(value: float | bool) -> Code:
     """Return the code of a constant."""
+    # `value < 0` is false for -0.0.
     negative = not isinstance(value, bool) and str(value).startswith("-")
     code = repr(value).replace(repr(math.pi), "pi") if abs(value) == math.pi else repr(value)
     return Code(code, Precedence.SIGN if negative else Precedence.ATOM)
@@ -111,6 +112,7 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             return Code(f"not {printed(inner, args).within(Precedence.NOT)}", Precedence.NOT)
         case ast.IfExp(test=test, body=a, orelse=b):
             condition = printed(test, args).within(Precedence.OR)
+            # `if else` groups to the right, so its last part needs no parentheses.
             return Code(
                 f"{printed(a, args).within(Precedence.OR)} if {condition} else"
                 f" {printed(b, args).within(Precedence.TERNARY)}",

@@ -139,6 +139,7 @@ def logarithm(a: Interval) -> Interval:
 
 def sine(a: Interval) -> Interval:
     """Return the values at both ends, and the peaks and troughs between them."""
+    # At 1e6, neighboring doubles are 1e-10 apart, and `_passes` loses digits.
     if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
     ends = (math.sin(a.low), math.sin(a.high))

@@ -33,6 +33,7 @@ class NamedFloat(float):
         number.text = text
         return number
 
+    # float's own pickling passes the number alone to `__new__`, which also requires a name.
     def __reduce__(self) -> tuple[type[NamedFloat], tuple[float, str, str | None, str]]:
         return NamedFloat, (float(self), self.name, self.component, self.text)
 
@@ -83,12 +84,14 @@ class State(NamedTuple):
     args: tuple[Scalar, ...]
     slot: str
 
+    # A class that defines `__eq__` has no hash by default.
     def __hash__(self) -> int:
         return tuple.__hash__(self)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, State) and tuple.__eq__(self, other)
 
+    # tuple has its own `__ne__`, which does not call `__eq__`.
     def __ne__(self, other: object) -> bool:
         return not self == other
 

@@ -392,6 +392,7 @@ def walk(node: Typed) -> Iterator[Typed]:
         node = waiting.pop()
         yield node
         if not isinstance(node, (Constant, Reference)):
+            # The last item of the stack is next, so the first child is added last.
             waiting += reversed(children(node))
 
 

@@ -149,6 +149,7 @@ class Fixer:
                 applied += group
             elif len(group) > 1:
                 middle = len(group) // 2
+                # `pop` takes the last group, so the earlier half is next.
                 waiting += [group[middle:], group[:middle]]
         self.fixed += applied
         return bool(applied)
@@ -181,6 +182,7 @@ class Fixer:
         """Apply fixes to the state at the beginning of a round; they stay applied if they do no harm."""
         self._runs_left -= _cost(before[name])
         edits = [edit for finding in fixes if finding.fix for edit in finding.fix.edits]
+        # All fixes of a round edit the text at its beginning, in which their spans are valid.
         edited = self._edited(before[name], edits)
         after: dict[str, LintResult] = {}
         for file_name, earlier in before.items():

@@ -51,6 +51,7 @@ class MirrorPlane(NamedTuple):
     value: float
 
     def __str__(self) -> str:
+        # Adding 0.0 turns -0.0 into 0.0.
         return f"{'xyz'[self.coordinate]} = {round(self.value, 4) + 0.0:g} m"
 
     def distance(self, joint_place: JointPlace) -> float:

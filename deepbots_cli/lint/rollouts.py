@@ -261,6 +261,7 @@ class Simulator:
             self._begin_step(next(numbers))
             return next(actions)
 
+        # `steps` also yields the state after the reset.
         return islice(steps(environment, Driver(act), Start(rollout.seed)), rollout.steps + 1)
 
     # What has been constant so far
@@ -425,6 +426,7 @@ def _random(environment: Supervisor, hold: int) -> Iterator[Any]:
         option.forbidden for part in agent.action for option in getattr(part, "options", ())
     )
     for number in count():
+        # An action that is held may be forbidden in the next step.
         if number % hold == 0 or masked:
             action = (
                 environment.action_space.sample(environment.action_mask())
@@ -458,4 +460,5 @@ def _lines(error: BaseException) -> list[str]:
     frames = [
         frame for exception in raised for frame in reversed(traceback.extract_tb(exception.__traceback__))
     ]
+    # The lines come from `linecache`, where `codegen.load_module` registers them.
     return [frame.line or "" for frame in frames if frame.filename.startswith("<deepbots")]

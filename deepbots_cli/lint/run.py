@@ -204,6 +204,7 @@ def simulate(
         for finding in exceptions_as_findings(f"the rule {rule.code}", source, partial(rule, simulation))
     ]
     errors = [finding for finding in findings if finding.severity == "error"]
+    # `all` is true without errors, and then every warning stays.
     if not all(finding.is_internal_error for finding in errors):
         findings = [finding for finding in findings if finding.severity == "error" or finding.code in _CAUSES]
     halt = report.halt

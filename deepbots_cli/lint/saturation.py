@@ -27,6 +27,7 @@ _RANGE_FACTOR = 1.2
 """The factor by which suggested ranges are larger than needed."""
 _MIN_VISIBLE_SHARE = 0.05
 """The share of the way to a limit, before the limit, in which the policy must see it come."""
+# 40 halvings leave 1e-12 of the interval.
 _MAX_BISECTIONS = 40
 
 
@@ -297,6 +298,7 @@ def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
         return None
     link = footprint.link_frames(model)[sensor.subjects[0]]
     turn = frames.compose(link, frames.frame(sensor.mount))[1]
+    # An accelerometer at rest measures the reaction to gravity, which points upward.
     x, y, z = analysis.program.world.gravity
     return frames.rotate_back(turn, (-x, -y, -z))["xyz".index(leaf.component or "x")]
 

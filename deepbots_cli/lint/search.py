@@ -408,9 +408,11 @@ class Distribution:
         if not best:
             return
         numbers = np.array(best)
+        # The added deviation prevents early convergence (noisy cross-entropy: Szita and Lorincz, 2006).
         self._mean, self._deviation = numbers.mean(axis=0), numbers.std(axis=0) + _MIN_DEVIATION
         for at, slot in enumerate(self._slots):
             if slot.options:
+                # Additive smoothing: an option that none of the best has keeps a probability.
                 counts = np.bincount(numbers[:, at].astype(int), minlength=len(slot.options)) + 1.0 / len(
                     slot.options
                 )

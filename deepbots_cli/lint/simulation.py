@@ -220,6 +220,7 @@ def measure(
     import tempfile
 
     command = python_command("deepbots_cli.lint.simulation_process", *map(str, limits))
+    # The limit of memory also counts the address space that each thread reserves for its stack.
     environment = python_environment(
         {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     )
@@ -233,9 +234,11 @@ def measure(
                 is_late = False
             except subprocess.TimeoutExpired:
                 process.kill()
+                # The lines that were written before the end are read, too.
                 out, _ = process.communicate()
                 is_late = True
             except BaseException:
+                # Also after Ctrl-C: `Popen.__exit__` waits for the process.
                 process.kill()
                 raise
     report = _read(out)
@@ -261,7 +264,9 @@ def _read(out: bytes) -> SimulationReport:
 
 def _halt(code: int, limits: Limits) -> Halt:
     """Return the reason why the process ended early."""
+    # subprocess gives the negative number of the signal that ended the process.
     name = signal.Signals(-code).name if -code in signal.valid_signals() else ""
+    # `lint.simulation_process` sets the timer of SIGPROF, and the limit of CPU time, which sends SIGXCPU.
     if name == "SIGPROF":
         return Halt("hang", f"{limits.step_seconds:g} s of CPU time")
     if name == "SIGXCPU":

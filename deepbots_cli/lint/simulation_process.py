@@ -28,8 +28,10 @@ _MIB = 2**20
 
 
 def main(limits: Limits) -> None:
+    # Without a buffer, each line reaches the parent even if a limit kills this process after it.
     out = FileIO(os.dup(sys.stdout.fileno()), "wb")
     nowhere = os.open(os.devnull, os.O_WRONLY)
+    # Engines print from C, past `sys.stdout`.
     for fd in (1, 2):  # whatever engines and scenarios print
         os.dup2(nowhere, fd)
     _limit(limits)
@@ -41,6 +43,7 @@ def main(limits: Limits) -> None:
     except Exception as error:  # noqa: BLE001  # a fault of deepbots, which the parent reports
         from deepbots_cli.diagnostics.findings import describe_exception
 
+        # Messages of glibc and Linux where the address space is too small for a shared library.
         if isinstance(error, ImportError | OSError) and re.search(
             "failed to map segment|allocate memory", str(error)
         ):

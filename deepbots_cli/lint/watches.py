@@ -150,6 +150,7 @@ class WheelWatch:
 
         def check() -> None:
             position, attitude = pose()
+            # `remainder` gives the difference of two angles from -pi to pi.
             turn = abs(remainder(frames.roll_pitch_yaw(attitude)[2] - heading, tau))
             wheel = max(abs(state[0] - before) for state, before in zip(states(), positions, strict=True))
             rolling = self.robots[robot]
@@ -197,6 +198,7 @@ class TiltWatch:
             return
         self._time = time
         for name, (pose, upward) in self._watched.items():
+            # Rounding may take the cosine beyond 1, where `acos` raises ValueError.
             tilt = acos(max(-1.0, min(1.0, frames.rotate(pose()[1], upward)[2])))
             self._now[name] = max(self._now[name], tilt)
 
@@ -336,6 +338,7 @@ class ArmWatch:
 
 def _angle(q: frames.Quaternion) -> float:
     """Return the angle of a rotation, rad from 0 to half a turn."""
+    # q and -q are the same rotation. `acos` of the last component loses digits for small angles.
     return 2.0 * atan2(hypot(q[0], q[1], q[2]), abs(q[3]))
 
 

@@ -55,6 +55,7 @@ def cursor_at(text: str, offset: int) -> Cursor:
     """Return the key or value at `offset`."""
     offset = min(offset, len(text), MAX_BYTES)
     text = text[:offset]
+    # Each character is replaced by one, so that offsets stay valid; `%` would begin a directive of YAML.
     sound = _PERCENT.sub("_", FORBIDDEN_CHARACTERS.sub("_", text.replace(_MARK, "_")))
     behind = ""
     for _ in range(_MAX_REPAIRS):
@@ -144,6 +145,7 @@ class _Reader:
     def read(self, behind: str) -> None:
         token: Any
         last: NodePath = ()
+        # Without a space, YAML reads a colon and the mark as one word.
         pad = " " if self.text.endswith(":") else ""
         for token in yaml.scan(f"{self.text}{pad}{_MARK}{behind}", Loader=LOADER):
             start, end = min(token.start_mark.index, self.offset), token.end_mark.index - len(pad)

@@ -148,6 +148,7 @@ class Checker:
     async def _run_queue(self) -> None:
         while self._queue:
             await asyncio.sleep(_DEBOUNCE)
+            # `retract` or `stop` may have emptied the queue during the sleep.
             uri = next(iter(self._queue), None)
             document = self._workspace.documents.get(uri) if uri else None
             if uri is not None:
@@ -205,6 +206,7 @@ class Checker:
                 if self._published[reader].is_about(document)
             ]
             unique = {
+                # The ranges of lsprotocol are not hashable.
                 (str(diagnostic.range), diagnostic.code, diagnostic.message): diagnostic
                 for diagnostic in chain.from_iterable(groups)
             }
@@ -337,6 +339,7 @@ class CodeActions:
     def _edit(self, changes: dict[Document, list[types.TextEdit]]) -> types.WorkspaceEdit:
         if not self._versioned:
             return types.WorkspaceEdit(changes={document.uri: edits for document, edits in changes.items()})
+        # A client refuses an edit whose version is not the current one.
         return types.WorkspaceEdit(
             document_changes=[
                 types.TextDocumentEdit(
@@ -480,6 +483,7 @@ class Server(LanguageServer):
         self._update(params.text_document.uri, params.text_document.version, params.text_document.text)
 
     def _changed(self, params: types.DidChangeTextDocumentParams) -> None:
+        # With full synchronization, each change has the whole text.
         if params.content_changes:
             self._update(
                 params.text_document.uri, params.text_document.version, params.content_changes[-1].text
@@ -526,6 +530,7 @@ class Server(LanguageServer):
 
     def _code_actions(self, params: types.CodeActionParams) -> list[types.CodeAction]:
         actions = self._actions(params.text_document.uri)
+        # lsprotocol leaves a kind that it does not list as text.
         only = (
             None
             if params.context.only is None
@@ -604,6 +609,7 @@ def serve(port: int | None = None, *, permissions: Permissions = Permissions()) 
     server = Server(Permissions(allowed_folders(permissions.folders), permissions.code))
     if port is not None:
         try:
+            # The protocol has no authentication, so only this machine may connect.
             server.start_tcp("127.0.0.1", port)
         except OSError as error:
             raise UsageError(

@@ -62,6 +62,7 @@ class Lines:
         index = min(max(0, offset) + self._mark, len(self._text))
         line = bisect_right(self._starts, index) - 1
         before = self._text[self._starts[line] : index]
+        # For ASCII text, every position encoding has one unit per character.
         return types.Position(line, len(before) if before.isascii() else self._codec.client_num_units(before))
 
     def range(self, start: int, end: int) -> types.Range:
@@ -119,6 +120,7 @@ class Document:
 
     @cached_property
     def bytes(self) -> bytes:
+        # A JSON string may contain half a surrogate pair, which UTF-8 refuses otherwise.
         return self.text.encode("utf-8", "surrogatepass")
 
     def read(self) -> tuple[Source, Node | None, Findings]:
@@ -430,6 +432,7 @@ def _map_offset(offset: int, now: str, then: str) -> int | None:
     prefix_length = common_prefix(now, then)
     if offset <= prefix_length:
         return offset
+    # The common end must not overlap the common beginning, as in `aa` and `aaa`.
     tail = min(common_prefix(now[::-1], then[::-1]), min(len(now), len(then)) - prefix_length)
     if offset >= len(now) - tail:
         return offset - len(now) + len(then)

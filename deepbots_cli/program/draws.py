@@ -290,6 +290,7 @@ def _places(
                 yield entry._replace(
                     **units.get(of_group, units.get(of_group.rpartition(".")[0], _Units(si=si, unit=None)))
                 )
+        # `bounds` is empty for a position that is given.
         for axis, (low, high) in zip(_PLANE, bounds, strict=False):
             stream = f"{place.stream}.{axis}"
             key = key_of_member(member, stream) if member else stream

@@ -33,6 +33,8 @@ from deepbots_cli.robots.model import Mesh
 
 def to_json(program: Program) -> str:
     """Return canonical JSON; equal programs give equal text."""
+    # JSON has no NaN or infinity; `_plain` writes them as objects.
+    # json writes a `NamedFloat` as a plain float, so that the name of a parameter is not part of the digest.
     return json.dumps(_plain(program), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -136,9 +138,11 @@ def _compared(old: Mapping[str, str], new: Mapping[str, str], words: tuple[str, 
     first_word, second_word = words
     lines = [
         f"{name}: {first_word} {old.get(name, 'has none')}, {second_word} {new.get(name, 'has none')}"
+        # A dict keeps the order of the scenario; a set of texts has another order in each process.
         for name in dict.fromkeys((*old, *new))
         if old.get(name) != new.get(name)
     ]
+    # A policy takes the numbers of an observation by position.
     if not lines and list(old) != list(new):
         lines.append(f"order: {first_word} {', '.join(old)}; {second_word} {', '.join(new)}")
     return lines

@@ -33,6 +33,7 @@ class Levels:
     is_random_at_top: bool
 
     def digest_fields(self) -> dict[str, object]:
+        # The order of a set of texts differs between processes.
         return {**vars(self), "up": tuple(sorted(self.up)), "down": tuple(sorted(self.down))}
 
     def first(self, world: int) -> int:

@@ -130,6 +130,7 @@ class Tiles:
             return math.tan(largest["angle"]) * rise
         if tile.kind == "stairs":
             tread = min(min(low, high) for name, low, high in tile.measures if name == "tread")
+            # 1e-9: a rise of a whole number of treads must not lose a step by rounding.
             return largest["height"] * math.floor(rise / tread + 1e-9)
         return largest["height" if "height" in largest else "depth"]
 
@@ -165,6 +166,7 @@ class Line:
     def pieces(self) -> tuple[tuple[Point, Point], ...]:
         """Its straight pieces, in order."""
         ends = (*self.points[1:], self.points[0]) if self.closed else self.points[1:]
+        # The last point of an open line begins no piece.
         return tuple(zip(self.points, ends, strict=False))
 
     @property

@@ -100,12 +100,14 @@ class KeyCount:
 class Section(BaseModel):
     """A mapping with known keys."""
 
+    # Without `defer_build`, importing the package builds the validators of all sections.
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     key_rules: ClassVar[tuple[KeyCount, ...]] = ()
     identifying_keys: ClassVar[frozenset[str]] = frozenset()
     """Keys that distinguish this form from other forms that are mappings."""
 
+    # pydantic lets a private attribute of a frozen model be set.
     _path: NodePath = PrivateAttr(())
 
     @property
@@ -127,6 +129,7 @@ class Section(BaseModel):
             for field_error in refusal.errors(include_url=False):
                 kind = PydanticCustomError(field_error["type"], field_error["msg"], field_error.get("ctx"))
                 errors.append(InitErrorDetails(type=kind, loc=field_error["loc"], input=field_error["input"]))
+        # An exception of this validator replaces the errors of the handler, so it has both.
         raise ValidationError.from_exception_data(cls.__name__, errors)
 
 

@@ -708,6 +708,7 @@ class Scenario(Section):
         """Return the scenario as YAML text, without the values that were not set."""
         import yaml
 
+        # By default, PyYAML sorts the keys and writes other characters than ASCII as escapes.
         return yaml.safe_dump(
             self.model_dump(mode="json", exclude_unset=True), sort_keys=False, allow_unicode=True, width=120
         )
