@@ -37,7 +37,7 @@ LENGTH_SCALE = 2.0 / (1.0 + 1.0 / cos(atan(0.5) / 2))  # of the lengths of 16 di
 _CLEARANCE = 0.5  # m around everything, where no arena limits the ways
 _MIN_OBSTACLE_HEIGHT_M = 1e-6  # m; an object that rises no higher is no obstacle
 _BARRED_COST = 50.0  # times; the price of a line through a barred place
-_WIDE_AREA_M = 20.0  # m; lengths in wider areas are kept in a longer unit, so that none comes near FAR
+_WIDE_AREA_M = 20.0  # m; wider areas have lengths in a longer unit, below `UNREACHABLE_LENGTH`
 _OBSTACLE_OFFSET_M = 1e6  # m; lowers lengths beyond an obstacle, so that no length before it is smaller
 _MAX_ROUNDS = 200
 _MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1))  # rows and columns
@@ -403,8 +403,8 @@ def _passed_cells(rows: int, columns: int) -> tuple[tuple[int, int], ...]:
 
 
 def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
-    """Return the length of the shortest way from each node to a start, plus the length of that start; FAR
-    where there is none.
+    """Return the length of the shortest way from each node to a start, plus the length of that start;
+    `UNREACHABLE_LENGTH` where there is none.
 
     A way goes from node to node in 16 directions. Its length differs from the straight line's by less than 3
     %; all are scaled so that the error is the same either side. One sweep of numpy (`minimum.accumulate`
@@ -413,7 +413,7 @@ def path_lengths(blocked: Mask, starts: Array, cell: float) -> Array:
 
     Args:
         blocked: Nodes that no way passes, with a margin of blocked ones all around, shape (rows, columns).
-        starts: Lengths at which ways may end, FAR elsewhere, of the same shape.
+        starts: Lengths at which ways may end, UNREACHABLE_LENGTH elsewhere, of the same shape.
         cell: The distance of neighboring nodes, m.
     """
     directions = [_GridLines(blocked, rows, columns, cell) for rows, columns in _MOVES]

@@ -252,7 +252,7 @@ def _split(name: str, copies: Collection[str]) -> tuple[str, str]:
 
 
 def _numbers(name: str, value: Any, scenario: Program, fixed: Collection[str]) -> list[tuple[str, Any]]:
-    """Yield the checked value of each number or word that a name covers, by its full name."""
+    """Return the checked value of each number or word that a name covers, by its full name."""
     draws = scenario.draws
     entry = draws.by_name.get(name)
     if entry is not None and entry.words:

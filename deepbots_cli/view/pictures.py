@@ -138,13 +138,12 @@ def render_picture(
     from PIL import Image, ImageDraw
 
     painted_path = PaintedPath.of(player, path) if path else None
-    usual = overview(player.program, shot.width, shot.height)
     if painted_path:
         usual = painted_path.view(player.env.world, shot)
     elif labels:
         usual = _on_robots(player, shot)
     else:
-        usual = usual
+        usual = overview(player.program, shot.width, shot.height)
     view = replace(
         shot.now(player, usual),
         width=_SUPERSAMPLING * shot.width,

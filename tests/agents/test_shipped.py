@@ -47,15 +47,15 @@ def test_two_robots_carry_the_bar_to_the_mark_and_one_alone_does_not(right: str,
     assert returns["left"] == returns["right"]
 
 
+@pytest.mark.parametrize(("winner", "loser"), [("red", "blue"), ("blue", "red")])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_robot_that_leaves_the_ring_loses(seed: int) -> None:
-    infos, _ = play("sumo", seed, red="push", blue="push")
-    if infos["red"]["ended_by"] != "max_time":
-        winner, loser = ("blue", "red") if infos["red"]["ended_by"] == "red_out" else ("red", "blue")
-        assert infos[winner]["is_success"]
-        assert not infos[loser]["is_success"]
-        win, lose = (infos[name]["reward_terms"] for name in (winner, loser))
-        assert (win["win"], win["lose"], lose["win"], lose["lose"]) == (10, 0, 0, -10)
+def test_the_robot_that_leaves_the_ring_loses(seed: int, winner: str, loser: str) -> None:
+    infos, _ = play("sumo", seed, **{winner: "push", loser: [0.0, 0.0]})
+    assert infos[loser]["ended_by"] == f"{loser}_out"
+    assert infos[winner]["is_success"]
+    assert not infos[loser]["is_success"]
+    win, lose = (infos[name]["reward_terms"] for name in (winner, loser))
+    assert (win["win"], win["lose"], lose["win"], lose["lose"]) == (10, 0, 0, -10)
 
 
 def test_in_sumo_both_agents_observe_the_same_from_their_own_side() -> None:

@@ -215,4 +215,5 @@ def test_the_planted_setting_is_among_the_first_two(tmp_path):
             right += bool(set(paths[:2]) & set(case.planted))
         elif not case.planted and not has_fallen(run):
             assert not is_named, case
+    assert fell > 0
     assert right >= 0.8 * fell
