@@ -51,6 +51,7 @@ def smaller(a: Any, b: Any) -> Any:
     return result if isinstance(b, float) and b else np.where(a == b, a, result)
 
 
+# Templates of functions use names of `math`, such as `tau` in `wrap`.
 _NAMESPACE = {**vars(math), "np": np, "reduce": reduce, "larger": larger, "smaller": smaller}
 
 

@@ -105,6 +105,7 @@ class Patch(NamedTuple):
             )
         if other.half is None:
             return hypot(other.x - self.x, other.y - self.y) + other.radius + margin <= self.radius
+        # A disc is convex: it contains a rectangle if it contains the corners.
         return all(hypot(x - self.x, y - self.y) + margin <= self.radius for x, y in other.corners())
 
     def corners(self) -> Iterator[Spot]:
@@ -121,6 +122,7 @@ def patch_distance(a: Patch, b: Patch) -> float:
         return patch.distance(disc.x, disc.y) - disc.radius
     if not _parted(a, b):
         return -min(*a.half, *b.half)
+    # The shortest way between two disjoint rectangles begins at a corner of one of them.
     return min(
         *(b.distance(*corner) for corner in a.corners()), *(a.distance(*corner) for corner in b.corners())
     )
@@ -129,6 +131,7 @@ def patch_distance(a: Patch, b: Patch) -> float:
 def _parted(a: Patch, b: Patch) -> bool:
     """Return whether two rectangles are disjoint: the separating axis theorem."""
     dx, dy = b.x - a.x, b.y - a.y
+    # Opposite sides are parallel, so each rectangle has two axes.
     axes = ((a.cos, a.sin), (-a.sin, a.cos), (b.cos, b.sin), (-b.sin, b.cos))
     return any(abs(c * dx + s * dy) >= _half_projection(a, c, s) + _half_projection(b, c, s) for c, s in axes)
 
@@ -269,6 +272,7 @@ def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
     frame = frames.compose(parent, frames.frame(joint.origin))
     if not joint.moves or position == 0.0:
         return frame
+    # URDF gives the axis in the frame of the joint, so the motion follows the origin.
     if joint.type == "prismatic":
         return frames.compose(frame, (frames.scaled(joint.axis, position), frames.IDENTITY_ROTATION))
     return frames.compose(frame, (frames.IDENTITY_FRAME[0], frames.from_axis_angle(joint.axis, position)))

@@ -92,6 +92,7 @@ def normalized(q: Quaternion) -> Quaternion:
 def yaw_only(rotation: Quaternion) -> Quaternion:
     """Return the yaw of a rotation alone; the identity where its forward axis is vertical."""
     x, y, _ = rotate(rotation, (1.0, 0.0, 0.0))
+    # Below 1e-9, the direction in the plane is rounding alone.
     return quaternion(0.0, 0.0, atan2(y, x) if hypot(x, y) > 1e-9 else 0.0)
 
 

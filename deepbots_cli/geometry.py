@@ -281,6 +281,7 @@ def _value_noise() -> NDArray[np.float64]:
 def _picture(picture: Picture) -> HeightGrid:
     try:
         path = Path(picture.path)
+        # A pipe would block, and a device such as /dev/zero has no end.
         data = path.read_bytes() if path.is_file() and path.stat().st_size <= MAX_PICTURE_BYTES else b""
     except (OSError, ValueError) as error:
         raise EngineError(f"picture {picture.path} cannot be read") from error

@@ -50,11 +50,13 @@ def _slope(square: _Square, angle: float, inverted: float) -> Heights:
 def _stairs(square: _Square, height: float, tread: float, inverted: float) -> Heights:
     """Steps from the edge to the platform, which is reached by the last one."""
     into = square.half - np.maximum(square.distance, square.platform)
+    # 1e-9: rounding must not take a step from a whole number of treads.
     steps = np.floor(into / tread + 1e-9)
     return (-height if inverted else height) * steps
 
 
 def _waves(square: _Square, height: float, length: float) -> Heights:
+    # The sum of both cosines goes from -2 to 2, the height from 0 to `height`.
     along = np.cos(2.0 * np.pi * square.x / length) + np.cos(2.0 * np.pi * square.y / length)
     return height * (along + 2.0) / 4.0 * square.inside
 
@@ -64,6 +66,7 @@ def _rough(square: _Square, height: float, grain: float) -> Heights:
     count = max(2, int(np.ceil(2.0 * square.half / grain)) + 1)
     values = square.random.random((count, count))
     at = np.linspace(0.0, count - 1.0, len(square.x))
+    # The last point is part of the last piece.
     first = np.minimum(at.astype(int), count - 2)
     part = at - first
     along = values[:, first] * (1 - part) + values[:, first + 1] * part
@@ -88,6 +91,7 @@ def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> 
     pitch = side + gap
     on_stone = np.ones(square.x.shape, bool)
     for place in (square.x, square.y):
+        # 1e-9: the edge of a stone is part of it, in spite of rounding.
         on_stone &= np.abs((place + pitch / 2) % pitch - pitch / 2) <= side / 2 + 1e-9
     is_inside = (square.half - square.distance >= TILE_MARGIN_M) & square.off_platform
     return np.where(is_inside & ~on_stone, -depth, 0.0)
@@ -96,6 +100,7 @@ def _stepping_stones(square: _Square, side: float, gap: float, depth: float) -> 
 def _gaps(square: _Square, width: float, spacing: float, depth: float) -> Heights:
     """Trenches around the platform, one after the other."""
     out = square.distance - square.platform
+    # 1e-9: the near edge of a trench is ground, the far edge is part of the trench.
     in_gap = ((out - 1e-9) % (spacing + width) >= spacing) & square.off_platform
     return np.where(in_gap & (square.half - square.distance >= TILE_MARGIN_M), -depth, 0.0)
 

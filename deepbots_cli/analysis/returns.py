@@ -103,8 +103,11 @@ def return_range(analysis: Analysis) -> Interval:
     step = total_range(reward.terms, reward.ranges_while_running())
     # These are the ranges for any endings, also several at once.
     end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))
+    # The last timestep is the end, whose reward is added below.
     ticks = analysis.last_step * analysis.program.action_repeat - 1
+    # An ending may come true in the first step.
     fewest = 0 if analysis.program.endings else ticks
+    # Where a step costs, the longest episode has the lowest return, otherwise the shortest.
     low, high = -INF, INF
     if step.low > -INF:
         low = step.low * (ticks if step.low < 0.0 else fewest) + end.low

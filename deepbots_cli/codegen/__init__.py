@@ -98,6 +98,7 @@ def generate_module(scenario: Program, target: str = "scalar", scripts: tuple[st
     target_kind = SCALAR if on_floats else BATCH
     classes = _classes(scenario, constants, target_kind, scripts)
     used = set(_NAME_IN_CODE.findall("\n".join([*constants.lines, *classes])))
+    # Sorted, since the order of a set of texts differs between processes.
     used_math = sorted((math_names() if on_floats else _NUMBERS) & used)
     lines = fill_template(
         _MODULE,

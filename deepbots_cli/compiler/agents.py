@@ -307,7 +307,9 @@ class Swap:
 
     def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
         self._other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
+        # A regular expression takes the first alternative that fits, so longer names come first.
         names = "|".join(sorted(map(re.escape, self._other), key=len, reverse=True))
+        # `_` ends a name here, and `\b` takes it for a letter.
         self._names = re.compile(rf"(?<![A-Za-z0-9])(?:{names})(?![A-Za-z0-9])")
 
     def mapping(self, node: MappingNode) -> MappingNode:

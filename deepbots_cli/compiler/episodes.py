@@ -476,6 +476,7 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     values = namespace.values
     settle = namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
+    # 3 * 0.1 is 0.30000000000000004.
     if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
         "world.timestep"
     ):

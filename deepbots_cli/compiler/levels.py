@@ -79,6 +79,7 @@ class _LevelsReader(NamespaceReader):
         (low,) = ends.low
         (high,) = ends.high
         last = self._levels.levels - 1
+        # `low + (high - low)` may miss `high` by rounding.
         numbers = (*(low + (high - low) * level / last for level in range(last)), high)
         return numbers if self._is_drawable(entry, parameter, numbers, path) else None
 

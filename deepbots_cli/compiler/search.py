@@ -66,6 +66,7 @@ class _Prober:
         findings: Findings,
         check: Callable[[Document], CheckedScenario],
     ) -> None:
+        # The tests would be compiled again for each value.
         root = without_paths(document.root, ((TUNE,), (TESTS,))) if document.root else None
         assert isinstance(root, MappingNode)  # the root stays a mapping
         self._root = root

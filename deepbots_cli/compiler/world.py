@@ -271,6 +271,7 @@ def _wall(name: str, spec: world_spec.Wall, namespace: Namespace) -> Sequence[Ob
     boxes = []
     ends = (*points[1:], points[0]) if spec.closed else points[1:]
     for piece, start, end in zip(names, points, ends, strict=False):
+        # The longer side of the box is along its x axis, and yaw 0 is along x of the world.
         heading = math.atan2(end[1] - start[1], end[0] - start[0])
         middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2, height / 2)
         box = Box((math.dist(start, end) + thickness, thickness, height))  # so that corners are closed

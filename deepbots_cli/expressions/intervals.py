@@ -105,10 +105,13 @@ def power(a: Interval, exponent: Interval) -> Interval:
     n = exponent.low
     if n < 0.0:
         return divide(single(1.0), power(a, single(-n)))
+    # A fraction as exponent has no real value below 0.
     if not n.is_integer():
         return apply_monotone(lambda x: math.pow(x, n), Interval(max(a.low, 0.0), max(a.high, 0.0)))
+    # For a base below 0, an even power falls; over the absolute value it only rises.
     if n % 2.0 == 0.0:
         a = absolute(a)
+    # `math.pow` raises OverflowError; an odd power that overflows has the sign of its base.
     return Interval(
         evaluate_with_default(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
         evaluate_with_default(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
@@ -153,6 +156,7 @@ def cosine(a: Interval) -> Interval:
 
 
 def tangent(a: Interval) -> Interval:
+    # The tangent rises between its poles at -pi / 2 and pi / 2.
     inside = -math.pi / 2 < a.low and a.high < math.pi / 2
     return apply_monotone(math.tan, a) if inside else EVERYTHING
 
@@ -226,4 +230,5 @@ def less_equal(a: Interval, b: Interval) -> Interval:
 
 
 def equal(a: Interval, b: Interval) -> Interval:
+    # Infinity also stands for an unknown value, so two infinities need not be equal.
     return _truth(a.is_single and a == b and abs(a.low) < INF, a.high < b.low or b.high < a.low)

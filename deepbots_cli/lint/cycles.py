@@ -360,6 +360,7 @@ def _just_outside(required: Required) -> float | None:
     """Return a value just on the other side of the bound of a requirement."""
     low, high = required.within
     if low == high:
+        # Truth values are 0 and 1.
         return 1.0 - low if low in (0.0, 1.0) else None
     return value_beyond(low, -1.0) if low > -INF else value_beyond(high, 1.0)
 

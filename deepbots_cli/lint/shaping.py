@@ -136,11 +136,14 @@ class Slope:
             case "sub":
                 return _sum([self.of(args[0]), _times(self.of(args[1]), -1.0)])
             case "where":
+                # Two constant branches still make a jump where the condition depends on the quantity.
                 slope = _sum([self.of(arg) for arg in args[1:]])
                 return slope if slope or self.of(args[0]) == 0.0 else None
+            # The product rule: (a b)' = a' b + a b'.
             case "mul":
                 a, b = args
                 return _sum([_times(self.of(a), self._sign(b)), _times(self.of(b), self._sign(a))])
+            # The quotient rule without its divisor b^2, which is positive: a' b - a b'.
             case "div":
                 a, b = args
                 return _sum(
@@ -149,6 +152,7 @@ class Slope:
             case "abs":
                 return _times(self.of(args[0]), self._sign(args[0]))
             case "pow":
+                # Above 0, x^n rises for a positive n and falls for a negative one; 0^n has no value for that.
                 base, exponent = self._ranges.of(args[0]), self._ranges.of(args[1])
                 if base.low >= 0.0 and exponent.low > 0.0:
                     sign = 1.0
@@ -273,6 +277,7 @@ def _towards(reward: RewardTerms, threshold: Threshold, terms: Terms) -> list[Ex
     quantity = analysis.identity(threshold.quantity)
     middle = running.where(quantity, Interval(0.0, _EDGE_SHARE * limit))
     edge = running.where(quantity, Interval((1.0 - _EDGE_SHARE) * limit, limit))
+    # The ranges are disjoint: each value near the failure is above each one in the middle.
     wrong = [
         term for term, node in terms if slope.of(node) == 1.0 and edge.of(node).low > middle.of(node).high
     ]
