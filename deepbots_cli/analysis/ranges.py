@@ -106,6 +106,7 @@ class Ranges:
         if node.name in self.assumed:
             return self.assumed[node.name]
         if self.analysis.is_noisy(node.name):
+            # Gaussian noise has no bounds.
             return EVERYTHING
         foreign = self.analysis.expression_named(node.name)
         leaf_type = foreign.typed.type if foreign is not None else self.analysis.leaves.get(node.name)
@@ -253,6 +254,7 @@ class StartRanges(Ranges):
             leader = iv.multiply(
                 self.joint(f"{robot}.{mimic.joint}", quantity) or NEVER, single(mimic.multiplier)
             )
+            # The offset of `<mimic>` is constant, so the velocity is without it.
             return iv.add(leader, single(mimic.offset)) if quantity == "position" else leader
         for start in self.analysis.program.reset.joint_starts:
             value = start.position if quantity == "position" else start.velocity
@@ -312,6 +314,7 @@ class StartRanges(Ranges):
 
     def _quaternion(self, place: Placement) -> tuple[Interval, ...]:
         """Return (x, y, z, w) of a body turned by roll, pitch and yaw about fixed axes, in this order."""
+        # The formula of `frames.quaternion`, over intervals.
         halves = [iv.multiply(self._coordinate(place, key), single(0.5)) for key in _ROTATION_KEYS]
         halves[2] = iv.add(halves[2], single(place.heading / 2))
         (cr, cp, cy), (sr, sp, sy) = map(iv.cosine, halves), map(iv.sine, halves)

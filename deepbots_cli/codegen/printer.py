@@ -467,7 +467,9 @@ def _with_same_operation(operations: Sequence[Op], trees: Sequence[Scalar]) -> S
         for tree, at in zip(operations, constant, strict=True)
         if at is not None and tree.op in _NEUTRAL_VALUES
     }
+    # Sorted, since the order of a set of texts differs between processes.
     for name, at in sorted(lifting):
+        # 0 - x is -x: no constant on the left leaves x as it is.
         if (name, at) == ("sub", 0):
             continue
         neutral = Const(_NEUTRAL_VALUES[name])

@@ -67,6 +67,7 @@ LOOP_VARIABLES = "abcdefgh"
 """The variables of comprehensions."""
 
 _RESERVED_NAMES = frozenset(
+    # Printed modules import functions of `math` by their names.
     {*keyword.kwlist, *keyword.softkwlist, *dir(builtins), *(n for n in dir(math) if not n.startswith("_"))}
     | {
         "self",

@@ -115,6 +115,7 @@ def _share_notes(reward: RewardTerms, share: float, success: Expression) -> tupl
 def break_even(living: float, failing: float, success: float) -> float:
     """Return the share of episodes that must succeed, at once, before going on is worth more than failing;
     all three are returns."""
+    # The share p solves p * success + (1 - p) * living = failing.
     return (failing - living) / (success - living)
 
 
@@ -122,6 +123,7 @@ def horizon(reward: RewardTerms) -> float:
     """Return the steps of the agent that matter: those of an episode, or the horizon of the discount factor
     if it is shorter."""
     gamma = reward.program.agent.discount
+    # The sum of gamma^k over all k is 1 / (1 - gamma).
     return min(float(reward.analysis.last_step), INF if gamma >= 1.0 else 1.0 / (1.0 - gamma))
 
 

@@ -64,6 +64,7 @@ def _unbounded(context: RuleContext, term: Expression, singularity: Singularity)
         headline = f"`{term.name}` grows without bound as `{part}` approaches zero"
         unit = "" if singularity.node.type.dimension == NUMBER else f" {singularity.node.type.dimension}"
         depths = list(accumulate((character == "(") - (character == ")") for character in part))
+        # In `(a) * (b)`, the first parenthesis closes before the end.
         divisor = part[1:-1] if part.startswith("(") and depths.index(0) == len(part) - 1 else part
         lowest = f"`max({divisor if len(divisor) <= _MAX_SHOWN_CHARACTERS else 'd'}, 0.1{unit})`"
         remedy = (
@@ -180,6 +181,7 @@ def _smallest_sum(reward: RewardTerms, node: Scalar) -> float:
     total = 0.0
     sign = 0.0
     while first <= last:
+        # Each block is twice as long as the one before: a million steps need 20 ranges.
         end = min(last, 2 * first - 1)
         interval = reward.ranges_while_running((float(first), float(end))).of(node)
         if interval.low > 0.0:

@@ -114,6 +114,7 @@ def idle_action(action: Sequence[ActionPart]) -> tuple[list[int], list[float]] |
             choices.append(still)
         else:
             nearest = min(max(0.0, part.low), part.high)
+            # The inverse of the map from [-1, 1] to [low, high].
             values += [2.0 * (nearest - part.low) / (part.high - part.low) - 1.0] * len(part.names)
     return choices, values
 

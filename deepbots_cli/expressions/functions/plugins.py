@@ -81,6 +81,7 @@ def _require_usable_python(function: Function, field: str, allowed: Collection[s
     arguments = [argument.removeprefix("*") for argument in function.arguments]
     if function.params[-1].variadic and not function.arguments[-1].startswith("*"):
         raise ValueError(f"the {field} of {name!r} must contain *{arguments[-1]}")
+    # The code of an argument replaces its name, so a second occurrence would compute it again.
     if any(names.count(argument) != 1 for argument in arguments):
         raise ValueError(f"the {field} of {name!r} must contain each of {', '.join(arguments)} once")
     unknown = {*names} - {*arguments, *allowed}
