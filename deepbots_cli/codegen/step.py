@@ -209,6 +209,7 @@ def _print_decoding(supervisor: SupervisorPrinter, printer: Printer) -> None:
         else [supervisor.names(f"{part.name} pick") for part in supervisor.choices]
     )
     if len(picks) > 1:
+        # The action of a batch has a row for each world and a column for each choice.
         printer.line(f"{', '.join(picks)} = {choices}{'' if printer.on_floats else '.T'}")
     looked_up = "{}[{}]" if printer.on_floats else "pick({}, {})"
     variables = {

@@ -392,6 +392,7 @@ def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
     """Return the engine step (s) at which the motion of a spring on this inertia ceases to be stable."""
     if stiffness == 0.0:
         return 2.0 * inertia / damping
+    # The positive root h of k h^2 + 2 d h = 4 I, the criterion of `shaking_spring`.
     return (sqrt(damping**2 + 4.0 * stiffness * inertia) - damping) / stiffness
 
 
