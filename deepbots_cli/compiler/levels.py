@@ -3,12 +3,14 @@ world changes its own."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from deepbots_cli.compiler.namespace import Namespace, NamespaceReader
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER
-from deepbots_cli.expressions.scalar import Const, Draw
+from deepbots_cli.expressions.scalar import Const, Draw, Scalar
 from deepbots_cli.expressions.types import Context
 from deepbots_cli.program import Program
 from deepbots_cli.program.draws import EpisodeDraw
@@ -37,6 +39,7 @@ class _LevelsReader(NamespaceReader):
         spec = self._levels
         errors_before = len(self._values.findings.errors)
         values = {name: self._values_of(name) for name in spec.set}
+        by_world = self._by_world(spec.per_world) if spec.per_world is not None else None
         start = self._start()
         up, down = self._outcomes("up"), self._outcomes("down")
         shared = sorted(up & down - {SUCCESS})
@@ -53,6 +56,7 @@ class _LevelsReader(NamespaceReader):
             frozenset(up),
             frozenset(down),
             spec.at_top == "random",
+            by_world,
         )
 
     # The values of a parameter
@@ -60,7 +64,10 @@ class _LevelsReader(NamespaceReader):
     def _values_of(self, name: str) -> tuple[float, ...] | None:
         """Return the value of a parameter in each level; None after a finding."""
         path: NodePath = (*self._levels.path, "set", name)
-        entry = self._draw(name, path)
+        example = f"uniform({self._values.text(path).text})"
+        entry = self._draw(
+            name, self._values.key_span(path), f"draw it from all levels, for example `{name}: {example}`"
+        )
         if entry is None:
             return None
         parameter = self._parameter(name)
@@ -87,11 +94,11 @@ class _LevelsReader(NamespaceReader):
         parameter = name.partition(".")[0]
         return next((value for value in self._program.parameters if value.name == parameter), None)
 
-    def _draw(self, name: str, path: NodePath) -> EpisodeDraw | None:
-        """Return the draw of a parameter; None after a finding."""
+    def _draw(self, name: str, span: Span, if_fixed: str) -> EpisodeDraw | None:
+        """Return the draw of a parameter; None after a finding, whose remedy is `if_fixed` for a parameter with
+        one value."""
         draws = [entry for entry in self._program.draws.entries if entry.is_parameter]
         entry = next((entry for entry in draws if entry.name == name), None)
-        span = self._values.key_span(path)
         if entry is not None and not entry.changes:
             return entry
         if entry is not None:
@@ -108,10 +115,8 @@ class _LevelsReader(NamespaceReader):
             remedy = "name those in place of it"
             self._values.add("DB407", span, f"`{name}` is computed from other parameters", remedy)
         elif not self._is_assigned(name) and not self._values.is_invalid(name):
-            text = self._values.text(path).text
-            remedy = f"draw it from all levels, for example `{name}: uniform({text})`"
             headline = f"`{name}` has one value in all episodes, so nothing uses the levels"
-            self._values.add("DB205", span, headline, remedy)
+            self._values.add("DB205", span, headline, if_fixed)
         return None
 
     def _is_assigned(self, name: str) -> bool:
@@ -154,6 +159,33 @@ class _LevelsReader(NamespaceReader):
             remedy = "keep the range within it, or draw the parameter from a wider range"
             self._values.add("DB105", path, f"{headline} (SI units)", remedy)
         return not beyond
+
+    def _by_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
+        """Return a parameter and its values, of which each world has one; None after a finding."""
+        path: NodePath = (*self._levels.path, "per_world")
+        entry = self._draw(
+            name,
+            self._values.span(path),
+            f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`",
+        )
+        if entry is None:
+            return None
+        values = _finite_values(entry.tree)
+        remedy = ""
+        if name in self._levels.set:
+            headline = f"`{name}` has a value in each level, so a world cannot keep one"
+            remedy = f"remove `{name}` from `set` or from `per_world`"
+        elif not values:
+            headline = f"`{name}` can have any value of a range, and the worlds divide single values"
+            remedy = f"draw `{name}` from `integer(0 .. 5)` or from a choice such as `choice(1 | 2 | 3)`"
+        elif self._spec.train is not None and self._spec.train.environments < len(values):
+            worlds = self._spec.train.environments
+            headline = f"`{name}` has {len(values)} values, and the training {worlds} worlds: not one each"
+            remedy = f"write `train.environments: {len(values)}` or a multiple, or remove `per_world`"
+        if remedy:
+            self._values.add("DB407", path, headline, remedy)
+            return None
+        return entry.name, tuple(map(float, values))
 
     # The level of a world
 
@@ -214,3 +246,17 @@ class _LevelsReader(NamespaceReader):
         if name not in single and not self._values.is_invalid("termination"):
             self._values.report_unknown(self._values.span(path), "ending", name, [*groups, *sorted(single)])
         return {name}
+
+
+def _finite_values(tree: Scalar | None) -> Sequence[float]:
+    """Return the values of a draw of whole numbers or of a choice, as often as it names them; none of another
+    expression."""
+    if not isinstance(tree, Draw):
+        return ()
+    numbers = [argument.value for argument in tree.args if isinstance(argument, Const)]
+    if len(numbers) < len(tree.args):
+        return ()
+    if tree.distribution == "integer":
+        low, high = numbers
+        return range(round(low), round(high) + 1)
+    return numbers if tree.distribution == "choice" else ()

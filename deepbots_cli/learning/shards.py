@@ -118,7 +118,7 @@ def make_worlds(
         on_episode(world, episode, stages[world], env.drawn[world])
 
     def options(world: int) -> Mapping[str, Any] | None:
-        return None if levels is None else levels.settings(stages[world])
+        return None if levels is None else levels.settings(plan.numbers[world], stages[world])
 
     def next_seed(world: int) -> int | None:
         """Move a world into the present stage, or into its next level. Returns the seed with which it begins

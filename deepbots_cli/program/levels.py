@@ -23,6 +23,8 @@ class Levels:
             `SUCCESS`.
         down: The outcomes after which it is one level lower.
         is_random_at_top: Whether `up` in the highest level leads to a random level.
+        by_world: The name of a draw, and its values (SI units), of which each world has one for the whole
+            training; none without it.
     """
 
     count: int
@@ -31,19 +33,29 @@ class Levels:
     up: frozenset[str]
     down: frozenset[str]
     is_random_at_top: bool
+    by_world: tuple[str, tuple[float, ...]] | None = None
 
     def digest_fields(self) -> dict[str, object]:
         # The order of a set of texts differs between processes.
-        return {**vars(self), "up": tuple(sorted(self.up)), "down": tuple(sorted(self.down))}
+        fields = {**vars(self), "up": tuple(sorted(self.up)), "down": tuple(sorted(self.down))}
+        if self.by_world is None:  # The digests of files without it stay.
+            del fields["by_world"]
+        return fields
 
     def first(self, world: int) -> int:
-        """Return the level in which a world begins: the levels from the lowest to the highest, in turn."""
+        """Return the level in which a world begins: the levels from the lowest to the highest, in turn, and
+        all values of `by_world` in each of them."""
         low, high = self.start
-        return low + world % (high - low + 1)
+        turns = 1 if self.by_world is None else len(self.by_world[1])
+        return low + world // turns % (high - low + 1)
 
-    def settings(self, level: int) -> Mapping[str, float]:
-        """Return the values of the draws in a level, as `options` of `reset`."""
-        return {name: values[level] for name, values in self.values}
+    def settings(self, world: int, level: int) -> Mapping[str, float]:
+        """Return the values of the draws of a world in a level, as `options` of `reset`."""
+        settings = {name: values[level] for name, values in self.values}
+        if self.by_world is not None:
+            name, values = self.by_world
+            settings[name] = values[world % len(values)]
+        return settings
 
     def next(self, level: int, outcomes: Sequence[str], draw: Callable[[], int]) -> int:
         """Return the level after an episode.
