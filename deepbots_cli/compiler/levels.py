@@ -64,10 +64,8 @@ class _LevelsReader(NamespaceReader):
     def _values_of(self, name: str) -> tuple[float, ...] | None:
         """Return the value of a parameter in each level; None after a finding."""
         path: NodePath = (*self._levels.path, "set", name)
-        example = f"uniform({self._values.text(path).text})"
-        entry = self._draw(
-            name, self._values.key_span(path), f"draw it from all levels, for example `{name}: {example}`"
-        )
+        remedy = f"draw it from all levels, for example `{name}: uniform({self._values.text(path).text})`"
+        entry = self._draw(name, self._values.key_span(path), remedy)
         if entry is None:
             return None
         parameter = self._parameter(name)
@@ -106,7 +104,10 @@ class _LevelsReader(NamespaceReader):
             self._values.add("DB407", span, f"`{name}` changes within an episode", remedy)
         elif name not in self._spec.parameters:
             self._values.report_unknown(
-                span, "parameter", name, [*self._spec.parameters, *(entry.name for entry in draws)]
+                span,
+                "parameter",
+                name,
+                list(dict.fromkeys([*self._spec.parameters, *(entry.name for entry in draws)])),
             )
         elif components := [entry.name for entry in draws if entry.name.startswith(f"{name}.")]:
             remedy = f"set its components: {', '.join(f'`{component}`' for component in components)}"
@@ -115,8 +116,7 @@ class _LevelsReader(NamespaceReader):
             remedy = "name those in place of it"
             self._values.add("DB407", span, f"`{name}` is computed from other parameters", remedy)
         elif not self._is_assigned(name) and not self._values.is_invalid(name):
-            headline = f"`{name}` has one value in all episodes, so nothing uses the levels"
-            self._values.add("DB205", span, headline, if_fixed)
+            self._values.add("DB205", span, f"`{name}` has one value in all episodes", if_fixed)
         return None
 
     def _is_assigned(self, name: str) -> bool:
@@ -163,11 +163,8 @@ class _LevelsReader(NamespaceReader):
     def _by_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
         """Return a parameter and its values, of which each world has one; None after a finding."""
         path: NodePath = (*self._levels.path, "per_world")
-        entry = self._draw(
-            name,
-            self._values.span(path),
-            f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`",
-        )
+        remedy = f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`"
+        entry = self._draw(name, self._values.span(path), remedy)
         if entry is None:
             return None
         values = _finite_values(entry.tree)
@@ -176,11 +173,11 @@ class _LevelsReader(NamespaceReader):
             headline = f"`{name}` has a value in each level, so a world cannot keep one"
             remedy = f"remove `{name}` from `set` or from `per_world`"
         elif not values:
-            headline = f"`{name}` can have any value of a range, and the worlds divide single values"
-            remedy = f"draw `{name}` from `integer(0 .. 5)` or from a choice such as `choice(1 | 2 | 3)`"
+            headline = f"`{name}` is not drawn from single values, which the worlds could have in turn"
+            remedy = f"draw `{name}` from whole numbers or choices: `integer(0 .. 5)`, `choice(1 | 2 | 3)`"
         elif self._spec.train is not None and self._spec.train.environments < len(values):
             worlds = self._spec.train.environments
-            headline = f"`{name}` has {len(values)} values, and the training {worlds} worlds: not one each"
+            headline = f"`{name}` has {len(values)} values, but the training has only {worlds} environments"
             remedy = f"write `train.environments: {len(values)}` or a multiple, or remove `per_world`"
         if remedy:
             self._values.add("DB407", path, headline, remedy)

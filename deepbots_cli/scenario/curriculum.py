@@ -63,9 +63,9 @@ class Levels(Section):
     levels: Annotated[int, WholeNumber(2, MAX_LEVELS)]
     """Number of levels."""
     per_world: Annotated[str, Reference("parameter")] | None = None
-    """A parameter of which each world has one value for the whole training, such as the kind of its tiles. So
-    the level of a world is that of its value. The scenario draws it from whole numbers or choices, such as
-    `integer(0 .. 5)`; the worlds have its values in turn. Default: every episode draws all parameters."""
+    """A parameter that has one value in each world for the whole training, such as the kind of a tile: hard
+    kinds do not hold back easy ones. The scenario draws it from whole numbers or choices, such as
+    `integer(0 .. 5)`, and the worlds have these values in turn. Default: each episode draws it."""
     start: Annotated[Scalar, FirstLevels()] = 0
     """The level in which each world begins, or a range that the worlds divide evenly, such as `0 .. 2`."""
     up: EndingNames

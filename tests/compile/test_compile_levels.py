@@ -38,6 +38,9 @@ SCENARIO = Path(__file__).parents[1] / "data" / "scenarios" / "levels.yaml"
         ("start=3 .. 1", "DB105", "3 .. 1", "`start` is 3 .. 1", "0 .. 2"),
         ("at_top=top", "DB104", "top", "unknown word `top`", "stay"),
         ("set={level: 3}", "DB103", "3", "expected a range", ".."),
+        ("per_world=level", "DB407", "level", "`level` has a value in each level", "remove `level`"),
+        ("per_world=mark", "DB407", "mark", "computed from other parameters", "those"),
+        ("per_world=lvl", "DB201", "lvl", "there is no parameter `lvl`", "level"),
     ],
 )
 def test_a_mistake_is_found_where_it_is(
@@ -65,6 +68,32 @@ def test_levels_of_a_parameter_with_one_value_are_a_warning() -> None:
     (finding,) = check(load(SCENARIO, overrides=["curriculum.set={fall_angle: 5 .. 15 deg}"])).findings
     assert (finding.code, finding.severity, finding.span.text) == ("DB205", "warning", "fall_angle")
     assert finding.help == "draw it from all levels, for example `fall_angle: uniform(5 .. 15 deg)`"
+
+
+@pytest.mark.parametrize(
+    ("parameter", "headline", "remedy"),
+    [
+        ("uniform(0 .. 3)", "`kind` is not drawn from single values", "integer(0 .. 5)"),
+        ("integer(0 .. 3) every 1 s", "`kind` changes within an episode", "remove `every`"),
+        ("integer(0 .. 4)", "`kind` has 5 values, but the training has only 4", "train.environments: 5"),
+        ("integer(0 .. 1_000_000_000)", "1000000001 values", "environments"),
+    ],
+)
+def test_worlds_divide_single_values(parameter: str, headline: str, remedy: str) -> None:
+    overrides = [f"parameters.kind={parameter}", "curriculum.per_world=kind"]
+    findings = check(load(SCENARIO, overrides=overrides)).findings.errors
+    assert [(finding.code, finding.span.text) for finding in findings] == [("DB407", "kind")]
+    assert headline in findings[0].headline
+    assert remedy in (findings[0].help or "")
+
+
+def test_a_parameter_with_one_value_is_not_divided() -> None:
+    (finding,) = check(load(SCENARIO, overrides=["curriculum.per_world=fall_angle"])).findings
+    assert (finding.code, finding.severity, finding.span.text) == ("DB205", "warning", "fall_angle")
+    by_set = ["parameters.kind=integer(0 .. 3)", "curriculum.per_world=kind", "kind=2"]
+    levels = api.compile(SCENARIO, overrides=by_set).program.levels
+    assert levels is not None
+    assert levels.by_world is None
 
 
 def test_one_value_by_set_replaces_the_levels() -> None:

@@ -116,9 +116,38 @@ def test_the_outcome_of_an_episode_is_its_ending() -> None:
 def test_the_levels_divide_the_range_of_each_parameter_evenly() -> None:
     both = compiled("parameters.size=uniform(1 .. 5 cm)", "curriculum.set={level: 0 .. 5, size: 4 .. 1.5 cm}")
     levels = levels_of(both)
-    assert levels.settings(0) == {"level": 0.0, "size": pytest.approx(0.04)}
-    assert levels.settings(2) == {"level": 2.0, "size": pytest.approx(0.03)}
-    assert levels.settings(5) == {"level": 5.0, "size": pytest.approx(0.015)}
+    assert levels.settings(0, 0) == {"level": 0.0, "size": pytest.approx(0.04)}
+    assert levels.settings(0, 2) == {"level": 2.0, "size": pytest.approx(0.03)}
+    assert levels.settings(3, 5) == {"level": 5.0, "size": pytest.approx(0.015)}
+
+
+def test_worlds_have_the_values_of_a_parameter_in_turn_and_each_of_them_all_first_levels() -> None:
+    kinds = compiled(
+        "parameters.kind=choice(0 | 0 | 1 | 2)", "curriculum.per_world=kind", "curriculum.start=0 .. 2"
+    )
+    levels = levels_of(kinds)
+    assert [levels.settings(world, 0)["kind"] for world in range(9)] == [0, 0, 1, 2, 0, 0, 1, 2, 0]
+    assert [levels.first(world) for world in range(13)] == [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 0]
+
+
+@pytest.mark.parametrize("engine", few(["pybullet", "mujoco"], ["mujoco"]))
+def test_each_world_has_one_value_of_a_parameter(tmp_path: Path, engine: str) -> None:
+    """Kind 0 goes up a level with each episode, and kind 1 stays: its mark is out of reach."""
+    task = compiled(
+        "train.shards=2",
+        "parameters.kind=integer(0 .. 1)",
+        "parameters.mark=1 cm + 5 mm * level + 10 m * kind",
+        "curriculum.per_world=kind",
+        "curriculum.at_top=stay",
+        "curriculum.down=fallen",
+        "curriculum.start=0",
+        "action={drive: {choices: {forward: 1, fast: 1}}}",
+    )
+    rows = monitor_rows(train(task, run=tmp_path / "run", engine=engine).run)
+    drawn = [json.loads(row["drawn"]) for row in rows]
+    levels = {kind: {entry["level"] for entry in drawn if entry["kind"] == kind} for kind in (0, 1)}
+    assert max(levels[0]) > 2
+    assert levels[1] == {0}
 
 
 def test_groups_of_endings_are_the_endings_of_the_scenario() -> None:
