@@ -85,6 +85,7 @@ def _chart(
         "legend": {
             "type": "scroll",
             "top": 4,
+            "itemHeight": 8,
             "textStyle": text,
             "inactiveColor": "#666666" if dark else "#bbbbbb",
             "data": [{"name": line["name"], "icon": _ICONS[line["kind"]]} for line in lines],

@@ -34,7 +34,7 @@ _HEAD = """<meta name="color-scheme" content="%s"><style>
 html, body { background: var(--mantine-color-body, %s); }
 .mantine-Notification-root[style*="orange"] { display: none !important; }
 :root { --mantine-color-dimmed: %s !important; } .mantine-Button-label { color: %s; }
-[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --mantine-color-dark-7: #16191f;
+html:root[data-mantine-color-scheme="dark"] { --mantine-color-body: #16191f; --mantine-color-dark-7: #16191f;
   --mantine-color-dark-6: #20242c; --mantine-color-dark-5: #2a2f39; --mantine-color-dark-4: #343a46;
   --mantine-color-dark-3: #566073; --mantine-color-dark-2: #a9b2c0; --mantine-color-placeholder: #a9b2c0; }
 [data-mantine-color-scheme="dark"] [style*="rgb(20, 20, 20)"] { background: #16191f !important; }

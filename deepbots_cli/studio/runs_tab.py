@@ -88,10 +88,14 @@ class RunsTab:
                 ("change", "changed since the run before", "left"),
             )
         ]
-        for column in columns:
+        for column in columns[:-1]:
             column["headerStyle"] = column["style"] = "white-space: nowrap"
-        columns[-1]["style"] = "min-width: 14rem; overflow-wrap: anywhere"
-        next(entry for entry in columns if entry["name"] == "when")[":format"] = _AGE
+        columns[-1]["style"] = "overflow-wrap: anywhere"
+        columns[-1]["classes"] = "studio-change"
+        by_name = {column["name"]: column for column in columns}
+        by_name["when"][":format"] = _AGE
+        for name in ("state", "when"):
+            by_name[name]["classes"] = by_name[name]["headerClasses"] = "studio-wide"
         self._columns = columns
         ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
