@@ -172,6 +172,8 @@ def training_text(result: TrainingResult) -> str:
     rows["last stage"] = result.stage
     if result.levels is not None:
         rows["level"] = result.levels
+        if by_value := result.levels.by_value:
+            rows["mean levels"] = ", ".join(f"{mean:.2f} with {value}" for value, mean in by_value.items())
     if result.mean_return is not None:
         mean = agents_text(result.agents) if result.agents else f"{result.mean_return:.1f}"
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"

@@ -11,6 +11,7 @@ from pydantic import BaseModel, Field, NonNegativeInt
 from deepbots_cli.errors import RunError
 from deepbots_cli.learning.generations import Generations
 from deepbots_cli.program import CurriculumStage, Program
+from deepbots_cli.program.levels import Levels
 from deepbots_cli.program.task import Criterion
 from deepbots_cli.rollout import Episode
 
@@ -38,12 +39,17 @@ class CurriculumState(BaseModel, strict=True, allow_inf_nan=False):
 
 
 class LevelSpread(BaseModel, frozen=True, strict=True, allow_inf_nan=False):
-    """The levels of the worlds of a training, from 0 up; `count` levels in all."""
+    """The levels of the worlds of a training, from 0 up; `count` levels in all.
+
+    `by_value` is the mean level of the worlds with each value of the parameter under `per_world`, such as
+    `kind=2`.
+    """
 
     mean: float
     lowest: NonNegativeInt
     highest: NonNegativeInt
     count: NonNegativeInt
+    by_value: dict[str, float] = {}
 
     def __str__(self) -> str:
         last = self.count - 1
@@ -110,6 +116,7 @@ class Curriculum:
             lowest=min(world_levels),
             highest=max(world_levels),
             count=levels.count,
+            by_value=_means_by_value(levels, world_levels),
         )
 
     @property
@@ -209,3 +216,12 @@ class Curriculum:
         self.completed = list(state.ends)
         self._begin(state.first_step)
         self._recent.restore(state.recent, state.worlds)
+
+
+def _means_by_value(levels: Levels, world_levels: Sequence[int]) -> dict[str, float]:
+    """Return the mean level of the worlds with each value of `per_world`, in the order of the values."""
+    groups: dict[str, list[int]] = {}
+    for world, level in enumerate(world_levels):
+        for name, value in levels.settings_of(world).items():
+            groups.setdefault(f"{name}={value:g}", []).append(level)
+    return {text: sum(group) / len(group) for text, group in groups.items()}

@@ -42,6 +42,8 @@ class Scalars:
             log.record("curriculum/mean_level", levels.mean)
             log.record("curriculum/lowest_level", levels.lowest)
             log.record("curriculum/highest_level", levels.highest)
+            for with_value, mean_level in levels.by_value.items():
+                log.record(f"curriculum/mean_level/{with_value}", mean_level)
         if curriculum.criterion is not None and value is not None:
             log.record(f"curriculum/{curriculum.criterion.metric}", value)
             log.record("curriculum/threshold", curriculum.criterion.threshold)

@@ -51,11 +51,14 @@ class Levels:
 
     def settings(self, world: int, level: int) -> Mapping[str, float]:
         """Return the values of the draws of a world in a level, as `options` of `reset`."""
-        settings = {name: values[level] for name, values in self.values}
-        if self.by_world is not None:
-            name, values = self.by_world
-            settings[name] = values[world % len(values)]
-        return settings
+        return {name: values[level] for name, values in self.values} | self.settings_of(world)
+
+    def settings_of(self, world: int) -> dict[str, float]:
+        """Return the value of `by_world` that a world has in all levels."""
+        if self.by_world is None:
+            return {}
+        name, values = self.by_world
+        return {name: values[world % len(values)]}
 
     def next(self, level: int, outcomes: Sequence[str], draw: Callable[[], int]) -> int:
         """Return the level after an episode.

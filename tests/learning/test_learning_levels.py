@@ -143,11 +143,15 @@ def test_each_world_has_one_value_of_a_parameter(tmp_path: Path, engine: str) ->
         "curriculum.start=0",
         "action={drive: {choices: {forward: 1, fast: 1}}}",
     )
-    rows = monitor_rows(train(task, run=tmp_path / "run", engine=engine).run)
+    result = train(task, run=tmp_path / "run", engine=engine)
+    rows = monitor_rows(result.run)
     drawn = [json.loads(row["drawn"]) for row in rows]
     levels = {kind: {entry["level"] for entry in drawn if entry["kind"] == kind} for kind in (0, 1)}
     assert max(levels[0]) > 2
     assert levels[1] == {0}
+    assert result.levels is not None
+    assert result.levels.by_value == {"kind=0": 2 * result.levels.mean, "kind=1": 0.0}
+    assert f"{2 * result.levels.mean:.2f} with kind=0, 0.00 with kind=1" in training_text(result)
 
 
 def test_groups_of_endings_are_the_endings_of_the_scenario() -> None:
