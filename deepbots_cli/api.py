@@ -337,7 +337,7 @@ def _build_batch(
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import generate_module, load_module
-    from deepbots_cli.codegen.text import class_name
+    from deepbots_cli.codegen.names import class_name
     from deepbots_cli.program.identity import digest
     from deepbots_cli.runtime.copies import make_batch
 
@@ -420,7 +420,7 @@ def build(
     except ModuleNotFoundError as error:
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import generate_module, load_module
-    from deepbots_cli.codegen.text import class_name
+    from deepbots_cli.codegen.names import class_name
     from deepbots_cli.program.identity import digest
 
     if program.others is not None:

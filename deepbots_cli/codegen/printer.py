@@ -13,7 +13,8 @@ from collections.abc import Container, Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
-from deepbots_cli.codegen.text import LOOP_VARIABLES, quoted, tuple_code, with_comment
+from deepbots_cli.codegen.names import LOOP_VARIABLES
+from deepbots_cli.codegen.text import quoted, tuple_code, with_comment
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.lower import SCALAR, operation_code

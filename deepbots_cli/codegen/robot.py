@@ -6,11 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from deepbots_cli import frames
+from deepbots_cli.codegen.names import Constants, class_name
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.text import (
-    Constants,
     block,
-    class_name,
     constants_tuple_code,
     docstring,
     fill_template,

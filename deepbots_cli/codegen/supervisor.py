@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import get_args
 
+from deepbots_cli.codegen.names import Constants, class_name
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
 from deepbots_cli.codegen.robot import controller_name
@@ -17,9 +18,7 @@ from deepbots_cli.codegen.step import (
     start_method,
 )
 from deepbots_cli.codegen.text import (
-    Constants,
     block,
-    class_name,
     docstring,
     fill_template,
     quoted,

@@ -168,7 +168,7 @@ class Simulation(RuleContext):
         return None
 
     def _identifiers(self) -> Iterator[tuple[str, tuple[Expression, Section]]]:
-        """Yield the identifiers of values in generated code, in the order of `codegen.text`, which appends a
+        """Yield the identifiers of values in generated code, in the order of `codegen.names`, which appends a
         number to a taken one."""
         program = self.program
         for entry in program.agent.observation:

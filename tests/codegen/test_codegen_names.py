@@ -13,7 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.codegen.text import WIDTH, docstring, wrap_line
+from deepbots_cli.codegen.lines import WIDTH, wrap_line
+from deepbots_cli.codegen.names import Constants
+from deepbots_cli.codegen.text import docstring
+from deepbots_cli.expressions.scalar import NamedFloat
 from tests.few import every
 from tests.worlds import SCENARIOS
 
@@ -160,6 +163,15 @@ def test_the_code_does_not_depend_on_the_process(tmp_path: Path) -> None:
         env={"PYTHONHASHSEED": "77"},
     )
     assert answer.stdout == api.compile(drawn).code
+
+
+def test_a_constant_is_explained_by_its_parameter_if_no_other_number_is_in_it() -> None:
+    parts = [
+        NamedFloat(number, "size", part, "[1, 2, 3]") for part, number in zip("xyz", (1, 2, 3), strict=True)
+    ]
+    constants = Constants()
+    assert [constants.vector(parts), constants.vector([*parts[:2], 7.0])] == ["SIZE", "SIZE_1"]
+    assert constants.lines == ["SIZE = (1.0, 2.0, 3.0)  # [1, 2, 3]", "SIZE_1 = (1.0, 2.0, 7.0)"]
 
 
 # The layout of generated code

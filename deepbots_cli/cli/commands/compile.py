@@ -12,7 +12,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, OUTPUT, Force, Json, Overrides, Scenario, option
 from deepbots_cli.cli.commands.new import Files, write_new
 from deepbots_cli.codegen import generate_module
-from deepbots_cli.codegen.text import class_name
+from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError, install_source

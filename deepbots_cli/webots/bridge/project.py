@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import api
 from deepbots_cli.codegen import load_module
-from deepbots_cli.codegen.text import class_name
+from deepbots_cli.codegen.names import class_name
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.webots.bridge.task import HasWebotsRobots, exchange
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import deepbots_cli
 from deepbots_cli import api
-from deepbots_cli.codegen.text import class_name
+from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.program.task import ACTIVATIONS, Schedule
