@@ -292,8 +292,8 @@ class Engine(Bindable, Protocol):
 
     # Functions that act in every engine step; bound at build, called in the order of binding
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        """Call `act` before each engine step of `step`."""
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        """Call `callback` before each engine step of `step`."""
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         """Return a function that pushes a link at its origin, in the next engine step only, with axes of the

@@ -121,9 +121,9 @@ class BatchMember(EngineProxy):
 
         return read_free
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self.substep_callbacks.append(act)
-        self._batch.acts_in_substeps = True
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self.substep_callbacks.append(callback)
+        self._batch.has_substep_callbacks = True
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         if self._pushers == len(self._batch._pushes):
@@ -201,7 +201,7 @@ class MuJoCoBatch:
         self._armature: Column | None = None
         """The armature of each world without the part that velocity motors add, from the first episode on
         that sets one."""
-        self.acts_in_substeps = False
+        self.has_substep_callbacks = False
         """Whether members act in each substep."""
         self._pushes: list[Pushes] = []
         """The pushes of all members, in the order in which each of them binds its pushers."""
@@ -277,11 +277,11 @@ class MuJoCoBatch:
         if len(self._touch_columns):
             self.touched[goes] = False
         waits = [part.waits for parts in (self.motors.values(), self._pushes) for part in parts]
-        if not (self.acts_in_substeps or any(column.any() for column in waits)):
+        if not (self.has_substep_callbacks or any(column.any() for column in waits)):
             self._advance(goes, substeps)
             return
         for _ in range(substeps):
-            if self.acts_in_substeps:
+            if self.has_substep_callbacks:
                 for index in np.flatnonzero(goes).tolist():
                     for act in self.members[index].substep_callbacks:
                         act()

@@ -92,7 +92,7 @@ class BatchMotor:
         self._is_spring = False
         self._is_active, self._is_given = np.zeros(count, bool), np.zeros(count, bool)
         """The worlds whose joints it drives, and those whose members have commanded it since."""
-        self._acts = motors.array_index([batch.single._motors.actuators[joint] for joint in joints])
+        self._actuators = motors.array_index([batch.single._motors.actuators[joint] for joint in joints])
         self._dofs = motors.array_index(self._model.jnt_dofadr[list(joints)].tolist())
         self._joint_index = motors.array_index(self.joints)
 
@@ -150,24 +150,24 @@ class BatchMotor:
             # Takes a third of the time of `np.clip` on 8 x 12 values.
             else np.minimum(np.maximum(targets, -limits), limits)
         )
-        self._batch.ctrl[cells(worlds, self._acts)] = forces
+        self._batch.ctrl[cells(worlds, self._actuators)] = forces
 
     def _activate(self, worlds: Column) -> None:
         """Drive the joints in these worlds; see `motors.Motor`."""
         rows = self._batch.rows
         limits = self._limits[worlds]
         joints = cells(worlds, self._joint_index)
-        acts, dofs = cells(worlds, self._acts), cells(worlds, self._dofs)
+        actuators, dofs = cells(worlds, self._actuators), cells(worlds, self._dofs)
         bias = rows["actuator_biasprm"]
-        bias[acts] = 0.0
+        bias[actuators] = 0.0
         if self._is_spring:
-            bias[..., 1][acts] = -self._stiffness[worlds]
-            bias[..., 2][acts] = -self._damping[worlds]
+            bias[..., 1][actuators] = -self._stiffness[worlds]
+            bias[..., 2][actuators] = -self._damping[worlds]
         rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
         rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
-        rows["actuator_forcelimited"][acts] = not self.is_soft
+        rows["actuator_forcelimited"][actuators] = not self.is_soft
         rows["jnt_actfrclimited"][joints] = self.is_soft
-        rows["actuator_forcerange"][acts] = rows["jnt_actfrcrange"][joints] = np.stack(
+        rows["actuator_forcerange"][actuators] = rows["jnt_actfrcrange"][joints] = np.stack(
             [-limits, limits], axis=-1
         )
         for rival in self.rivals:
@@ -209,7 +209,9 @@ class CurvedMotor(BatchMotor):
         low, high = (
             np.minimum(np.maximum(end, 0.0), limits) for end in (stall * (1.0 + share), stall * (1.0 - share))
         )
-        self._batch.rows["actuator_forcerange"][cells(worlds, self._acts)] = np.stack([-low, high], axis=-1)
+        self._batch.rows["actuator_forcerange"][cells(worlds, self._actuators)] = np.stack(
+            [-low, high], axis=-1
+        )
 
 
 class TrackingMotor(BatchMotor):
@@ -260,7 +262,7 @@ class TrackingMotor(BatchMotor):
         # `np.where` computes both branches: without the maximum below, an error of 0 would divide by 0.
         threshold = limits / self._stiffest
         gains = np.where(off > threshold, limits / np.maximum(off, threshold), self._stiffest)
-        batch.ctrl[cells(worlds, self._acts)] = gains * (self._rate or 1.0) * targets
+        batch.ctrl[cells(worlds, self._actuators)] = gains * (self._rate or 1.0) * targets
         aimed: Column = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
@@ -269,9 +271,9 @@ class TrackingMotor(BatchMotor):
         added = gains * self._step
         bias = batch.rows["actuator_biasprm"]
         self._gains[worlds] = gains
-        bias[..., 2][cells(worlds, self._acts)] = -gains
+        bias[..., 2][cells(worlds, self._actuators)] = -gains
         if self._rate:
-            bias[..., 1][cells(worlds, self._acts)] = -gains * self._rate
+            bias[..., 1][cells(worlds, self._actuators)] = -gains * self._rate
         usual = batch.usual_armature(worlds, self._dofs)
         batch.rows["dof_armature"][cells(worlds, self._dofs)] = usual + added
         batch.rows["dof_invweight0"][cells(worlds, self._dofs)] = 1.0 / (self._moved + added)

@@ -84,39 +84,38 @@ class MuJoCoEngine:
             world.update_constants()
         model = world.model
         data = world.data
-        touches = self._contact_monitor
+        contact_monitor = self._contact_monitor
         advance = mj.mj_step if self._wrench_monitor is None else self._wrench_monitor.step
-        acts = self._substep_callbacks
-        renewed = self._motors.gain_updates
-        if not (acts or renewed or world.has_pushes or self._wrench_monitor):
-            if touches is None:
+        callbacks = self._substep_callbacks
+        gain_updates = self._motors.gain_updates
+        if not (callbacks or gain_updates or world.has_pushes or self._wrench_monitor):
+            if contact_monitor is None:
                 # One call for 8 substeps of a free body takes 12.6 us, 8 calls take 14.4 us.
                 mj.mj_step(model, data, substeps)
             else:
-                look = touches.update
-                touches.reset()
+                contact_monitor.reset()
                 for _ in range(substeps):
-                    advance(model, data)
-                    look()
+                    mj.mj_step(model, data)
+                    contact_monitor.update()
             world.invalidate_after_step()
             return
-        if touches is not None:
-            touches.reset()
+        if contact_monitor is not None:
+            contact_monitor.reset()
         for _ in range(substeps):
-            for act in acts:
-                act()
-            for renew in renewed.values():
-                renew()
+            for callback in callbacks:
+                callback()
+            for update in gain_updates.values():
+                update()
             advance(model, data)
             world.invalidate_after_step()
             if world.has_pushes:
                 data.xfrc_applied[:] = 0.0  # MuJoCo keeps it, but a push lasts for one engine step
                 world.has_pushes = False
-            if touches is not None:
-                touches.update()
+            if contact_monitor is not None:
+                contact_monitor.update()
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self._substep_callbacks.append(act)
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self._substep_callbacks.append(callback)
 
     def require_finite(self) -> None:
         self._world.require_finite()
@@ -219,7 +218,7 @@ class MuJoCoEngine:
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._pool(part[0]).bind_current(
-            lambda body: motors.pusher(self._world, _link(body, part[1]), frame)
+            lambda form: motors.pusher(self._world, _link(form, part[1]), frame)
         )
 
     # Readers of motion
@@ -380,9 +379,9 @@ class MuJoCoEngine:
                     " engine 'pybullet'"
                 )
         read = pool.bind_current(
-            lambda body: other_pool.bind_current(
-                lambda far_body: surfaces.clearance(
-                    self._world, body.geoms_of(one[1]), far_body.geoms_of(other[1])
+            lambda form: other_pool.bind_current(
+                lambda other_form: surfaces.clearance(
+                    self._world, form.geoms_of(one[1]), other_form.geoms_of(other[1])
                 )
             )
         )
@@ -390,17 +389,17 @@ class MuJoCoEngine:
 
     def rays(self, part: Part, rays: Sequence[Frame], reach: float, *, upright: bool = False) -> RayReader:
         return self._pool(part[0]).bind_current(
-            lambda body: surfaces.rays(
-                self._world, body, _link(body, part[1]), tuple(rays), reach, upright=upright
+            lambda form: surfaces.rays(
+                self._world, form, _link(form, part[1]), tuple(rays), reach, upright=upright
             )
         )
 
     def line_of_sight(self, part: Part, other: Part, point: Triple) -> SightReader:
         far = self._pool(other[0])
         read = self._pool(part[0]).bind_current(
-            lambda body: far.bind_current(
-                lambda far_body: surfaces.line_of_sight(
-                    self._world, body, _link(body, part[1]), far_body, _link(far_body, other[1]), point
+            lambda form: far.bind_current(
+                lambda far_form: surfaces.line_of_sight(
+                    self._world, form, _link(form, part[1]), far_form, _link(far_form, other[1]), point
                 )
             )
         )

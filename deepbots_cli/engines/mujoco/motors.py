@@ -164,25 +164,25 @@ class Motor:
         if curve is None:
             return
         ranges = self._world.model.actuator_forcerange
-        acts = self._actuators
+        actuators = self._actuators
         limits = self._limits
         velocity = array_reader(self._world.data.qvel, self._dof_index)
 
         def renew() -> None:
-            ranges[acts] = curve.bounds(velocity(), limits)
+            ranges[actuators] = curve.bounds(velocity(), limits)
 
         self._motors.gain_updates[self] = renew
 
     def torque_writer(self, curve: TorqueCurve | None = None) -> MotorWriter:
         ctrl = self._world.data.ctrl
-        acts = self._actuators
+        actuators = self._actuators
         limits = self._limits
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
                 self._activate_curve(curve)
-            ctrl[acts] = [
+            ctrl[actuators] = [
                 min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)
             ]
 
@@ -197,7 +197,7 @@ class Motor:
         """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
         * velocity`."""
         ctrl = self._world.data.ctrl
-        acts = self._actuators
+        actuators = self._actuators
         bias = self._world.model.actuator_biasprm
         stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
 
@@ -205,8 +205,8 @@ class Motor:
             if not self.is_active:
                 self._activate(soft=False)
                 self._activate_curve(curve)
-                bias[acts, 1], bias[acts, 2] = [-k for k in stiffness], [-d for d in damping]
-            ctrl[acts] = [k * target for k, target in zip(stiffness, targets, strict=True)]
+                bias[actuators, 1], bias[actuators, 2] = [-k for k in stiffness], [-d for d in damping]
+            ctrl[actuators] = [k * target for k, target in zip(stiffness, targets, strict=True)]
 
         return write
 
@@ -242,9 +242,11 @@ class Motor:
         # MuJoCo scales the stiffness of joint limits by these.
         inverses: Any = memoryview(model.dof_invweight0)
         width = model.actuator_biasprm.shape[1]
-        acts = [self._motors.actuators[joint] for joint in self.joints]
+        actuators = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
-        by_joint = list(zip(acts, [width * act for act in acts], dofs, moved, strict=True))
+        by_joint = list(
+            zip(actuators, [width * actuator for actuator in actuators], dofs, moved, strict=True)
+        )
 
         def aim(targets: Sequence[float]) -> None:
             target_velocities = targets

@@ -67,36 +67,36 @@ R = TypeVar("R")
 
 
 class Substeps(NamedTuple):
-    """The functions that a step calls: `begins` once, then in each engine step `acts`, `drives`, the physics,
-    and `looks`.
+    """The functions that a step calls: `resets` once, then in each engine step `callbacks`, `drives`, the
+    physics, and `monitors`.
 
-    Drives are motors that renew their torque. They see the targets that acts have just set.
+    Drives are motors that renew their torque. They see the targets that the callbacks have just set.
     """
 
-    begins: list[Callback]
-    acts: list[Callback]
+    resets: list[Callback]
+    callbacks: list[Callback]
     drives: list[Callback]
-    looks: list[Callback]
+    monitors: list[Callback]
 
     def stepper(self, client: int, now: list[int]) -> Callable[[int], None]:
-        """Return `Engine.step`. In most worlds nothing acts or looks; checking for it costs 1 % of the
+        """Return `Engine.step`. Most worlds have none of these; checking for them costs 1 % of the
         cheapest step. `now` counts states of the world."""
         advance = p.stepSimulation
-        begins, acts, drives, looks = self
+        resets, callbacks, drives, monitors = self
 
         def step(substeps: int) -> None:
-            if acts or drives or looks:
-                for begin in begins:
-                    begin()
+            if callbacks or drives or monitors:
+                for reset in resets:
+                    reset()
                 for _ in range(substeps):
-                    for act in acts:
-                        act()
+                    for callback in callbacks:
+                        callback()
                     for drive in drives:
                         drive()
                     advance(client)
                     now[0] += 1
-                    for look in looks:
-                        look()
+                    for update in monitors:
+                        update()
             else:
                 for _ in range(substeps):
                     advance(client)
@@ -220,8 +220,8 @@ class PyBulletEngine:
     def gravity(self) -> Triple:
         return self._parameters.gravity
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self._substeps.acts.append(act)
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self._substeps.callbacks.append(callback)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         return self._bound(part, lambda body, index: motors.pusher(self._client, body, index, frame))
@@ -325,8 +325,8 @@ class PyBulletEngine:
     def _contact_monitor(self, body: Body) -> surfaces.ContactMonitor:
         if body.number not in self._contact_monitors:
             watch = self._contact_monitors[body.number] = surfaces.ContactMonitor(self._client, body)
-            self._substeps.begins.append(watch.reset)
-            self._substeps.looks.append(watch.update)
+            self._substeps.resets.append(watch.reset)
+            self._substeps.monitors.append(watch.update)
         return self._contact_monitors[body.number]
 
     def require_finite(self) -> None:
@@ -353,7 +353,7 @@ class PyBulletEngine:
         key = body.number, _index(body, part[1])
         if key not in self._wrench_monitors:
             self._wrench_monitors[key] = motors.WrenchMonitor(self._client, body, key[1])
-            self._substeps.looks.append(self._wrench_monitors[key].update)
+            self._substeps.monitors.append(self._wrench_monitors[key].update)
         return self._wrench_monitors[key].read
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
@@ -491,7 +491,7 @@ def _release(client: int, substeps: Substeps, cache: ReadCache) -> None:
     p.disconnect(client)
     for callbacks in substeps:
         callbacks.clear()
-    substeps.acts.append(_raise_closed)  # another world may get this client's number
+    substeps.callbacks.append(_raise_closed)  # another world may get this client's number
     cache.invalidate()
 
 
