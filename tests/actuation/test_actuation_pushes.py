@@ -141,8 +141,8 @@ class Pushed:
 
         return push
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self.act = act
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self.act = callback
 
 
 def test_pushes_that_end_within_a_substep_lose_nothing_over_many():

@@ -93,7 +93,7 @@ class ExactEngine:
         self.gravity = world.gravity
         self._models: dict[str, RobotModel] = {}
         self._ways_back: list[Callable[[], object]] = []
-        self._acts: list[Callable[[], object]] = []
+        self._callbacks: list[Callable[[], object]] = []
         self._motions: dict[str, RigidBody | CartPole] = {}
         self._homes: dict[str, frames.Frame] = {}
         self._servos: dict[tuple[str, tuple[str, ...]], Servo] = {}
@@ -193,8 +193,8 @@ class ExactEngine:
         for motion in self._open().values():
             motion.pull(gravity)
 
-    def before_substep(self, act: Callable[[], object]) -> None:
-        self._acts.append(act)
+    def before_substep(self, callback: Callable[[], object]) -> None:
+        self._callbacks.append(callback)
 
     def pusher(self, part: Part, frame: Literal["world", "link"] = "world") -> Pusher:
         raise _lacks("forces on links")
@@ -234,8 +234,8 @@ class ExactEngine:
     def step(self, substeps: int) -> None:
         motions = self._open().values()
         for _ in range(substeps):
-            for act in self._acts:
-                act()
+            for callback in self._callbacks:
+                callback()
             for servo in self._servos.values():
                 servo.act()
             for motion in motions:
