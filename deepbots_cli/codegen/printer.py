@@ -17,7 +17,6 @@ from deepbots_cli.codegen.names import LOOP_VARIABLES
 from deepbots_cli.codegen.text import quoted, tuple_code, with_comment
 from deepbots_cli.expressions.code import Code, number_code
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.lower import SCALAR, operation_code
 from deepbots_cli.expressions.scalar import (
     Const,
     Draw,
@@ -29,6 +28,7 @@ from deepbots_cli.expressions.scalar import (
     State,
     is_drawn,
 )
+from deepbots_cli.expressions.targets import SCALAR, operation_code
 from deepbots_cli.expressions.world_trees import rotation
 
 if TYPE_CHECKING:

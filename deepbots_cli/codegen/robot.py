@@ -21,8 +21,8 @@ from deepbots_cli.codegen.text import (
 )
 from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
-from deepbots_cli.expressions.lower import SCALAR, Target
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
+from deepbots_cli.expressions.targets import SCALAR, Target
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 

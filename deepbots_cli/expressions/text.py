@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from deepbots_cli.expressions.lower import to_python
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.expressions.targets import to_python
 
 _MAX_LISTED = 4
 """The number of items of a list that a text shows."""

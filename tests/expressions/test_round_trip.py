@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from deepbots_cli.expressions.check import check_drawn, check_range
 from deepbots_cli.expressions.dimensions import UNITS
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.lower import constant_values, lower, to_python
+from deepbots_cli.expressions.lower import constant_values, lower
 from deepbots_cli.expressions.parser import parse
 from deepbots_cli.expressions.syntax import (
     Binary,
@@ -20,6 +20,7 @@ from deepbots_cli.expressions.syntax import (
     Unary,
     Vector,
 )
+from deepbots_cli.expressions.targets import to_python
 from deepbots_cli.expressions.types import Context
 from deepbots_cli.expressions.unification import expect_value
 

@@ -3,8 +3,9 @@
 import pytest
 
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
-from deepbots_cli.expressions.lower import lower, to_python
+from deepbots_cli.expressions.lower import lower
 from deepbots_cli.expressions.scalar import State, walk
+from deepbots_cli.expressions.targets import to_python
 from deepbots_cli.runtime import formulas
 
 DT = 0.5
