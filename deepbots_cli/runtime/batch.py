@@ -491,6 +491,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def require_finite(self, reward: Any) -> None:
         """Raise: EvaluationError: The reward of a world is not finite; names the terms."""
+        # The negation also finds NaN, of which every comparison is false.
         wrong = ~(np.abs(reward) < 1e300) & ~self.lost
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])
