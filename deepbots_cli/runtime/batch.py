@@ -131,6 +131,7 @@ def advance_and_begin(batch: Any, action: Any) -> BatchStep:
     losses_before = len(batch.losses)
     outcome: BatchStep = batch.advance(action)
     for loss in batch.losses[losses_before:]:
+        # Level 4 is the caller of `BatchEnvironment.step`.
         warnings.warn(str(loss), RuntimeWarning, stacklevel=4)
     if not len(outcome.done):
         return outcome
