@@ -342,7 +342,7 @@ class Checkpoints:
         ]
         for episode in episodes:
             check_actions(np.array(episode.actions), self._collector.action_space)
-        # Seeds of their own, because the training knows the first episodes already.
+        # Seeds of their own, because the model has been trained on the first episodes.
         seeds = [
             derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps)
             for i in range(len(episodes))

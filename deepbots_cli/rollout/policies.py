@@ -124,7 +124,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
         masks = None if choices is None else worlds.action_masks()
         for index, forward in enumerate(passes):
             part = slice(index * size, min(count, (index + 1) * size))
-            # Worlds that rest ignore actions, so a pass whose worlds all rest keeps its last answer.
+            # Resting worlds ignore actions, so a pass with only resting worlds keeps its last answer.
             if answers[index] is None or not running.resting[part].all():
                 forward.put_all(observations, slice(part.start * width, part.stop * width), masks)
                 answers[index] = forward.predict(policy, deterministic=True)
