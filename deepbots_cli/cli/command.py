@@ -70,6 +70,7 @@ def whole_number(minimum: int = 1, maximum: int | None = None) -> Callable[[str 
 
 def _workers(text: str | int) -> int:
     """Parse the value of `--workers`."""
+    # Negative numbers pass here, so that they get the message below.
     number = whole_number(-(10**9), 1024)(text)
     if number < 1:
         raise UsageError(
@@ -362,6 +363,7 @@ def help_text(name: str) -> str:
     they are.
     """
     blocks = (_HELP / f"{name}.txt").read_text(encoding="utf-8").rstrip("\n").split("\n\n")
+    # A line with `\b` alone keeps click from wrapping the paragraph below it.
     marked = [f"\b\n{block}" if block.startswith(" ") else block for block in blocks]
     return "\n\n".join([COMMANDS[name], *marked] if name in COMMANDS else marked)
 
@@ -385,6 +387,7 @@ class Command(TyperCommand):
             is_argument = parameter.param_type_name == "argument"
             group = "Arguments" if is_argument else getattr(parameter, "rich_help_panel", None) or "Options"
             groups.setdefault(group, []).extend([row] if row is not None else [])
+        # False comes before True, and the sort is stable: this group comes last, and the others stay.
         for group in sorted(groups, key=ADVANCED.__eq__):
             if groups[group]:
                 with formatter.section(group):
@@ -472,6 +475,7 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
 
     A command with a parameter `agent` gets the name too.
     """
+    # The modules of commands postpone annotations (PEP 563), so that they are texts without `eval_str`.
     signature = inspect.signature(command, eval_str=True)
     passed = {"agent"} & set(signature.parameters)
 
@@ -501,6 +505,7 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
             parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) if index >= after - 1 else parameter
             for index, parameter in enumerate(parameters)
         ]
+    # typer takes the options of a command from this attribute.
     vars(call)["__signature__"] = signature.replace(
         parameters=[*parameters[:after], *added, *parameters[after:]]
     )

@@ -37,6 +37,7 @@ _DISK_ERRORS = (errno.ENOSPC, errno.EFBIG, errno.EIO, errno.EROFS)
 def run_guarded(run: Callable[[], object]) -> int:
     """Call `run`, report errors, and return the exit code, which does not depend on whether anyone reads the
     output."""
+    # Python accepts signal handlers in the main thread only.
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _interrupt)
     with _lasting_streams():

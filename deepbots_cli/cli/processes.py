@@ -13,6 +13,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 
 def available_cores() -> int:
     """Return the number of cores that this process may use."""
+    # `cpu_count` has all cores of the machine, also those that a container or `taskset` excludes.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -295,6 +295,7 @@ def _discount(evidence: TrainingEvidence, fall: Decline) -> Suspect | None:
     length = evidence.program.truncation.max_episode_steps(evidence.program.period)
     if gamma is None:
         return None
+    # A horizon 1 / (1 - gamma) of a quarter of the longest episode.
     advised = min(0.99, max(0.9, round(1 - 4 / length, 3)))
     horizon, usual = 1 / max(1e-6, 1 - gamma), 1 / (1 - advised)
     if gamma >= 1:

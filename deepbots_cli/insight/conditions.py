@@ -286,6 +286,7 @@ def measure(condition: Comparison, values: StepValues) -> MeasuredComparison:
     false."""
     sides, bounds = values[condition.value], (1.0,) if condition.bound is None else values[condition.bound]
     pairs = [
+        # A single number is compared with every component of the other side.
         (sides[index % len(sides)], bounds[index % len(bounds)])
         for index in range(max(len(sides), len(bounds)))
     ]

@@ -202,6 +202,7 @@ class MeasuredWorld(EngineProxy):
     def _vector(self, function: str, name: str, numbers: Sequence[float]) -> Any:
         return tuple(
             self.facts.get((function, (name,), component), number)
+            # A position has three numbers, a quaternion four.
             for component, number in zip(_XYZW, numbers, strict=False)
         )
 
@@ -336,6 +337,7 @@ class RobotEpisodes:
     def close(self, *, is_silent: bool = False) -> None:
         """End a running episode. It counts as an episode if it ends because the robot `is_silent`."""
         self._is_silent = is_silent
+        # The first entry ends the step that waits for values, the second the wait for another episode.
         self._measured.put(None if is_silent else _LinkClosed())
         self._measured.put(_LinkClosed())
         if self._thread is not None:

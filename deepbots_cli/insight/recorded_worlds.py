@@ -242,6 +242,7 @@ class ValueComparison:
         self._columns, self.recorded = columns, recorded
         self._first = [episode.values for episode in recorded]
         self._second = [*repeated]
+        # A number that never changes has no width to divide by.
         self._width = np.maximum(np.ptp(np.vstack(self._first), axis=0), 1e-9) if width is None else width
         self._numbers = [index for index, column in enumerate(columns) if not column.name.startswith(REWARD)]
         self._base = self._errors(self._first)

@@ -243,6 +243,7 @@ class _Retries:
         draft = target.with_name(f"{_COPY}-{target.name}")
         shutil.rmtree(draft, ignore_errors=True)
         try:
+            # Without the lock, which belongs to the folder of the source.
             shutil.copytree(source, draft, ignore=shutil.ignore_patterns(".lock"))
             draft.rename(target)
         except OSError as error:

@@ -330,6 +330,7 @@ def _speed(engine: str, worlds: int, run: Callable[[], int], physics: CallTimer,
         whole.cpu * per_step,
         physics.cpu * per_step,
         reset.cpu * per_step,
+        # Clocks round, so that the sum of short calls may exceed the whole.
         float(np.clip(physics.cpu / whole.cpu, 0.0, 1.0)),
         float(np.clip(physics.clock / whole.clock, 0.0, 1.0)),
     )

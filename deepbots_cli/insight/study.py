@@ -153,6 +153,7 @@ class StudyReport:
             interval = mean_interval(values, (0.0, 1.0))
             if interval is not None:
                 panel.plot(interval, [index, index], color=THEMES[theme][1], linewidth=1.2)
+        # Without `parse_math=False`, matplotlib would typeset names between two `$` as mathematics.
         panel.set_yticks(range(len(ordered)), [name[-_MAX_NAME:] for name, _ in ordered], parse_math=False)
         panel.set_xlim(0, 1)
         style_panel(panel, "", theme, legend=False, axes=("importance", ""))

@@ -197,6 +197,7 @@ def _simulated_causes(
     def best(kind: _Kind) -> float:
         return max(
             (amount for scored_kind, amount in scores if scored_kind is kind),
+            # Rounded, so that the last bits do not choose among amounts with the same effect.
             key=lambda amount: (round(scores[kind, amount], 9), amount),
         )
 
@@ -252,6 +253,7 @@ def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) 
     """
     if len(kind.amounts) < 2 or score(kind, amount) >= _EXPLAINS_ALL:
         return
+    # One more amount at either end, at the ratio of the two that are next to it.
     scale = [kind.amounts[0] ** 2 / kind.amounts[1], *kind.amounts, kind.amounts[-1] ** 2 / kind.amounts[-2]]
     index = scale.index(amount)
     best = minimize_scalar(

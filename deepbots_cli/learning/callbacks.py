@@ -81,6 +81,7 @@ class TrainingCallback:
         self._on_evaluation = on_evaluation
         self._until_solved = active.run.record.stop_when_solved
         self._kept_candidates: Sequence[Candidate] = ()
+        # About a hundred checks in a short training, and more in a long one.
         self._check_interval = max(1, min(MAX_CHECK_INTERVAL, active.total // 100))
         self._next_check = 0
         self._check_passed = False

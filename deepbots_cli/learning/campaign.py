@@ -213,6 +213,7 @@ def train_member(
     from deepbots_cli.learning.training import resume, train
 
     if is_repeated:
+        # A training that goes on has the lock of the run, and `resume` would fail.
         has_ended(path)
     if folder_kind(path) is not SourceKind.RUN:
         remove_incomplete(path)

@@ -46,7 +46,7 @@ Text = Annotated[str, Field(max_length=2_000)]
 Count = Annotated[int, Field(ge=0, lt=2**62)]
 Bit = Annotated[int, Field(ge=0, le=1)]
 Word = Annotated[int, Field(ge=0, lt=2**32)]
-LongWord = Annotated[int, Field(ge=0, lt=2**128)]
+LongWord = Annotated[int, Field(ge=0, lt=2**128)]  # for PCG64, whose state and increment have 128 bits each
 WordIndex = Annotated[int, Field(ge=0, le=_WORDS)]
 
 
@@ -133,6 +133,7 @@ class CheckpointState(CheckpointPart):
     observed: Text
     """The fingerprint of the last observations."""
     pending: Pending
+    # Python's generator has 624 words, and behind them the index of the next one.
     python: tuple[
         Literal[3], Annotated[list[Word], Field(min_length=_WORDS + 1, max_length=_WORDS + 1)], float | None
     ]
@@ -256,6 +257,7 @@ class ArraySpec:
     def accepts(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> bool:
         if self.max_rows is None:
             return shape == self.shape and dtype == self.dtype
+        # `np.array` of an episode without actions has no further axes.
         is_empty = shape == (0,)
         return (
             dtype.kind in "biuf"
@@ -337,6 +339,7 @@ def check_torch_generator(state: Array) -> None:
     torch itself compares `left`, the count of unused numbers, and `following`, the index of the next one,
     with 624 each.
     """
+    # Behind the initial seed (8 bytes): the fields `left`, `seeded` (skipped) and `next`.
     left, following = struct.unpack_from("<i4xQ", state.tobytes(), 8)
     if left + following not in (1, _WORDS + 1):  # 1 after a seed
         raise ValueError("the state of the generator of torch is impossible")

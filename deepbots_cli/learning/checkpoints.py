@@ -175,6 +175,7 @@ class Checkpoints:
             # Content first and the name last: after a power cut, a folder with a number is complete.
             for path in [*folder.iterdir(), folder]:
                 flush_to_disk(path)
+            # A copy and a rename, so that nobody who reads the model meanwhile gets half a file.
             for name in ("last", "best") if self.callback.best is None else ("last",):
                 shutil.copyfile(folder / "model.zip", copy)
                 flush_to_disk(copy)
@@ -237,6 +238,7 @@ class Checkpoints:
             starts=[episode.start for episode in shard.episodes],  # type: ignore[misc]  # dictionaries become models
             observed=shard.observed,
             pending=self._log.pending(),
+            # 3 is the version of this state in all Pythons that deepbots supports.
             python=(3, list(python_state[1]), python_state[2]),
             numpy=(numpy_state["state"]["pos"], numpy_state["has_gauss"], numpy_state["gauss"]),
             logs={path.relative_to(self.run.path).as_posix(): path.stat().st_size for path in self._logs()},
@@ -299,6 +301,7 @@ class Checkpoints:
         return (
             specs
             | self._learner.specs(state)
+            # Seed and offset of torch's generator for CUDA, 8 bytes each.
             | {"cuda": ArraySpec(np.dtype(np.uint8), (16,), is_optional=True)}
         )
 
@@ -339,6 +342,7 @@ class Checkpoints:
         ]
         for episode in episodes:
             check_actions(np.array(episode.actions), self._collector.action_space)
+        # Seeds of their own, because the model has been trained on the first episodes.
         seeds = [
             derive_seed(self.run.record.seed, "environment", i, "resumed", state.steps)
             for i in range(len(episodes))

@@ -68,6 +68,7 @@ def probability_of_at_least(successes: int, episodes: int, rate: float) -> float
 
     if successes <= 0:
         return 1.0
+    # `bdtrc(k, ...)` is the probability of more than k successes.
     return float(bdtrc(successes - 1, episodes, rate)) if successes <= episodes else 0.0
 
 
@@ -140,6 +141,7 @@ class Confirmation:
             required = required_successes(
                 episodes, max(0.0, solved.success_rate - MARGIN), error_level(number)
             )
+            # 0.55 * 100 is 55.00000000000001, which without the difference would need 56 successes.
             successes = max(required, math.ceil(solved.success_rate * episodes - 1e-9))
         return Confirmation(solved, number, returns, episodes, successes)
 

@@ -210,6 +210,7 @@ class Curriculum:
             RunError: It does not fit the stages of the scenario.
             ValueError: It does not fit the worlds of the training.
         """
+        # The last stage never ends.
         names = [stage.name for stage in self.stages[self._skipped :][:-1]]
         if [stage.name for stage in state.ends] != names[: len(state.ends)]:
             raise RunError("the finished stages in the checkpoint do not match the scenario")

@@ -144,6 +144,7 @@ def _fall(
         effect = least if is_rate else max(least * _range(scores[window.start :]), share * _range(scores))
         if fmean(episodes) - max(fmean(late), fmean(scores[-1])) < effect or effect <= 0:
             continue
+        # Bonferroni's correction, because the best of many windows is good by chance.
         if paired(
             _mean_scores(scores[window.start : window.stop]), _mean_scores(scores[split:])
         ) <= level / len(windows):

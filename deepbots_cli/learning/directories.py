@@ -158,6 +158,7 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator
     from filelock import FileLock, Timeout  # needs the extra `train`
 
     path = folder / name
+    # A run may come from someone else, and older releases of filelock open the target of a link.
     if path.is_symlink():
         raise RunError(f"{path} is a symbolic link; deepbots does not write symbolic links into a run")
     try:

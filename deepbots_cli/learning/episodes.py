@@ -126,6 +126,7 @@ class EpisodeLog:
         if self._stream is None:
             raise RuntimeError("the log is not open")
         row: dict[str, Any] = {
+            # Six digits, as Gym's monitor writes.
             "r": round(episode.total_return, 6),
             "l": episode.length,
             "t": round(time.time() - self._started, 3),
@@ -146,6 +147,7 @@ class EpisodeLog:
                 }
             )
         self._rows.writerow(row)
+        # A checkpoint notes the size of the file, to which a resumed training cuts it.
         self._stream.flush()
 
     def close(self) -> None:
@@ -184,6 +186,7 @@ def read_log_tail(path: Path, size: int) -> list[dict[str, str]]:
         begin = os.fstat(stream.fileno()).st_size - size
         if begin > stream.tell():
             stream.seek(begin)
+            # The first line is cut.
             stream.readline(size)
         # What is written meanwhile is left out.
         return [*_table(names, _whole_lines(path, BytesIO(stream.read(size)), size))]

@@ -286,6 +286,7 @@ def is_finite(observation: Any) -> bool:
     `numpy.isfinite`."""
     parts = observation.values() if isinstance(observation, dict) else (observation,)
     return all(
+        # The sum of squares may overflow although every number is finite.
         math.isfinite(np.vdot(part, part)) or bool(np.isfinite(part).all())
         for part in parts
         if part.dtype != np.uint8

@@ -272,6 +272,7 @@ def new_record(
     values |= {name: tuple(values.get(name, ())) for name in ("callbacks", "loggers", "command")}
     for name in ("initialize_from", "demonstrations"):
         if values.get(name) is not None:
+            # The group may be resumed from another working directory.
             values[name] = str(Path(values[name]).absolute())
     values |= GroupRecord.common(compiled, values.get("engine"))
     return GroupRecord(
@@ -371,6 +372,7 @@ def _train_seeds(
             on_workers |= {"files": [group.path / GROUP_RECORD_NAME], "log": partial(_log_of, group.path)}
         outcomes = stack.enter_context(closing(executor.map(_train_seed, items, **on_workers)))
         with suppress(KeyboardInterrupt):  # a signal before a training handles it, or a second one
+            # After a stop, there are fewer outcomes than seeds.
             for seed, outcome in zip(left, outcomes, strict=False):
                 if isinstance(outcome, DeepbotsError):
                     # The settings cannot be trained, or the folder cannot be written to.

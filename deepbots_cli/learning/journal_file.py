@@ -91,6 +91,7 @@ class JournalFile(JournalFileBackend):
         with self._path.open("rb") as file:
             file.seek(max(0, _end_of_entries(file) - _LAST_BYTES))
             *_, last, _ = [b"", *file.read().split(b"\n")]
+        # A longer line was cut by this reading, so that it is no JSON.
         if last and len(last) < _LAST_BYTES:
             json.loads(last)
 
@@ -133,6 +134,7 @@ class JournalFile(JournalFileBackend):
 def _end_of_entries(file: BinaryIO) -> int:
     """Return the position of the next entry, after the last complete line."""
     size = file.seek(0, os.SEEK_END)
+    # The whole file only if its last line is longer than `_LAST_BYTES`.
     for length in (_LAST_BYTES, size):
         begin = max(0, size - length)
         file.seek(begin)

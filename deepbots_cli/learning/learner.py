@@ -219,6 +219,7 @@ class Learner(ABC):
         only."""
         total = hashlib.sha256()
         for name, array in sorted(self.weights().items()):
+            # With type and shape, because different arrays may have the same bytes.
             total.update(f"policy/{name} {array.dtype.str} {array.shape}\n".encode())
             total.update(array.tobytes())
         return total.hexdigest()

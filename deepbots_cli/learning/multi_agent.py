@@ -379,6 +379,7 @@ def has_agents(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive, archive.open(_DATA) as member:
             return "agents" in json.loads(member.read(_MAX_DATA_BYTES))
+    # zipfile raises a RuntimeError for an encrypted member.
     except (OSError, KeyError, RuntimeError, TypeError, ValueError, zipfile.BadZipFile) as error:
         raise RunError(f"{path} is damaged, or was not written by deepbots") from error
 

@@ -86,6 +86,7 @@ class Candidate(BaseModel):
         return Candidate(
             steps=self.steps,
             episodes=episodes,
+            # Rounding may lead beyond 1, which the field refuses.
             success_rate=min(1.0, self.success_rate + share * (summary.success_rate - self.success_rate)),
             mean_return=self.mean_return + share * (summary.mean_return - self.mean_return),
         )
@@ -161,6 +162,7 @@ def most_episodes(models: int) -> int:
 
 def copy_model(source: Path, target: Path) -> None:
     """Copy the file of a model; the target is replaced whole."""
+    # In the same folder, because `os.replace` is atomic only within a file system.
     draft = target.with_name(f".{target.stem}.new")
     shutil.copyfile(source, draft)
     os.replace(draft, target)

@@ -112,6 +112,7 @@ class Run:
     def of_agent(self, agent: str, *, beside_policies: bool = False) -> Run:
         """Return the run of all agents as that of one of them. The others act by their first scripts, or by
         the policies of the best model of the run (`beside_policies`)."""
+        # JSON is valid YAML, and quotes a path with any characters.
         model = json.dumps(str(self.model("best").absolute()))
         policies = [f"{name}: {model}" for name in self.program.members if beside_policies and name != agent]
         source = Source.kept(self.path, Permissions(folders=(self.path,)))

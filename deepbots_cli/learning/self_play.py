@@ -371,8 +371,10 @@ class SelfPlayLearner(MultiAgentLearner):
     def _add_to_pool(self) -> None:
         """Make the present policy a member of the pool, with its rating."""
         rating = self.ratings[-1]._replace(steps=self.steps)
+        # Copies, because `weights` may return views of the tensors that the next update changes.
         weights = {name: np.array(array) for name, array in self._learner.weights().items()}
         for member in self.pool:
+            # Halved, so that the counts are mostly those of recent games.
             member.wins, member.losses = member.wins / 2, member.losses / 2
         self.pool.append(self._past(rating, weights))
         self.ratings.append(rating)
@@ -386,6 +388,7 @@ class SelfPlayLearner(MultiAgentLearner):
         from deepbots_cli.learning.shards import random_numbers_kept
 
         name, training = self.setup.training.agents[0]
+        # A new learner seeds the global generators and draws weights from them.
         with random_numbers_kept():
             policy = self._create(name, training, None)
         policy.actor().load(weights)
@@ -480,6 +483,7 @@ class _Rater:
         """Return the ratings after a game, in which `score` is 1 if `first` has won, -1 if `second` has, else
         0."""
         teams = [[self._model.rating(mu=rating.mean, sigma=rating.deviation)] for rating in (first, second)]
+        # In openskill the lower rank wins, and equal ranks are a draw.
         ((a,), (b,)) = self._model.rate(teams, ranks=[1 + (score < 0), 1 + (score > 0)])
         return (
             first._replace(mean=a.mu, deviation=a.sigma),

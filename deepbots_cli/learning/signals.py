@@ -37,4 +37,5 @@ def signals_handled(interruption: Interruption) -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
+            # None stands for a handler that was not set from Python, and cannot be set again.
             signal.signal(number, signal.SIG_DFL if handler is None else handler)

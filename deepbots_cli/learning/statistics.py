@@ -58,6 +58,7 @@ def mean_interval(
         return reach if math.isfinite(reach[0]) and math.isfinite(reach[1]) else None
     half = student_quantile(len(values) - 1, 1 - error / 2) * stdev(values) / math.sqrt(len(values))
     center = fmean(values)
+    # The interval contains the mean, even if the mean lies beyond a bound by rounding.
     return max(center - half, min(bounds[0], center)), min(center + half, max(bounds[1], center))
 
 

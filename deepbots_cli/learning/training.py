@@ -418,6 +418,7 @@ def _validate_setup(
     for stage in program.curriculum:
         build(stage.program.with_critic).close()
     with closing(build(program.with_critic)) as world:
+        # One world stands for all: the learner reads their spaces, and steps none.
         worlds = Worlds([world] * training.environments, [0] * training.environments)
         learner = create_learner(training, program, LocalCollector(worlds), 0)
         if training.shards > 1:
@@ -446,6 +447,7 @@ def _check_teacher(
     first = next((entry.program for entry in program.curriculum if stage in (None, entry.name)), program)
     if not first.defines_success:
         return
+    # A single episode first, which is enough for a teacher that usually succeeds.
     for count in (1, EVALUATION_EPISODES):
         played = play_script(build, first, teacher.script, evaluation_seeds(seed, range(count)))
         if any(episode.is_success for episode in played):

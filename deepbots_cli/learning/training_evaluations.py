@@ -143,6 +143,7 @@ class TrainingEvaluations:
             )
             report()
             played += len(numbers)
+            # The evaluations of the training have had the starts before.
             first = EVALUATION_EPISODES
             new = range(first + numbers.start, first + numbers.stop)
             seeds = evaluation_seeds(active.run.record.seed, new)

@@ -185,6 +185,7 @@ class TrainingProcess:
         try:
             self._followers.extend(map(plugins.PluginCallback, self.run.record.callbacks))
             self._status = self._learn_until_done(learner, collector)
+            # A confirmation has chosen the model of a solved task already.
             if self._status == "finished" and not callback.is_solved:
                 callback.evaluations.choose_best(partial(_load, self.training, learner), callback.report)
             reporter.update(callback.progress())
@@ -226,6 +227,7 @@ class TrainingProcess:
         if not stages:
             levels = run.program.levels
             first = self._curriculum.index
+            # In place, because the worlds and the checkpoints share this list.
             stages.extend(
                 first if levels is None else levels.first(world) for world in range(training.environments)
             )
@@ -264,6 +266,7 @@ class TrainingProcess:
             try:
                 callback.evaluate(UNLIMITED_SHARE)
             except KeyboardInterrupt:
+                # All steps are learned. A resumed run then has only this evaluation left.
                 if self._is_complete:
                     self.checkpoints.finish()
                 raise
@@ -286,6 +289,7 @@ class TrainingProcess:
         """Collect fragments and learn from them in turn."""
         callback = self._callback
         learner.start()
+        # `before_rollout` comes last, because it may write a checkpoint for the rollout that follows.
         while not self._is_complete and callback.stopped_by is None and self.checkpoints.before_rollout():
             if callback.teaching is not None:
                 learner.be_taught(callback.plan_lesson())

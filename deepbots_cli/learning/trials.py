@@ -156,6 +156,7 @@ class _Search(Watcher):
                 if number is None:
                     return
                 self._reporter.begin_trial(self._study.trial(self._journal, number))
+                # The lock outlasts this block. `on_done` releases it.
                 self._locks[number] = stack.pop_all()
             self._numbers.append(number)
             self.left.add(number)
@@ -217,6 +218,7 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
         return run_lock(study.path, f".trial-{number}.lock")
 
     with ExitStack() as stack:
+        # One process at a time: two could choose the same trial.
         with run_lock(study.path, ".next.lock", _CLAIM_TIMEOUT_S):
             trials = journal.trials
             number = None

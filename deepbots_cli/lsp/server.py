@@ -59,6 +59,7 @@ _DEBOUNCE = 0.05
 FIX_ALL = f"{types.CodeActionKind.SourceFixAll.value}.deepbots"
 KINDS = (types.CodeActionKind.QuickFix, FIX_ALL)
 
+# In YAML, `#` begins a comment only after a space.
 _SUPPRESSION = re.compile(r"(?<=\s)#[ \t]*deepbots:[ \t]*ignore\[([^\]\n]*)\]")
 _MAX_TITLE = 40
 
@@ -126,6 +127,7 @@ class Checker:
         self._warn = warn
         self._queue: dict[str, None] = {}
         self._task: asyncio.Task[None] | None = None
+        # One thread, because two analyses would wait for the same interpreter lock.
         self._executor = ThreadPoolExecutor(1, "analysis")
         self._published: dict[str, _Published] = {}
 

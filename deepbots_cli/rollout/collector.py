@@ -291,6 +291,7 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
     offsets = np.cumsum([0, *(fragment.rewards.shape[1] for fragment in fragments)])
     endings = [
         (number, ending._replace(row=ending.row + int(offset)))
+        # The last offset is the number of all rows, and belongs to no fragment.
         for fragment, offset in zip(fragments, offsets, strict=False)
         for number, ending in fragment.endings
     ]
@@ -309,6 +310,7 @@ def join(fragments: Sequence[Fragment]) -> Fragment:
         },
         _joined(np.concatenate, [fragment.following for fragment in fragments]),
         np.concatenate([fragment.following_starts for fragment in fragments]),
+        # The order in which a single process meets them, on which the statistics depend.
         sorted(endings, key=lambda entry: (entry[0], entry[1].row)),
         {
             name: side_by_side([fragment.agent_rewards[name] for fragment in fragments])
@@ -582,6 +584,7 @@ class ShardedCollector(FetchingCollector):
         """Request the next fragment, which `fetch` then returns, with the present weights. Workers collect it
         during the next update."""
         parameters = actor.parameters().items()
+        # Copies, because the arrays share the memory of the weights, which the update changes.
         self.stale = {name: value.copy() for name, value in parameters if isinstance(value, np.ndarray)}
         self._requested = self._ask(actor, steps, with_masks, None)
 
@@ -691,4 +694,5 @@ def _details(results: Sequence[ShardResult]) -> list[tuple[int, Mapping[str, Any
         for shard, result in enumerate(results)
         for (number, ending), detail in zip(result.fragment.endings, result.ended, strict=True)
     ]
+    # Without the details in the key: dictionaries have no order.
     return [detail for *_, detail in sorted(details, key=lambda entry: entry[:3])]

@@ -64,6 +64,7 @@ def play_episodes(
     for first in range(0, len(rows), together):
         lanes = [
             EvaluationLane(world, row, by_row[row], seeds)
+            # The last rows may be fewer than the worlds.
             for world, row in zip(worlds, rows[first : first + together], strict=False)
         ]
         running = [lane for lane in lanes if lane.begin(forward)]
@@ -111,6 +112,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
     size = 1 if has_copies(worlds.singles[0]) else FORWARD_BATCH_SIZE
     choices = _choices(next(iter(worlds.singles[0].agents.values()))) if policy.takes_masks else None
     passes = [ForwardPass(worlds.observation_space, choices, size * width) for _ in range(0, count, size)]
+    # From the first number after those of the worlds that is `row` modulo `size`, in steps of `size`.
     waiting = [deque(range(count + (row - count) % size, len(seeds), size)) for row in range(size)]
     numbers = list(range(count))
     running = BatchEpisodes(worlds)
@@ -122,6 +124,7 @@ def play_batch(policy: Predictor, worlds: BatchSupervisor, seeds: Sequence[int])
         masks = None if choices is None else worlds.action_masks()
         for index, forward in enumerate(passes):
             part = slice(index * size, min(count, (index + 1) * size))
+            # Resting worlds ignore actions, so a pass with only resting worlds keeps its last answer.
             if answers[index] is None or not running.resting[part].all():
                 forward.put_all(observations, slice(part.start * width, part.stop * width), masks)
                 answers[index] = forward.predict(policy, deterministic=True)

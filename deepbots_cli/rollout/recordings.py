@@ -244,6 +244,7 @@ def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iter
     Raises:
         RecordingError: An action cannot be read.
     """
+    # The first step is the reset, which has no action.
     for step in recorded.steps[1:]:
         with damaged(recording.path):
             action = msgspec.json.decode(step["/step"])["action"]
@@ -257,4 +258,5 @@ def actions(recording: Recording, recorded: RecordedEpisode, space: Any) -> Iter
 def unpacked(packed: Mapping[str, Any], space: Any) -> Any:
     dtype = np.dtype({"float32": "f4", "float64": "f8", "int64": "i8", "int32": "i4"}[packed["dtype"]])
     array = np.frombuffer(msgspec.convert(packed["data"], bytes), dtype)
+    # A copy, because an array over bytes cannot be written to.
     return array.reshape(space.shape).copy() if space.shape else array.item()

@@ -187,6 +187,7 @@ def _own_course(of_all: Fragment, phases: Array | None) -> Fragment:
     if phases is None:
         return of_all
     ends = phases == Phase.ENDS
+    # A copy, because the parts of the other agents come from the same arrays.
     starts = of_all.starts.copy()
     starts[1:] |= ends[:-1]
     return replace(

@@ -568,11 +568,13 @@ class BatchWorlds(Worlds):
                 self._on_episode(world, episode)
                 final_observation = apply_to_parts(itemgetter(index), outcome.final_observations)
                 endings.append(Ending(row, episode, final_observation, not outcome.terminated[row]))
+                # Behind the last copy of a world, because all copies enter the next stage at once.
                 if row + 1 == self._width * (world + 1):
                     seed = self._next_seed(world)
                     begun.setdefault(self.stages[world], []).append((world, seed))
         for stage, beginning in begun.items():
             self._begin_in(stage, beginning)
+        # A list, because the loop removes entries of the dictionary.
         for stage in [stage for stage in self._batches if stage not in self.stages]:
             self._batches.pop(stage).batch.close()
         self.observations = self._observe()
@@ -584,6 +586,7 @@ class BatchWorlds(Worlds):
         found."""
         try:
             yield
+        # An action that a world refuses is an error of the policy, which no repeated episode shows.
         except UsageError:
             raise
         except DeepbotsError:
@@ -633,6 +636,7 @@ class BatchWorlds(Worlds):
                 [
                     history._replace(options=self._options(world))
                     if inside[world]
+                    # A batch has all worlds. Those of other stages get an episode that nobody reads.
                     else EpisodeHistory(self.starts[world], [])
                     for world, history in enumerate(histories)
                 ]

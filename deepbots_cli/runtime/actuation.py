@@ -195,6 +195,7 @@ class Motor:
         self._write(targets)
 
     def _bind(self) -> None:
+        # A normal distribution may draw a negative strength.
         self._shares = [max(0.0, strength) for strength in self._each(self.strength)]
         limits = [
             share * limit if limit < inf else inf
@@ -456,6 +457,7 @@ class Push:
         self._push = engine.pusher(part)
         self._draw = draw
         self._substep = substep
+        # No push begins before the first reset.
         self.reset(inf, 0)
         engine.before_substep(self._act)
 
@@ -476,6 +478,7 @@ class Push:
         if self._now >= self._due:
             self._force, self._torque, duration, until_next = self._draw()
             self._left = duration / self._substep
+            # From the time of this push and not from its substep, so that rounding does not add up.
             self._due += until_next / self._substep
         self._now += 1
         left = self._left

@@ -77,6 +77,7 @@ class AgentBatch:
         }
 
     def __getattr__(self, name: str) -> Any:
+        # Before `__init__` has set `world`, the lookup below would call itself without end.
         if name.startswith("_") or name == "world":
             raise AttributeError(name)
         return getattr(self.world, name)

@@ -329,6 +329,7 @@ class AgentEnvironment(gym.Env[Any, Any]):
         self.supervisor.close()
 
     def __getattr__(self, name: str) -> Any:
+        # Before `__init__` has set `supervisor`, the lookup below would call itself without end.
         if name.startswith("_") or name == "supervisor":
             raise AttributeError(name)
         kind, separator, value_name = name.partition("_")
@@ -359,6 +360,7 @@ class PolicyAct:
 
     def begin(self, number: int = 0) -> None:
         """Begin the episode of this number: a recurrent policy forgets the previous one."""
+        # The row that `_PolicyRows` of a batch gives to the world of this number.
         self._row = number % FORWARD_BATCH_SIZE
         self._forward = forward_pass(self._policy, self._seat)
 

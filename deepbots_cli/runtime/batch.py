@@ -131,6 +131,7 @@ def advance_and_begin(batch: Any, action: Any) -> BatchStep:
     losses_before = len(batch.losses)
     outcome: BatchStep = batch.advance(action)
     for loss in batch.losses[losses_before:]:
+        # Level 4 is the caller of `BatchEnvironment.step`.
         warnings.warn(str(loss), RuntimeWarning, stacklevel=4)
     if not len(outcome.done):
         return outcome
@@ -491,6 +492,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def require_finite(self, reward: Any) -> None:
         """Raise: EvaluationError: The reward of a world is not finite; names the terms."""
+        # The negation also finds NaN, of which every comparison is false.
         wrong = ~(np.abs(reward) < 1e300) & ~self.lost
         if wrong.any() and (self.running is None or (wrong & self.running).any()):
             world = int(np.flatnonzero(wrong)[0])

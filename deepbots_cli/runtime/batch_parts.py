@@ -102,6 +102,7 @@ class BatchLossyChannel:
         arrived = [channel.receive() for channel in self._channels]
         for number in range(max(map(len, arrived))):
             having = np.array([len(messages) > number for messages in arrived])
+            # Worlds without a message get that of another world; the mask leaves their motors out.
             usual = arrived[int(having.argmax())][number]
             messages = [messages[number] if len(messages) > number else usual for messages in arrived]
             self._batch.engine.write_mask = having

@@ -382,6 +382,7 @@ class CopiesSupervisor(Supervisor):
 
     def set_random_state(self, state: Mapping[str, Any]) -> None:
         super().set_random_state(state)
+        # The list is empty in a state from before the first episode.
         for (name, agent), inner in zip(self.agents.items(), state["agents"], strict=False):
             agent.streams = Streams.restored(inner, name)
             self._streams_of_agents = self.streams
@@ -413,6 +414,7 @@ class CopiesSupervisor(Supervisor):
         running = True
         while running:
             self.physics(self.scenario.world.substeps)
+            # A list and not `any`, which would stop at the first copy that has ended.
             running = not [turn for turn in turns if next(turn, _END) is _END]
         for turn in turns:
             turn.close()

@@ -153,6 +153,7 @@ class BatchDevice:
         self._ring: list[Any] = []
         reader = import_attribute(sensor.reader)
         self._read: Callable[[], Any] | None = None
+        # Where gravity varies, each world has its own, and the engine of the batch a single one.
         varies = reader is projected_gravity and any(
             variation.what == "gravity" for variation in batch.scenario.reset.variations
         )

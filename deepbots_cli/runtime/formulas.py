@@ -44,6 +44,7 @@ def wrap_angle(angle: float) -> float:
 def total(values: Iterable[float]) -> float:
     """Return the sum of one or more values from left to right; `sum` is five times as fast, but from Python
     3.12 on compensates for rounding."""
+    # From -0.0, because 0.0 + -0.0 is 0.0, and `reduce` keeps the sign.
     return reduce(operator.add, values) if _SUM_COMPENSATES else sum(values, -0.0)
 
 
@@ -63,6 +64,7 @@ def scale(value: float, low: float, high: float) -> float:
 def scale_each(values: Iterable[float], low: float, high: float) -> list[float]:
     """Map each value as `scale` does."""
     middle, factor = (high + low) / 2, 1 / ((high - low) / 2)
+    # x - 0.0 is x to the bit, so that the result is that of the general case.
     if middle == 0.0:
         return [x if -1.0 <= (x := value * factor) <= 1.0 else clip(x) for value in values]
     return [x if -1.0 <= (x := (value - middle) * factor) <= 1.0 else clip(x) for value in values]
@@ -126,6 +128,7 @@ def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tupl
         """Return the turn about the sideways axis (rad); nose down is positive."""
         x, y, z, w = pose[1]
         ahead_x, ahead_y = _ahead(pose[1])
+        # `asin` has no value where rounding leads beyond 1.
         return atan2(-(2.0 * (z * x - y * w)), hypot(ahead_x, ahead_y))
 
     def yaw(pose: Frame) -> Any:
@@ -136,6 +139,7 @@ def pose_functions(atan2: Callable[..., Any], hypot: Callable[..., Any]) -> tupl
     def tilt(pose: Frame) -> Any:
         """Return the angle (rad) between the link's own vertical and that of the world."""
         x, y, z, w = pose[1]
+        # `acos` of the cosine would lose half of the digits near 0.
         return 2.0 * atan2(hypot(x, y), hypot(z, w))
 
     return distance, ground_distance, bearing, roll, pitch, yaw, tilt

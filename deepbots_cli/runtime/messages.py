@@ -192,6 +192,7 @@ def _with_pictures(inner: Codec, shapes: Mapping[int, tuple[int, ...]]) -> Codec
 
 
 def struct_codec(layout_hash: int, codes: list[str]) -> Codec:
+    # `<` means little-endian, standard sizes and no padding, whatever the machine of the robot is.
     form = struct.Struct("<I" + "".join(codes))
 
     def parts(message: bytes) -> list[object]:
@@ -423,6 +424,7 @@ class LossyChannel:
         arrival = self._tick + self._delay + max(self.latency * self._rate, 0.0)
         if self._route.order == "sent":
             arrival = self._arrival = max(arrival, self._arrival)
+        # The count comes second: messages that arrive together keep their order, and are never compared.
         heappush(self._queue, (arrival, self._sent, self._tick, None if self._is_lost() else (message,)))
         self._sent += 1
 

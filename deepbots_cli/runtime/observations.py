@@ -61,7 +61,8 @@ class ObservedFrames:
         }
         self.frames = np.zeros(self.depth * len(agent.numbers), np.float32)
         self._buffer = self.frames.data
-        self._width = 4 * len(agent.numbers)
+        self._width = 4 * len(agent.numbers)  # bytes of a frame of float32
+        # `struct` raises an OverflowError for a number beyond float32, of which numpy would make inf.
         self._pack = Struct(f"{len(agent.numbers)}f").pack_into
         self.goal = np.zeros(2 * len(agent.goal.low) if agent.goal else 0, np.float32)
 

@@ -163,6 +163,7 @@ class Window:
         if self._figure.canvas.manager is not None:
             self._figure.canvas.manager.set_window_title(title)
         self._picture: Any = None
+        # None for a backend without windows, such as Agg, which matplotlib takes without a display.
         self._has_display = self._figure.canvas.required_interactive_framework is not None
         if not self._has_display:
             warnings.warn(

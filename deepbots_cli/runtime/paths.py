@@ -385,6 +385,7 @@ class _GridLines:
     def sweep(self, lengths: Array) -> Array:
         """Return the lengths when ways may also go along these lines, either way."""
         lines = self.view(lengths, UNREACHABLE_LENGTH)
+        # The minimum over j <= i of lines[j] + (forward[i] - forward[j]); obstacles are very long.
         ahead = np.minimum.accumulate(lines - self.forward, axis=0)
         ahead += self.forward
         behind = np.minimum.accumulate(lines[::-1] - self.backward, axis=0)
@@ -516,6 +517,7 @@ class Follower:
                 at = index
         if self._at >= 0:
             step = arc - self._arc
+            # From the end of a lap to its beginning, the shorter way around is a small step.
             self._arc_length += step - self._length * round(step / self._length) if self._closed else step
         self._at = at
         self._arc = arc

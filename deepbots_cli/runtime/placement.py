@@ -79,6 +79,7 @@ class Arrangement:
         before = streams.drawn
         for _ in range(attempts):
             self._forget()
+            # The draws of a failed attempt are not those of the episode.
             streams.drawn = dict(before)
             streams.member = ""
             try:
@@ -234,6 +235,7 @@ class Arrangement:
             area = intersection(area, surface.area)
             base = surface.height
         for number in range(MAX_ROUNDS):
+            # The first round keeps the kind that `copies` drew, by whose size the bodies were sorted.
             if number or body not in self.forms.chosen:
                 self.forms.draw(body, self._streams)
             (_, _, z), rpy = pose()
@@ -372,6 +374,7 @@ class Floor:
         y = patch.y
         radius = patch.radius
         for obstacle, other_clearance, top in self._taken:
+            # The support, and all that is lower, does not stand in the way of a body on top.
             if top <= base + TOUCHING_TOLERANCE_M:
                 continue
             patch_distance = (

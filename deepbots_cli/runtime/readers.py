@@ -113,6 +113,7 @@ def orientation(site: Site) -> Instrument:
 
     def turned() -> Quaternion:
         x, y, z, w = read()[1]
+        # q and -q are the same rotation, and an engine may return either.
         return (x, y, z, w) if w >= 0.0 else (-x, -y, -z, -w)
 
     return Instrument(turned)
@@ -281,6 +282,7 @@ def reaction_torque(site: Site) -> Instrument:
     back = frames.inverse(rotation)
 
     def torque() -> Triple:
+        # A torque M about the origin of the link is M - r x F = M + F x r about a point at r.
         force, about_link = read()
         return frames.rotate(back, frames.add(about_link, frames.cross(force, arm)))
 
@@ -345,6 +347,7 @@ class LookupTable:
     def __call__(self, distances: Values) -> Values:
         table, rows = self._distances, self.rows
         if self.normals is None:
+            # `rows` has one entry more than `table`, so the index is that of the stretch that contains x.
             return [(row := rows[bisect_right(table, x)])[1] + row[3] * (x - row[0]) for x in distances]
         readings = []
         for x, normal in zip(distances, self.normals.next_row(), strict=True):
@@ -356,6 +359,7 @@ class LookupTable:
 
 def _slopes(distance: Values, column: Values) -> list[float]:
     """Return the change of a column per m after each row; 0 after the last row."""
+    # The last row has no following one.
     pairs = zip(distance, distance[1:], column, column[1:], strict=False)
     return [*((d - c) / (b - a) for a, b, c, d in pairs), 0.0]
 
@@ -441,11 +445,13 @@ def echo_reader(site: Site, spec: RadarConfig, target: str) -> Callable[[Motion]
         (position, _), (velocity, _) = motion()
         offset = frames.subtract(position, own_position)
         distance = hypot(*offset)
+        # At distance 0 there is no direction, and the speed below is a division by the distance.
         if distance == 0.0 or not spec.near <= distance <= spec.far:
             return None
         azimuth, elevation = frames.azimuth_and_elevation(frames.rotate_back(rotation, offset))
         if abs(azimuth) > horizontal or abs(elevation) > vertical:
             return None
+        # The ray comes last, because only this test needs the engine.
         if is_free is not None and not is_free():
             return None
         speed = frames.dot(frames.subtract(velocity, own_velocity), offset) / distance

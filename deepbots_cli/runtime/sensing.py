@@ -271,6 +271,7 @@ class Device:
         self._tick = self.sampled_at = 0
         self.delay = whole_timesteps(max(0.0, self._latency), self._timestep)
         self._under_way.clear()
+        # A stream of its own, so that the noise of a lookup table does not change that of the faults.
         self.instrument.restart(streams[f"{self._stream}.lookup"])
         if self.chain is not None:
             self.chain.restart(streams[self._stream])

@@ -218,6 +218,7 @@ def recompute_rewards(agent: Agent, achieved: Goals, desired: Goals) -> NDArray[
         reward = np.broadcast_to(np.asarray(evaluate(term.scalar, values), float), total.shape)
         if not np.isfinite(reward).all():
             raise EvaluationError(f"the reward term '{term.name}' is not finite for every goal")
+        # Term by term as in a step, so that the last bits agree.
         total = total + reward
     return total
 

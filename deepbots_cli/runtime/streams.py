@@ -93,6 +93,7 @@ class Streams:
             seed = np.random.SeedSequence(
                 [int.from_bytes(digest[i : i + 4], "little") for i in range(0, 16, 4)]
             )
+            # PCG64 by its name: numpy may give `default_rng` another generator, which changes all draws.
             generator = self._generators[name] = np.random.Generator(np.random.PCG64(seed))
         return generator
 
@@ -240,6 +241,7 @@ def chosen_values(
                 continue
             for values in values_by_copy.values():
                 values[entry.key] = part
+    # After the values of all copies, in place of which these come.
     for (copy, key), part in of_one.items():
         values_by_copy[copy][key] = part
     return values_by_copy
@@ -311,6 +313,7 @@ def _array(name: str, value: Any, components: tuple[str, ...]) -> list[float]:
     try:
         array = np.asarray(value)
     except ValueError:  # sequences of different lengths
+        # An array of objects, which the next check refuses.
         array = np.asarray(None)
     if array.dtype.kind not in "biuf" or array.shape != ((len(components),) if components else ()):
         raise UsageError(f"reset cannot set {name!r} to {str(value)[:80]}: it is {expected}, in SI units")

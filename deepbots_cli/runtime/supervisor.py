@@ -129,6 +129,7 @@ class Supervisor(
         self._go_on = self._refuse
         if seed is not None:
             self.streams = Streams(seed)
+            # Gymnasium leaves this to the caller. Here, a seed also repeats random actions.
             self.action_space.seed(seed)
         self.choose_values(values)
         self._forget()

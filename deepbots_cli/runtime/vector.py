@@ -98,6 +98,7 @@ class BatchEnvironment(VectorEnv[Any, Any, Any]):
         if len(outcome.done):
             ended = np.zeros(self.num_envs, bool)
             ended[outcome.done] = True
+            # As in Gymnasium's own vector environments: an array of objects, None where the episode goes on.
             last = np.full(self.num_envs, None, object)
             for row, world in enumerate(outcome.done):
                 last[world] = apply_to_parts(itemgetter(row), outcome.final_observations)

@@ -184,6 +184,7 @@ def counts(text: str, option: str = "--worlds") -> list[int]:
         UsageError: A part is no whole number from 1.
     """
     parts = text.split(",")
+    # `isdigit` also accepts digits such as ², which `int` refuses.
     if not all(part.isascii() and part.isdigit() and int(part) for part in parts):
         raise UsageError(f"{option} {text} is not a list of whole numbers from 1, such as 1,2,4")
     return [int(part) for part in parts]

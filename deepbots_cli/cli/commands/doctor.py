@@ -112,6 +112,7 @@ def _requirements() -> dict[str, list[str]]:
     """Return the required packages by extra; those that are always required have an empty name."""
     by_extra: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
     for requirement in requires("deepbots-cli") or ():
+        # The dot stands for a quote, which is ' or " depending on the tool that built the package.
         extra = re.search(r"extra == .([\w-]+)", requirement)
         name = re.match(r"[\w.-]+", requirement)
         if name and _is_for_this_machine(requirement) and (extra is None or extra[1] in _EXTRAS):

@@ -376,6 +376,7 @@ def _moved(file: Path) -> tuple[bytes, list[Path]]:
 def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
     text = file.read_text(encoding="utf-8")
     needed = []
+    # From the last one on, so that the spans of those before stay valid.
     for scalar, path in reversed(list(_references(file, text))):
         needed.append(path)
         relative = os.path.relpath(_target(path), _target(file).parent).replace(os.sep, "/")
@@ -458,6 +459,7 @@ def write_new(files: Files, folder: Path, *, force: bool = False) -> list[Path]:
     for path in contents.keys() - existing:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            # `x` fails if another program has written the file in the meantime.
             with path.open("xb") as file:
                 begun.append(path)
                 file.write(contents[path])
@@ -483,6 +485,7 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     """
     (target, text), *remaining = files.items()
     schema = target.with_suffix(".schema.json")
+    # Unlike `exists`, this finds a link that leads nowhere, too.
     if os.path.lexists(folder / schema):
         refuse_overwriting(folder / schema, force=force)
     with_modeline = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text

@@ -124,6 +124,7 @@ def _chosen_by_return(run: ListedRun) -> Iterator[Path]:
 def _has_other_models(run: Path) -> bool:
     """Return whether `eval --keep` has a choice: a model that differs from the best one."""
     best = run / "models" / "agent" / "best.zip"
+    # By content: by default, `filecmp` takes files with the same size and time as equal.
     return best.is_file() and any(
         not filecmp.cmp(best, model, shallow=False) for model in best.parent.glob("*.zip")
     )

@@ -96,6 +96,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
     files = {bundle.BUNDLE_NAME: description, **files}
     if key is not None:
         try:
+            # The description has the digests of all other files, so that one signature covers them.
             files[bundle.SIGNATURE_NAME] = signature.sign(description, key)
         except signature.KeyFileError as error:
             raise UsageError(str(error)) from error

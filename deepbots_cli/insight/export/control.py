@@ -109,6 +109,7 @@ class ControlStep:
                 value = self._math.binary(
                     "Sub", self._names.printer.vector(trees), self._math.constant(middle)
                 )
+                # A division as in `spaces.scaled_goal`, so that the last bits agree.
                 value = self._clipped(self._math.binary("Div", value, self._math.constant(half)))
                 inputs[key] = graph.cast(self._math.spread(value, len(middle)).name, np.float32)
         space = observation_space(agent)
@@ -121,6 +122,7 @@ class ControlStep:
             tensors = [self._memories.tensor(name, np.float32, *sides) for name in network.LSTM_STATES]
             states = [graph.add("Unsqueeze", tensor, graph.constant([1], np.int64)) for tensor in tensors]
         self._decision = network.decide(graph, policy, self.program, inputs, states, self._mask(learner))
+        # Without an LSTM, `after` is empty.
         for name, after in zip(network.LSTM_STATES, self._decision.after, strict=False):
             squeezed = graph.add("Squeeze", after, graph.constant([1], np.int64))
             self._memories.keep_tensor(name, self._memories.tensor_if_acting(squeezed, f"memory.{name}"))
@@ -207,6 +209,7 @@ class ControlStep:
         if not (first.is_truth or as_given):
             middle, half = _mapping(entry.low, entry.high)
             value = self._math.binary("Sub", value, self._math.constant(middle))
+            # By the reciprocal as in `formulas.scale`, so that the last bits agree.
             value = self._math.binary("Mul", value, self._math.constant([1 / number for number in half]))
             value = self._clipped(value) if entry.clip else value
         return self.graph.cast(self._math.spread(value, size).name, np.float32)

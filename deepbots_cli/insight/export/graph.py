@@ -80,6 +80,7 @@ class Graph:
         return name
 
     def output(self, name: str, value: str, dtype: Any, *shape: int | str) -> None:
+        # A node of its own, because the value may be an input, or that of another output, too.
         self.nodes.append(helper.make_node("Identity", [value], [name]))
         self.outputs.append(
             helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(np.dtype(dtype)), shape)

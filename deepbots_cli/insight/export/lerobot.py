@@ -104,6 +104,7 @@ def _targets(
         UsageError: The commands are no sum of multiples of the action, or depend on more than the chosen
             option.
     """
+    # A range without a width has nothing to divide by.
     width = np.where(high > low, (high - low) / 2, 1.0)
     if program.agent.choices:
         rows = tabulated(program, trees)
@@ -111,6 +112,7 @@ def _targets(
             row, size = decision.options[0], 1
             for choice, option in zip(program.agent.choices[1:], decision.options[1:], strict=True):
                 size = len(choice.options)
+                # The rows of the table are in mixed radix, and the option of the last choice changes first.
                 row = graph.add("Add", graph.add("Mul", row, graph.constant([size], np.int64)), option)
             return str(graph.add("Gather", graph.constant((rows - low) / width - 1.0), row, axis=0))
     elif (coefficients := linear(program, trees)) is not None:

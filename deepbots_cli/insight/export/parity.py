@@ -182,6 +182,7 @@ def _stacked(rows: list[Mapping[str, Array]]) -> dict[str, Array]:
 
 def _add_random_steps(bundle: Bundle, rows: _Rows) -> None:
     """Add steps with inputs in and around the range of the recorded ones, and far beyond."""
+    # A fixed seed, so that the same policy gets the same steps.
     random, policy, input_rows = np.random.default_rng(0), bundle.start(), rows.inputs
     total = rows.count + min(RANDOM, most_steps(bundle) // 2)
     for number in range(_TRIES * RANDOM):

@@ -51,6 +51,7 @@ class Arithmetic:
 
     def constant(self, values: Sequence[float | bool]) -> Value:
         truth = all(isinstance(value, bool) for value in values)
+        # 0.0 equals -0.0, so the sign is compared, too.
         single = len({(value, math.copysign(1.0, value)) for value in values}) == 1
         numbers = values[:1] if single else values
         return Value(self.graph.constant([*numbers], np.bool_ if truth else np.float64), len(numbers), truth)
@@ -236,6 +237,7 @@ class Arithmetic:
         """Return all components of a vector as one value."""
         match operator:
             case "add":
+                # `axes` is an input of ReduceSum from opset 13 on, of the other two from 18 on.
                 axes = self.graph.constant([0], np.int64)
                 return Value(self.graph.add("ReduceSum", self.number(value).name, axes, keepdims=1))
             case "hypot":

@@ -63,6 +63,7 @@ class RslLearner(ArrayLearner):
         ) | {entry.name: entry.value for entry in training.hyperparameters}
         self.fragment_steps = settings.pop("num_steps_per_env")
         # Without worlds, the policy acts only, and needs no room for experience.
+        # A policy that only acts leaves the random numbers of its process as they are.
         with torch.random.fork_rng(devices=[]), validation_kept():
             torch.manual_seed(setup.seed)
             self.algorithm = _algorithm(
@@ -76,6 +77,7 @@ class RslLearner(ArrayLearner):
             _fill_optimizer(self.algorithm.optimizer)
             if training.normalize is not None:
                 self._reward_scale = EmpiricalDiscountedVariationNormalization([], gamma=self.algorithm.gamma)
+                # RSL-RL begins with None, which has no shape for a checkpoint. The averages are the same.
                 self._reward_scale.disc_avg.avg = torch.zeros(rows)
 
     @classmethod
@@ -154,6 +156,7 @@ class RslLearner(ArrayLearner):
         record = self.log.record
         record("train/value_loss", losses["value"])
         record("train/policy_gradient_loss", losses["surrogate"])
+        # The names and the sign are those of Stable-Baselines3, which the reports read.
         record("train/entropy_loss", -losses["entropy"])
         record("train/learning_rate", algorithm.learning_rate)
         record("train/std", float(algorithm.actor.output_std.detach().mean()))
@@ -350,6 +353,7 @@ def _normalizing(layer: nn.Linear, normalizer: Any) -> nn.Linear:
     scale = normalizer.std + normalizer.eps
     combined = nn.Linear(layer.in_features, layer.out_features)
     with torch.no_grad():
+        # (W / s) x + b - (W / s) m = W (x - m) / s + b, where s of RSL-RL is std + eps.
         combined.weight.copy_(layer.weight / scale)
         combined.bias.copy_(layer.bias - combined.weight @ normalizer.mean)
     return combined

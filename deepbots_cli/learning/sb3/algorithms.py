@@ -63,6 +63,7 @@ def create(
         MissingExtraError: The algorithm is one of sb3-contrib, which is not installed.
     """
     algorithm = _entry(training.algorithm)
+    # Each copy of a robot is a row of its own, and the defaults depend on the number of rows.
     training = replace(training, environments=env.num_envs)
     settings: Settings = defaults.default_values(training, total_timesteps, longest_episode)
     kind = training.action_noise or settings.pop("action_noise", None)
@@ -74,6 +75,7 @@ def create(
         }
         settings |= {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": buffer_options}
     settings |= {h.name: _value(h) for h in training.hyperparameters}
+    # The noise is made before the model, whose progress it reads later.
     models: list[BaseAlgorithm] = []
     if kind is not None and isinstance(env.action_space, gym.spaces.Box):
         settings["action_noise"] = DecayingNoise(
@@ -119,8 +121,10 @@ def _policy_class(algorithm: type[Model], policy: str, columns: Sequence[int] | 
 def _without_experience(settings: Settings, algorithm: type[Model]) -> None:
     """Change the settings to those of a model that does not learn."""
     if not algorithm.on_policy:
+        # The library allocates all rows of the buffer with the model, by default 1,000,000.
         settings["buffer_size"] = 1
     else:
+        # PPO asserts more than one sample: the advantages of a single one have no standard deviation.
         settings["n_steps"] = 2
         if algorithm.base() != "A2C":
             settings["batch_size"] = 2
@@ -169,6 +173,7 @@ def _made(
         raise UsageError(
             f"{training.algorithm} does not accept the settings under 'train': {reason}"
         ) from error
+    # A class of another package may raise anything. From a built-in one, it is a bug.
     except Exception as error:
         if training.algorithm == algorithm.base():
             raise
@@ -306,6 +311,7 @@ def check_replay(settings: Settings, space: gym.Space[Any], memory: int | None =
     """
     steps = settings.get("buffer_size", 0)
     parts = space.spaces.values() if isinstance(space, gym.spaces.Dict) else [space]
+    # The library stores each observation twice, as the present and as the next one.
     needed = (
         2
         * steps
@@ -333,12 +339,14 @@ def _entry(name: str) -> type[Model]:
 def _value(hyperparameter: Hyperparameter) -> object:
     if hyperparameter.name == "train_freq" and isinstance(hyperparameter.value, str):
         count, _, unit = hyperparameter.value.partition(" ")
+        # `TrainFrequencyUnit` of the library has the units in the singular, `step` and `episode`.
         return int(count), unit.rstrip("s")
     if isinstance(hyperparameter.value, AdaptiveRate):
         return DivergenceRate(hyperparameter.value)
     if not isinstance(hyperparameter.value, Schedule):
         return hyperparameter.value
     start, end = hyperparameter.value.start, hyperparameter.value.end
+    # The library passes the share of the training that is left, from 1 to 0.
     return lambda remaining: end + (start - end) * remaining
 
 

@@ -50,6 +50,7 @@ class PolicyColumns(BaseFeaturesExtractor):
         super().__init__(space, inner.features_dim)
         self.inner = inner
         self.space = inner_space
+        # Not in the state dictionary: model files have weights only, and the scenario gives the columns.
         self.register_buffer("columns", torch.tensor(list(columns)), persistent=False)
 
     def forward(self, observations: Any) -> torch.Tensor:
@@ -62,6 +63,7 @@ class PolicyColumns(BaseFeaturesExtractor):
             return observations.index_select(-1, self.columns)
         parts = dict(observations)
         numbers = parts.pop(_NUMBERS)
+        # A policy may see images alone. Its space then has no part for numbers.
         if len(self.columns):
             parts[_NUMBERS] = numbers.index_select(-1, self.columns)
         return parts
@@ -104,10 +106,12 @@ class _OnPolicy(internals.Layers):
     columns: tuple[int, ...]
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
+        # A shared extractor would leave out the columns that only the critic sees.
         super().__init__(*arguments, **settings, share_features_extractor=False)  # type: ignore[call-arg]
 
     def make_layers(self: Any, build: Callable[[], None]) -> None:
         """Make layers of the policy for its columns, and layers of the critic for all."""
+        # In the library, too, `features_extractor` is the one of the policy if none is shared.
         self.pi_features_extractor = self.features_extractor = PolicyColumns(
             self.observation_space, self.columns
         )
@@ -128,6 +132,7 @@ class _Recurrent(_OnPolicy):
         policy: Any = self
         size, layers = policy.lstm_actor.hidden_size, policy.lstm_actor.num_layers
         width = policy.pi_features_extractor.features_dim
+        # The library makes this LSTM for the width of the critic, and an optimizer with its weights.
         policy.lstm_actor = nn.LSTM(width, size, num_layers=layers, **policy.lstm_kwargs).to(policy.device)
         policy.optimizer = policy.optimizer_class(
             policy.parameters(), lr=lr_schedule(1), **policy.optimizer_kwargs

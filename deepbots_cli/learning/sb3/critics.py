@@ -78,6 +78,7 @@ def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> 
     later = np.zeros(rewards.shape[1])
     missing = np.ones(rewards.shape[1])
     for step in range(len(rewards) - 1, -1, -1):
+        # In the library, `dones` includes time limits. The rewards that would follow them are missing.
         cut = dones[step] & timeouts[step]
         later = rewards[step] + gamma * np.where(dones[step], 0.0, later)
         missing = gamma * np.where(cut, 1.0, np.where(dones[step], 0.0, missing))

@@ -66,6 +66,7 @@ def _batch(training: Training) -> int:
     rows = _roll_out(training) * training.environments
     if training.environments >= _MANY_ENVIRONMENTS:
         return rows // 8
+    # Otherwise the last batch of an epoch is smaller, and its gradient noisier.
     return 64 if rows % 64 == 0 else 32
 
 
@@ -242,6 +243,7 @@ def library_defaults(algorithm: str) -> Mapping[str, object] | None:
                 for node in definition.body
                 if isinstance(node, ast.FunctionDef) and node.name == "__init__"
             )
+            # In `ast`, the defaults are those of the last positional arguments.
             keys = [argument.arg for argument in start.args.args][-len(start.args.defaults) :]
             return {key: _literal(default) for key, default in zip(keys, start.args.defaults, strict=True)}
     return None

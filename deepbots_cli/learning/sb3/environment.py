@@ -79,6 +79,7 @@ class CollectorEnvironment(VecEnv):
 def as_returned(step: WorldsStep) -> VecEnvStepReturn:
     """Return a step of all rows, with the entries that the library reads for the last step of an episode."""
     for row, episode, observation, timed_out in step.endings:
+        # A new dictionary, because the rows of a batch share an empty one.
         step.infos[row] = {
             **step.infos[row],
             "terminal_observation": observation,

@@ -83,6 +83,7 @@ class Lessons:
             part[0].nbytes
             for part in (observations.values() if isinstance(observations, dict) else [observations])
         )
+        # At least the steps of a rollout, because `add` writes a whole rollout at once.
         self.buffer_size = max(model.n_steps, min(_MAX_ROWS // model.n_envs, _MAX_BYTES // width))
 
         def empty(array: Array) -> Array:
@@ -116,6 +117,7 @@ class Lessons:
         model = self._model
         policy = self._model.policy
         policy.set_training_mode(True)
+        # With gSDE, `log_std` is a matrix of the noise on the last layer, not a deviation of actions.
         if isinstance(model.action_space, spaces.Box) and not model.use_sde:
             with torch.no_grad():
                 policy.log_std.clamp_(max=math.log(_MAX_STD))
@@ -156,6 +158,7 @@ def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterat
     if taught is not None:
         lessons.add(taught)  # before the update, which reorders the rollout buffer
     settings = {name: getattr(model, name) for name in ("ent_coef", "target_kl") if hasattr(model, name)}
+    # Without advantages and entropy, the loss of the policy has no gradient.
     model.rollout_buffer.advantages[...] = 0.0
     model.ent_coef = 0.0
     if "target_kl" in settings:
@@ -183,6 +186,7 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
     labels = torch.empty(0)
     if not isinstance(taught, Lessons):
         shape = (-1, *taught.shape[2:])
+        # In the order of the flattened rollout buffer: all steps of the first row, then those of the next.
         labels = torch.as_tensor(
             np.ascontiguousarray(taught.swapaxes(0, 1)).reshape(shape), device=model.device
         )
@@ -199,6 +203,7 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         values, log_prob, entropy = evaluate(observations, actions, **options)
         if entropy is None:
+            # As PPO of the library does for distributions without an analytical entropy.
             entropy = -log_prob
         if lessons is None:
             loss = _loss(model, policy.get_distribution(observations, **options), batch[0])
@@ -210,11 +215,13 @@ def imitating(model: Any, taught: Array | Lessons, weight: float) -> Iterator[No
         return values, log_prob, ent_coef * entropy - weight * loss
 
     policy.evaluate_actions = evaluate_actions
+    # The entropies that `evaluate_actions` returns are weighted already.
     model.ent_coef = 1.0
     try:
         with internals.samples_noted(model.rollout_buffer, note):
             yield
     finally:
+        # The attribute of the object hid the method of its class, which is visible again.
         del policy.evaluate_actions
         model.ent_coef = ent_coef
     model.logger.record("train/entropy_loss", float(np.mean(entropies)))
@@ -267,6 +274,7 @@ def mix_in(model: Any, demonstrations: Demonstrations) -> None:
         samples = draw(batch_size, env=env)
         at = torch.from_numpy(np.random.randint(count, size=round(_DEMONSTRATED_SHARE * batch_size)))
         rewards = demonstrations.rewards[at.numpy(), None]
+        # The buffer normalizes its own rewards with the statistics of the moment in which it is sampled, too.
         rewards = rewards if env is None else env.normalize_reward(rewards)
         columns = {
             "actions": actions[at],
@@ -331,6 +339,7 @@ def imitating_labels(model: Any, weight: float, *, only: bool, new: int) -> Iter
 
         return values
 
+    # The actors of TD3 and DDPG are trained with the first critic alone, by `q1_forward`.
     names = [name for name in ("forward", "q1_forward") if hasattr(critic, name)]
     for name in names:
         setattr(critic, name, with_teacher(getattr(critic, name)))

@@ -60,9 +60,11 @@ def set_last(model: Any, observations: Any, starts: Array) -> None:
 
 def continue_training(model: Any, starts: Array) -> None:
     """Continue from the present step, in the episodes of the worlds."""
+    # `time/fps` divides the steps since then by the time of this process.
     model._num_timesteps_at_start = model.num_timesteps
     set_last(model, model.env.reset(), starts)
     if (normalizer := model.get_vec_normalize_env()) is not None:
+        # With a normalizer, the library stores this observation in the replay buffer, not `_last_obs`.
         model._last_original_obs = normalizer.get_original_obs()
 
 
@@ -147,6 +149,7 @@ def samples_noted(buffer: Any, note: Callable[[Array], None]) -> Iterator[None]:
 def samples_chosen(buffer: Any, mask: Array) -> Iterator[None]:
     """Context in which a rollout buffer returns only chosen samples (truth values, steps x rows)."""
     usual = buffer.get
+    # In the flattened buffer, all steps of a row come before those of the next row.
     numbers = np.flatnonzero(mask.T)
 
     def get(batch_size: int | None = None) -> Iterator[Any]:

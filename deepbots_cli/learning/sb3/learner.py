@@ -95,6 +95,7 @@ class StableLearner(Learner):
         if isinstance(collector, LocalCollector | FetchingCollector):
             env = CollectorEnvironment(collector)
         if collector is not None and setup.training.normalize is not None:
+            # 0.99 is the default of every algorithm of the library.
             gamma: Any = next((h.value for h in setup.training.hyperparameters if h.name == "gamma"), 0.99)
             # Only rewards are normalized: observations already lie in [-1, 1].
             env = VecNormalize(env, norm_obs=False, gamma=gamma)
@@ -290,6 +291,7 @@ class StableLearner(Learner):
             normalizer.ret_rms.mean = mean
             normalizer.ret_rms.var = var
             normalizer.ret_rms.count = float(count)
+            # After `continue_training`, whose reset sets the returns to 0.
             normalizer.returns = arrays["returns"]
         model.action_space.np_random.bit_generator.state = saved_state.action_space.model_dump()
         if self._buffer is not None:
@@ -390,6 +392,7 @@ class OnPolicyLearner(StableLearner):
             self._callback.update_locals(
                 {"new_obs": observations, "rewards": rewards, "dones": dones, "infos": infos}
             )
+        # The order of `collect_rollouts`: the callback comes before the statistics of ended episodes.
         if not self._callback.on_step():
             return False
         for ending in step.endings:
@@ -452,6 +455,7 @@ class OnPolicyLearner(StableLearner):
             self._adaptive_rate.rate = saved_state.learning_rate
         is_taught = self.setup.training.teacher is not None or self.setup.teacher is not None
         if self._takes_fragments and is_taught and saved_state.replay[0]:
+            # Before the base class restores, which refills the lessons as its `_buffer`.
             self._lessons = Lessons(self.model)
         super().restore(saved_state, arrays, same=same)
 

@@ -52,12 +52,14 @@ class TrainingLog(Logger):
             "environments": training.environments,
             "seed": run.record.seed,
         }
+        # TensorBoard shows the page only if it names metrics, and takes their values from the scalars.
         metrics = {"rollout/ep_rew_mean": 0.0, "eval/mean_return": 0.0}
         if run.program.defines_success:
             metrics |= {"rollout/success_rate": 0.0, "eval/success_rate": 0.0}
         scenario = (run.path / RESOLVED_NAME).read_text(encoding="utf-8")
         content = {
             "hparams": HParam(values, metrics),
+            # TensorBoard renders texts as Markdown, in which four spaces begin a block of code.
             "scenario": "".join(f"    {line}\n" for line in scenario.splitlines()),
         }
         self._tensorboard.write(content, dict.fromkeys(content, ()))

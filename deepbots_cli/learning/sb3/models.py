@@ -41,7 +41,7 @@ _OVERHEAD_BYTES = 8_000_000
 NOT_FINITE = "the policy gives actions that are not finite: its weights are damaged, or the training diverged"
 _DISTRIBUTION = "torch.distributions.distribution"
 """The module that checks the parameters of each distribution of torch."""
-_MAX_MEMBERS = 32
+_MAX_MEMBERS = 32  # a model of SAC, which has three optimizers, has 8
 # What a model cannot be loaded without, and JSON cannot hold; all of it is pickled by reference to
 # Stable-Baselines3, Gymnasium and torch.
 _PICKLED_ENTRIES = ("policy_class", "policy_kwargs", "observation_space", "action_space", "train_freq")
@@ -113,7 +113,9 @@ def load(path: Path, model: BaseAlgorithm) -> None:
         RunError: The file is missing, damaged, no model of ours, or has other tensors than the model.
     """
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
+    # The weights and the two moments of Adam take at most three times the size of the policy.
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
+    # Everything is checked before the first tensor is set, so a refused file leaves the model as it was.
     names = set(tensors)
     expected = {*_parts(model), _VARIABLES}
     if names != expected:
@@ -129,6 +131,7 @@ def load(path: Path, model: BaseAlgorithm) -> None:
         part = attrgetter(name)(model)
         state = tensors[name]
         if isinstance(part, torch.optim.Optimizer):
+            # The settings of the optimizer are those of the scenario, not of the file.
             part.load_state_dict({**part.state_dict(), "state": state["state"]})
         else:
             part.load_state_dict(state)
@@ -229,6 +232,7 @@ def _check_pickle(archive: zipfile.ZipFile) -> None:
     for operation, argument, _ in pickletools.genops(archive.read(name)):
         if operation.name == "GLOBAL" and argument not in _PLAIN_GLOBALS:
             raise ValueError(f"it contains objects other than plain tensors: {str(argument)[:60]}")
+        # The other operations that import an object. `torch.save` writes protocol 2, without them.
         if operation.name in ("STACK_GLOBAL", "INST", "EXT1", "EXT2", "EXT4"):
             raise ValueError("it contains objects other than plain tensors")
 
@@ -255,6 +259,7 @@ def _check_optimizer(
     if not isinstance(state, dict):
         raise RunError(f"{path} lacks '{where}/state'")
     for index, memory in state.items():
+        # Not isinstance, which accepts True as 1.
         if type(index) is not int or not 0 <= index < len(parameters) or not isinstance(memory, dict):
             _refuse(path, "", f"{where}/{index}")
         missing, strange = [m for m in moments if m not in memory], [m for m in memory if m not in moments]

@@ -85,7 +85,9 @@ def sampled_actions(
 def _is_layers(policy: Any) -> bool:
     """Return whether a policy consists only of layers over an array, for one choice or for ranges."""
     extractor = getattr(policy, "pi_features_extractor", None)
+    # `asymmetric` makes the class from a mixin and, last, the class of the library.
     policy_class = type(policy).__bases__[-1] if isinstance(extractor, PolicyColumns) else type(policy)
+    # A subclass may compute more than its layers, such as that of RecurrentPPO.
     if policy_class is not ActorCriticPolicy or type(policy_extractor(extractor)) is not FlattenExtractor:
         return False
     space = policy.action_space

@@ -35,6 +35,7 @@ class CsvLogger(KVWriter):
         path.parent.mkdir(exist_ok=True)
         self._file = path.open("a", newline="", encoding="utf-8")
         self._rows = csv.writer(self._file, lineterminator="\n")
+        # A resumed training appends to the file, which has its header already.
         if not path.stat().st_size:
             self._rows.writerow(("steps", "name", "value"))
 
@@ -47,6 +48,7 @@ class CsvLogger(KVWriter):
         self._rows.writerows(
             (step, name, value) for name, value in scalars if "csv" not in key_excluded[name]
         )
+        # A checkpoint notes the size of the file, to which a resumed training cuts it.
         self._file.flush()
 
     def close(self) -> None:
@@ -109,6 +111,7 @@ class PluginCallback(BaseCallback):
         self._call(self._callback.init_callback, self.model)
 
     def _on_training_start(self) -> None:
+        # Callbacks such as `CheckpointCallback` act on every n-th call. A resumed training counts on.
         self._callback.n_calls = self.model.num_timesteps // self.training_env.num_envs
         self._call(self._callback.on_training_start, self.locals, self.globals)
 
@@ -140,6 +143,7 @@ class PluginLogger(KVWriter):
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
         with _failure_explained(f"the logger '{self._name}' failed after {step:,} steps"):
+            # Copies, because the library passes the same dictionaries to the next logger.
             self._writer.write(dict(key_values), dict(key_excluded), step)
 
     def close(self) -> None:

@@ -73,6 +73,7 @@ class RolloutActor:
                 actions, values, log_probs = policy(inputs, **options) if sampled is None else sampled
         world_actions = actions = actions.cpu().numpy()
         if isinstance(model.action_space, spaces.Box):
+            # `collect_rollouts` of RecurrentPPO clips the actions of every policy.
             if policy.squash_output and not self._is_recurrent:
                 world_actions = policy.unscale_action(actions)
             else:
@@ -95,6 +96,7 @@ class RolloutActor:
             return {}
         state = internals.memory(self._model)
         return {
+            # torch puts the layers of an LSTM before the rows. A collector divides memories by rows.
             name: part.cpu().numpy().swapaxes(0, 1)
             for name, part in zip(_LSTM_BUFFERS, [*state.pi, *state.vf], strict=True)
         }
@@ -123,6 +125,7 @@ class ExplorationActor:
             and model.n_envs > 1
             and not isinstance(self._noise, VectorizedActionNoise)
         ):
+            # The library does this in `_setup_learn`, after the noise of each row is needed here.
             self._noise = model.action_noise = VectorizedActionNoise(self._noise, model.n_envs)
         self.noises: list[DecayingNoise] = (
             [] if self._noise is None else list(getattr(self._noise, "noises", [self._noise]))
@@ -200,6 +203,7 @@ def fill(model: Any, fragment: Fragment) -> None:
     """Put a fragment into the rollout buffer of the model, with returns and advantages."""
     buffer = model.rollout_buffer
     columns = fragment.columns
+    # The update before has flattened the arrays of the buffer. `reset` makes new ones.
     buffer.reset()
     rewards = _rewards(model, fragment)
     observations = fragment.observations
@@ -242,6 +246,7 @@ def _rewards(model: Any, fragment: Fragment) -> Array:
     if normalizer is not None:
         ends = [*fragment.starts[1:], fragment.following_starts]
         for step, dones in enumerate(ends):
+            # The order of `VecNormalize.step_wait`: a step is scaled by statistics that include it.
             internals.update_returns(normalizer, rewards[step])
             rewards[step] = normalizer.normalize_reward(rewards[step])
             normalizer.returns[dones] = 0
@@ -259,6 +264,7 @@ def _memory_after(model: Any, fragment: Fragment, number: int, row: int) -> tupl
     observation."""
     if "cell_states_vf" not in fragment.columns:
         return ()
+    # The column has the memory before each step, which is the one after the previous step.
     if number + 1 < len(fragment.rewards):
         parts = [
             torch.from_numpy(fragment.columns[name][number + 1, row][:, None].copy())

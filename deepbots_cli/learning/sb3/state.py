@@ -96,6 +96,7 @@ class ReplayFiles:
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self._path(first, added)
         write_arrays(path, {name: column[rows] for name, column in _columns(buffer).items()})
+        # On the disk before the checkpoint is, whose state names the segment.
         flush_to_disk(path)
 
     def forget(self, added: int) -> None:
@@ -136,6 +137,7 @@ class ReplayFiles:
                 for name, column in columns.items()
             }
             arrays = read_arrays(self._path(first, last), specs)
+            # The newest rows of a segment that is longer than a smaller buffer.
             rows = self._rows(buffer, first, last)[-buffer.buffer_size :]
             for name, column in columns.items():
                 column[rows] = arrays[name][-len(rows) :]

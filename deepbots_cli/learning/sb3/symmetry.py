@@ -65,6 +65,7 @@ def mirrored_experience(model: Any, symmetry: Symmetry) -> Iterator[None]:
     doubled_buffer.actions[:, buffer.n_envs :] = mirrored_actions(
         symmetry, model.action_space, buffer.actions
     )
+    # `get` of a rollout buffer asserts that it is full.
     doubled_buffer.pos = buffer.buffer_size
     doubled_buffer.full = True
     batch_size = getattr(model, "batch_size", None)
