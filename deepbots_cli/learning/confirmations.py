@@ -1,5 +1,5 @@
 """The confirmations of a training: new starts that show whether a model whose evaluation meets `solved`
-solves the task. `confirmation` defines how one of them is judged."""
+solves the task. `confirmation_rule` defines how one of them is judged."""
 
 from __future__ import annotations
 

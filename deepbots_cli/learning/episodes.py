@@ -529,7 +529,7 @@ class Summary(Scores, frozen=True):
         """Return the summary of at least one episode.
 
         Args:
-            done: The episodes.
+            episodes: The episodes.
             bounds: The possible returns.
             error: The probability that an interval misses the true value.
             further: The fields of a subclass.

@@ -114,9 +114,9 @@ class Learner(ABC):
     takes_masks = False
     """Whether `predict` uses action masks."""
     takes_callbacks = True
+    """Whether the learner calls the `followers` of `begin`."""
     learns_from_parts = False
     """Whether it leaves out the steps in which one of several agents does not take part."""
-    """Whether the learner calls the `followers` of `begin`."""
     is_off_policy = False
     """Whether the learner has a replay buffer, so that a step of the training takes much longer than one of
     an evaluation."""

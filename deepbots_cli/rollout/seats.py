@@ -120,7 +120,7 @@ class SeatCollector(OfferedCollector):
     """The part of one agent in the fragments of all agents.
 
     Args:
-        place: Its place among the agents.
+        seat: Its place among the agents.
         of_all: The collector of the worlds.
     """
 
@@ -158,7 +158,7 @@ class SharedCollector(OfferedCollector):
     world: first all worlds of the first agent.
 
     Args:
-        places: The places of these agents.
+        seats: The places of these agents.
         of_all: The collector of the worlds.
     """
 
@@ -202,7 +202,7 @@ class MultiAgentActor:
     """Acts for several agents in the same worlds, each with its own actor.
 
     Args:
-        places: The place of each agent, by name.
+        seats: The place of each agent, by name.
         actors: The actor of each agent.
         masked: The agents whose actors take masks of the allowed options.
     """

@@ -27,6 +27,7 @@ from deepbots_cli.port import ZERO_VECTOR, BatchEngine, Engine, EngineProxy, Mot
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.runtime.formulas import total
 from deepbots_cli.runtime.placement import copy_offset
 from deepbots_cli.runtime.spaces import Column, apply_to_parts, canonical_action, is_canonical, joined
 from deepbots_cli.runtime.streams import NOTHING_CHOSEN, Drawn, Streams
@@ -224,7 +225,7 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         "is_success": tuple(copy.info["is_success"] for copy in copies),
     }
     terms = {
-        name: sum(copy.info["reward_terms"][name] for copy in copies) / len(copies)
+        name: total(copy.info["reward_terms"][name] for copy in copies) / len(copies)
         for name in copies[0].info["reward_terms"]
     }
     info: Info = {
@@ -235,7 +236,7 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         "each": per_copy,
     }
     return CopyResult(
-        sum(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
+        total(copy.reward for copy in copies) / len(copies), bool(ended), bool(over) and not ended, info
     )
 
 

@@ -12,6 +12,7 @@ from pettingzoo import ParallelEnv
 
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.runtime.agents import combined_action, seats_of
+from deepbots_cli.runtime.formulas import total
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.runtime.supervisor import Supervisor
 
@@ -110,7 +111,7 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
             seat = self._seats[name]
             observations[name] = seat.observation(self._observed)
             infos[name] = agent_info = seat.info(info)
-            rewards[name] = sum(agent_info["reward_terms"].values())
+            rewards[name] = total(agent_info["reward_terms"].values())
         return observations, rewards, ends, cuts, infos
 
     def state(self) -> Any:

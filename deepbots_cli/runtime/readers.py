@@ -29,6 +29,7 @@ from deepbots_cli.port import (
     cast_rays,
 )
 from deepbots_cli.program.robots import CalibrationTable, CameraIntrinsics, RadarConfig, RayConfig
+from deepbots_cli.runtime.formulas import total
 from deepbots_cli.runtime.paths import PaintedGround
 from deepbots_cli.runtime.sensing import Instrument, Normals, Site, Values
 
@@ -321,7 +322,7 @@ def _combined(read: RayReader, beams: RayConfig) -> RayReader:
         case "nearest":
             return lambda: (min(read()),)
         case "mean":
-            return lambda: (sum(read()) / count,)
+            return lambda: (total(read()) / count,)
         case _:
             return read
 
