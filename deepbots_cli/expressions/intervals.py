@@ -205,12 +205,16 @@ def hypot(*parts: Interval) -> Interval:
 
 
 def atan2(y: Interval, x: Interval) -> Interval:
-    """Return the angle of the point (x, y), without the half planes where the point cannot lie."""
-    if y.low < 0.0:
-        return QUARTER_TURNS if x.low >= 0.0 else TURN
-    if y == NEVER and x.low >= 0.0:
+    """Return the angle of the point (x, y), without the half planes where the point cannot lie.
+
+    A zero of `y` may be negative, and then the angle of a negative `x` is -pi. A zero of `x` is taken as
+    positive.
+    """
+    if x.low < 0.0:
+        return HALF_TURN if y.low > 0.0 else TURN
+    if y == NEVER:
         return NEVER
-    return Interval(0.0, math.pi / 2) if x.low >= 0.0 else HALF_TURN
+    return QUARTER_TURNS if y.low < 0.0 else Interval(0.0, math.pi / 2)
 
 
 def _truth(sure: bool, out: bool) -> Interval:

@@ -157,6 +157,11 @@ def test_intervals_are_as_tight_as_a_person_would_say(bench, text, low, high):
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-12)
 
 
+def test_the_angle_of_a_negative_zero_lies_in_its_interval(bench):
+    interval = bench.clean("atan2(0 * gas, turn - 2)").type.interval
+    assert interval.low <= math.atan2(0 * -1.0, -2.0) < 0.0 < math.atan2(0 * 1.0, -2.0) <= interval.high
+
+
 @pytest.mark.parametrize("count", [1, 2, 1_000, 4_096])
 def test_the_norm_of_many_rays_grows_with_the_root_of_their_number(count):
     interval = FUNCTIONS["norm"].reduction.interval(Interval(0.0, 5.0), count)
