@@ -9,13 +9,13 @@ places in the file. `combined_program.py` combines the programs.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.combined_program import combined_program
 from deepbots_cli.compiler.multi_agent_tests import DividedTests
+from deepbots_cli.compiler.symmetry import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
@@ -307,10 +307,7 @@ class Swap:
 
     def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
         self._other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
-        # A regular expression takes the first alternative that fits, so longer names come first.
-        names = "|".join(sorted(map(re.escape, self._other), key=len, reverse=True))
-        # `_` ends a name here, and `\b` takes it for a letter.
-        self._names = re.compile(rf"(?<![A-Za-z0-9])(?:{names})(?![A-Za-z0-9])")
+        self._names = words_pattern(self._other)
 
     def mapping(self, node: MappingNode) -> MappingNode:
         entries = {}
