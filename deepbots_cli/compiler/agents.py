@@ -22,7 +22,7 @@ from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, Others
+from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
 from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
@@ -75,6 +75,7 @@ def divide(document: Document) -> AgentDocuments | None:
     root = document.root
     assert root is not None
     _report_unsupported(document)
+    _report_joined_names(document)
     if document.findings.errors:
         return None
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
@@ -242,6 +243,31 @@ def _report_shared_names(document: Document) -> None:
                     f"the signal `{name}` of `{agent}` is already a signal of all agents",
                     "give one of the two another name",
                     labels=(Label(shared[name].key.span, "first defined here"),),
+                )
+
+
+def _report_joined_names(document: Document) -> None:
+    """Report agents and shared names that make a name of the program of all agents ambiguous: `a__b__gas`
+    would be `b__gas` of the agent `a`, or `gas` of the agent `a__b`."""
+    agents = entries_at(document.root, AGENTS)
+    for name, entry in agents.items():
+        if SEPARATOR in f"{name}_":
+            document.findings.add(
+                "DB105",
+                entry.key.span,
+                f"`{name}` cannot be the name of an agent",
+                "choose a name without `__` that does not end in `_`; `__` joins an agent and its parts, as in"
+                " `red__gas`",
+            )
+    for section in (_SIGNALS, "parameters"):
+        for name, entry in entries_at(document.root, section).items():
+            agent, separator, part = name.partition(SEPARATOR)
+            if separator and agent in agents:
+                document.findings.add(
+                    "DB105",
+                    entry.key.span,
+                    f"`{name}` is the name of `{part}` of the agent `{agent}` in the scenario of all agents",
+                    "choose a name without `__`",
                 )
 
 

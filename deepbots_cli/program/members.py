@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 RANDOM, ZERO = "random", "zero"
 """Drivers of an agent besides its scripts."""
-_SEPARATOR = "__"
+SEPARATOR = "__"
 
 PREVIOUS_ACTION = "previous_action"
 PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
@@ -35,7 +35,7 @@ _SIGNALS = "signals"
 
 def qualified_name(agent: str, name: str) -> str:
     """Return the name of something of an agent in the program of all agents."""
-    return f"{agent}{_SEPARATOR}{name}"
+    return f"{agent}{SEPARATOR}{name}"
 
 
 @dataclass(frozen=True)
