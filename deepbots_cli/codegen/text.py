@@ -201,8 +201,8 @@ def quoted(text: str) -> str:
 
 
 def docstring(text: str) -> list[str]:
-    """Return a string in triple quotes, over as many lines as it needs; the escapes leave no quote and no
-    backslash of its own."""
+    """Return a string in triple quotes, over as many lines as it needs; the escapes keep the text
+    from ending the string."""
     lines = textwrap.wrap(quoted(text)[1:-1], 100, break_long_words=False, break_on_hyphens=False) or [""]
     return [f'"""{lines[0]}"""'] if len(lines) == 1 else [f'"""{lines[0]}', *lines[1:], '"""']
 
@@ -403,7 +403,7 @@ def _places(code: str, sign: str) -> Iterator[int]:
 
 @lru_cache(maxsize=16)
 def _outside(code: str) -> str:
-    """Return the code with a zero for each character in brackets or quotes: a line is searched for about ten
+    """Return the code with a NUL for each character in brackets or quotes: a line is searched for about ten
     signs."""
     pieces = []
     depth = 0

@@ -274,8 +274,8 @@ _COLUMN_FUNCTIONS = {
     "min": "minimum(*x)",
     "max": "maximum(*x)",
 }
-"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these otherwise than
-`math` does."""
+"""The operations with a function of their own in `runtime.columns`; numpy rounds many of these differently from
+`math`."""
 
 
 class Target(NamedTuple):
@@ -328,7 +328,7 @@ def operation_code(
     arguments."""
     function = function_named(name)
     integer = whole_exponent(scalars[1].value) if name == "pow" and isinstance(scalars[1], Const) else None
-    # Over columns, `a**2` would be a product, which rounds otherwise than the power of a single world.
+    # Over columns, `a**2` would be a product, which rounds differently from the power of a single world.
     if integer is not None and (target is SCALAR or _is_product(integer, scalars[0])):
         return _power(args[0], integer, scalars[0])
     names = function.arguments
@@ -356,8 +356,8 @@ def _code(scalar: Scalar, leaf: Leaf, target: Target) -> Code:
 
 
 def _is_product(exponent: int, scalar: Scalar) -> bool:
-    """Return whether a power is written as a product; the C library's pow may round a square otherwise than a
-    product does."""
+    """Return whether a power is written as a product; the C library's pow may round a square differently from a
+    product."""
     return exponent == 2 and isinstance(scalar, (Name, State, Const))
 
 
