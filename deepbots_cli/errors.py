@@ -99,8 +99,3 @@ class PluginError(DeepbotsError):
 
 class EngineError(DeepbotsError):
     """The physics engine failed; names the body and the simulated time where known."""
-
-
-def counted(count: int, noun: str) -> str:
-    """Return `1 start`, `1,200 starts`."""
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
