@@ -17,6 +17,8 @@ api.py        from scenario to environment
 envs.py       shipped scenarios for Gymnasium
 errors.py     the exceptions, as a tree   files.py      files read up to a limit, or written whole
 display.py    the progress that a command shows
+installation.py  the packages of extras, and how to install them
+words.py      numbers and lists in messages
 plugins.py    plug-ins of other packages     message_formats.py  the formats of messages
 processes.py  further processes of Python    pictures.py  a check of pictures before they are decoded
 

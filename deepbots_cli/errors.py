@@ -18,8 +18,9 @@ Any other exception that reaches the user is a bug of deepbots.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.installation import install_hint
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -71,72 +72,6 @@ class MissingExtraError(UsageError):
         super().__init__(f"{purpose} needs the '{extra}' extra; {install_hint(extra)}")
 
 
-_EXTRAS_OF_MODULES = {
-    "PIL": "sim",
-    "py_mini_racer": "webots-js",
-    "rsl_rl": "rsl",
-    "websockets": "view",
-    "zmq": "zmq",
-}
-"""The extras of the modules whose packages have other names."""
-
-
-def extra_with(module: str) -> str | None:
-    """Return the smallest extra that requires the package of a module, by the metadata of the installation;
-    None if there is none."""
-    if module in _EXTRAS_OF_MODULES:
-        return _EXTRAS_OF_MODULES[module]
-    packages = _packages_by_extra()
-    fitting = [extra for extra, names in packages.items() if module.lower() in names]
-    return min(fitting, key=lambda extra: len(packages[extra]), default=None)
-
-
-def _packages_by_extra() -> dict[str, list[str]]:
-    import re  # imported only for messages
-    from importlib.metadata import PackageNotFoundError, requires
-
-    packages: dict[str, list[str]] = {}
-    with suppress(PackageNotFoundError):
-        for requirement in requires("deepbots-cli") or ():
-            if match := re.match(r"([\w.-]+).*\bextra == .([\w-]+)", requirement):
-                packages.setdefault(match[2], []).append(match[1].lower().replace("-", "_"))
-    return packages
-
-
-def install_hint(extra: str, origin: str | None = None) -> str:
-    """Return the command that installs an extra from `origin`, by default from where deepbots was installed.
-
-    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
-    it.
-    """
-    origin = origin or install_source()
-    packages = [f"'{origin}[{extra}]'"]
-    if origin != "deepbots-cli" and "deepbots_robot" in _packages_by_extra().get(extra, ()):
-        packages.insert(0, f"'{origin}/deepbots_robot'")
-    return f"install it with: pip install {' '.join(packages)}"
-
-
-def install_source() -> str:
-    """Return the clone that deepbots was installed from if pip knows it and it still exists, else the package
-    name."""
-    import json  # imported only for this message
-    from importlib.metadata import PackageNotFoundError, distribution
-    from pathlib import Path
-    from urllib.parse import urlsplit
-    from urllib.request import url2pathname
-
-    try:
-        address = urlsplit(
-            str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", ""))
-        )
-    except (PackageNotFoundError, ValueError):
-        return "deepbots-cli"
-    folder = Path(url2pathname(address.path))
-    return (
-        str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
-    )
-
-
 class RunError(UsageError):
     """A run directory cannot be used for what was asked."""
 
@@ -164,8 +99,3 @@ class PluginError(DeepbotsError):
 
 class EngineError(DeepbotsError):
     """The physics engine failed; names the body and the simulated time where known."""
-
-
-def counted(count: int, noun: str) -> str:
-    """Return `1 start`, `1,200 starts`."""
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"

@@ -212,7 +212,8 @@ def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root;
     meshes do not count.
 
-    A point is the end of a shape within `thickness` (m) of the lowest.
+    A point is the end of a shape within `thickness` (m) of the lowest. An upright cylinder counts as the box
+    around it, so its points are the corners of a square.
     """
     lowest = -resting_height(model)
     touching = [

@@ -160,8 +160,9 @@ def _counted(analysis: Analysis, quantity: Scalar) -> tuple[State, bool] | None:
             is_first = analysis.ranges.of(b).is_single
             counted = _counted(analysis, a if is_first else b)
             factor = analysis.ranges.of(b if is_first else a)
-            falls = (op in ("mul", "div") and factor.high < 0.0) or (op in ("sub", "div") and not is_first)
-            return None if counted is None else (counted[0], counted[1] != falls)
+            is_negative = op in ("mul", "div") and factor.high < 0.0
+            is_reversed = op in ("sub", "div") and not is_first
+            return None if counted is None else (counted[0], counted[1] == (is_negative == is_reversed))
         case _:
             return None
 

@@ -16,7 +16,8 @@ from types import FrameType
 from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError, extra_with, install_hint
+from deepbots_cli.errors import DeepbotsError, ScenarioError, UsageError
+from deepbots_cli.installation import extra_with, install_hint
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer

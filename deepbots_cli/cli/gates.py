@@ -8,10 +8,11 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.errors import UsageError, counted
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.episodes import check_common_measure
 from deepbots_cli.learning.records import in_parentheses
 from deepbots_cli.learning.statistics import Interval, Verdict, gate_mean, gate_rate
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.learning import EvaluationResult, GroupResult

@@ -16,7 +16,7 @@ from deepbots_cli.cli.command import (
     integer,
     option,
 )
-from deepbots_cli.errors import counted
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Showing, ShowingState

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.errors import UsageError, counted
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.executor import SERIAL, Executor
+from deepbots_cli.words import counted
 
 
 def available_cores() -> int:

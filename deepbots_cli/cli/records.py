@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table
-from deepbots_cli.errors import RunError, counted
+from deepbots_cli.errors import RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning.episodes import Scores, Summary, agents_text
 from deepbots_cli.learning.records import (
@@ -28,6 +28,7 @@ from deepbots_cli.learning.records import (
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.statistics import Interval, episodes_above
 from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult

@@ -16,13 +16,14 @@ from deepbots_cli import learning
 from deepbots_cli.cli import records, retries, terminal
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, counted
+from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning import report
 from deepbots_cli.learning.decline import decline_of
 from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.records import RunRecord
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.verdict import run_verdict
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement

@@ -64,7 +64,7 @@ A vector is a sequence of columns. `reset` resets the single worlds and copies t
 calls `_advance`, which observes. `add` does not change worlds whose episode has ended. `each` calls a function
 of each single world in turn.
 """
-_NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
+_NAME = re.compile(r"[a-z_][a-z0-9_]*")
 # The group is empty for parts that are no names: quotes, comments, numbers, attributes and the keywords of calls.
 _NAME_IN_CODE = re.compile(r'"(?:[^"\\]|\\.)*"|#.*|[.\d]\w*|\w+=(?!=)|([A-Za-z_]\w*)')
 

@@ -15,7 +15,6 @@ from deepbots_cli.codegen.text import (
     fill_template,
     quoted,
     quoted_tuple,
-    sentence_list,
     targets_code,
     tuple_code,
 )
@@ -25,6 +24,7 @@ from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, 
 from deepbots_cli.expressions.targets import SCALAR, Target
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
+from deepbots_cli.words import sentence_list
 
 _CLASS = """
 class {name}({base}):

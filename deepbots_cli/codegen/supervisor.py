@@ -23,7 +23,6 @@ from deepbots_cli.codegen.text import (
     fill_template,
     quoted,
     quoted_tuple,
-    sentence_list,
     tuple_code,
 )
 from deepbots_cli.codegen.workspace import SupervisorPrinter
@@ -33,6 +32,7 @@ from deepbots_cli.expressions.targets import BATCH
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Direction
 from deepbots_cli.program.task import ActionRange, Choices, Script, ScriptedChoice, ScriptedRange
+from deepbots_cli.words import sentence_list
 
 _CLASS = '''
 class {name}Supervisor(Supervisor):

@@ -51,11 +51,6 @@ def quoted_tuple(names: Sequence[str]) -> str:
     return tuple_code([quoted(name) for name in names])
 
 
-def sentence_list(words: Sequence[str], last: str = "and") -> str:
-    """Return a list in words: `a`, `a and b`, `a, b and c`."""
-    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
-
-
 def fill_template(template: str, **gaps: str | Sequence[str]) -> list[str]:
     """Return the lines of a template; `{name}` alone on a line is replaced by lines, which take its indent,
     and vanishes for none."""

@@ -9,20 +9,20 @@ places in the file. `combined_program.py` combines the programs.
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deepbots_cli.compiler.combined_program import combined_program
 from deepbots_cli.compiler.multi_agent_tests import DividedTests
+from deepbots_cli.compiler.symmetry import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS
 from deepbots_cli.document.nodes import entries_at, node_at
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.program import Program
-from deepbots_cli.program.members import RANDOM, ZERO, Others
+from deepbots_cli.program.members import RANDOM, SEPARATOR, ZERO, Others
 from deepbots_cli.scenario.agent import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.fields import choices_help
 from deepbots_cli.scenario.validate import validate
@@ -75,6 +75,7 @@ def divide(document: Document) -> AgentDocuments | None:
     root = document.root
     assert root is not None
     _report_unsupported(document)
+    _report_joined_names(document)
     if document.findings.errors:
         return None
     agents = _Mirrors(document, entries_at(root, AGENTS)).resolved()
@@ -245,6 +246,31 @@ def _report_shared_names(document: Document) -> None:
                 )
 
 
+def _report_joined_names(document: Document) -> None:
+    """Report agents and shared names that make a name of the program of all agents ambiguous: `a__b__gas`
+    would be `b__gas` of the agent `a`, or `gas` of the agent `a__b`."""
+    agents = entries_at(document.root, AGENTS)
+    for name, entry in agents.items():
+        if SEPARATOR in f"{name}_":
+            document.findings.add(
+                "DB105",
+                entry.key.span,
+                f"`{name}` cannot be the name of an agent",
+                "choose a name without `__` that does not end in `_`; `__` joins an agent and its parts, as in"
+                " `red__gas`",
+            )
+    for section in (_SIGNALS, "parameters"):
+        for name, entry in entries_at(document.root, section).items():
+            agent, separator, part = name.partition(SEPARATOR)
+            if separator and agent in agents:
+                document.findings.add(
+                    "DB105",
+                    entry.key.span,
+                    f"`{name}` is the name of `{part}` of the agent `{agent}` in the scenario of all agents",
+                    "choose a name without `__`",
+                )
+
+
 # Agents that mirror another one
 
 
@@ -307,10 +333,7 @@ class Swap:
 
     def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
         self._other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
-        # A regular expression takes the first alternative that fits, so longer names come first.
-        names = "|".join(sorted(map(re.escape, self._other), key=len, reverse=True))
-        # `_` ends a name here, and `\b` takes it for a letter.
-        self._names = re.compile(rf"(?<![A-Za-z0-9])(?:{names})(?![A-Za-z0-9])")
+        self._names = words_pattern(self._other)
 
     def mapping(self, node: MappingNode) -> MappingNode:
         entries = {}

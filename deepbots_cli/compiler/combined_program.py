@@ -219,7 +219,7 @@ class Renaming:
     def robot(self, robot: Robot) -> Robot:
         """Return a robot that the agent drives: its action variables have other names in its messages, and
         in its commands."""
-        sent = {entry.name: self._names.names[entry.name] for entry in robot.variables}
+        sent = {entry.name: self._names.qualified[entry.name] for entry in robot.variables}
 
         def in_robot(scalar: Scalar) -> Scalar:
             return renamed(scalar, lambda name: name._replace(name=sent.get(name.name, name.name)))

@@ -476,12 +476,8 @@ def settling_time(namespace: Namespace, timestep: float) -> float:
     values = namespace.values
     settle = namespace.fields.fixed(namespace.scenario.reset, "settle") or 0.0
     span = values.field(namespace.scenario.reset, "settle").span
-    # 3 * 0.1 is 0.30000000000000004.
-    if abs(settle - round(settle / timestep) * timestep) > 1e-9 * settle and not values.is_invalid(
-        "world.timestep"
-    ):
-        headline = f"the settling time of {settle:g} s is not a multiple of the timestep of {timestep:g} s"
-        values.add("DB308", span, headline, "write a multiple of the timestep")
+    if not values.is_invalid("world.timestep"):
+        values.is_whole_number_of_timesteps(settle, timestep, span, "the settling time")
     if settle / timestep * namespace.scenario.world.substeps > MAX_SETTLING_STEPS:
         headline = (
             f"the settling time of {settle:g} s takes more than {MAX_SETTLING_STEPS:,} physics steps"

@@ -23,7 +23,6 @@ from deepbots_cli.robots.model import Joint
 from deepbots_cli.scenario.agent import ALL_AGENTS, DiscreteAction
 from deepbots_cli.scenario.fields import REFERENCE_KINDS, with_article
 from deepbots_cli.scenario.json_schema import Names, OfferedNames, ScenarioNames
-from deepbots_cli.scenario.scenario import Scenario
 
 
 class NameEntry(NamedTuple):
@@ -104,6 +103,7 @@ def _options(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]
 def action_at(path: NodePath) -> str:
     """Return the action that a place of a script, of an action of a test or of the section `action` belongs
     to; empty for none."""
+    # scripts / NAME / ACTION, and tests / NAME / actions / STEP / ACTION
     index = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
     return str(path[index]) if len(path) > index else ""
 
@@ -187,9 +187,7 @@ def _parts(namespace: Namespace, robot: str, sections: tuple[str, ...]) -> Itera
     for resolved in [namespace.robots.get(robot)] if robot else namespace.robots.values():
         if resolved is not None:
             for part in _parts_of(namespace, resolved, sections):
-                yield (
-                    part if robot or resolved is None else part._replace(name=f"{resolved.name}.{part.name}")
-                )
+                yield part if robot else part._replace(name=f"{resolved.name}.{part.name}")
 
 
 def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, ...]) -> Iterator[NameEntry]:
@@ -248,7 +246,7 @@ def scenario_names(checked: CheckedScenario) -> ScenarioNames:
     everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
     everywhere |= _expressions(namespace)
     robots = namespace.resolved_robots[:_MAX_ROBOTS]
-    return ScenarioNames(everywhere, {robot.name: _names_on_board(checked, robot, spec) for robot in robots})
+    return ScenarioNames(everywhere, {robot.name: _names_on_board(checked, robot) for robot in robots})
 
 
 def _offer(descriptions: Mapping[str, str], *, only: bool = False) -> OfferedNames:
@@ -276,7 +274,7 @@ def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str
     }
 
 
-def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenario) -> Names:
+def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot) -> Names:
     """Return the parts of one robot by their short names; those of its file are checked, and patterns over
     them never are."""
     home: NodePath = ("robots", robot.name)
@@ -288,7 +286,9 @@ def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, spec: Scenar
     )
     links = groups | _named(checked, "links", home)
     sensors, actuators = _named(checked, "sensor", home), _named(checked, "actuator", home)
-    received = dict.fromkeys(robot.spec.receive or {}, "received") | dict.fromkeys(spec.action, "an action")
+    received = dict.fromkeys(robot.spec.receive or {}, "received")
+    if checked.spec is not None:
+        received |= dict.fromkeys(checked.spec.action, "an action")
     parts = {
         **dict.fromkeys(("joint", "joints", "joint pattern"), _offer(joints, only=True)),
         **dict.fromkeys(("link", "links", "link pattern"), _offer(links, only=True)),

@@ -625,11 +625,7 @@ def _with_period(
         return faults
     ticks = round(seconds / timestep)
     span = values.span((*spec.path, "period"))
-    # 3 * 0.1 is 0.30000000000000004.
-    if ticks < 1 or abs(seconds - ticks * timestep) > 1e-9 * seconds:
-        headline = f"the period of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
-        values.add("DB308", span, headline, "write a multiple of the timestep")
-    elif ticks > MAX_TICKS:
+    if values.is_whole_number_of_timesteps(seconds, timestep, span, "the period") and ticks > MAX_TICKS:
         values.add(
             "DB105", span, f"the period is {ticks:,} timesteps", f"write at most {MAX_TICKS:,} timesteps"
         )

@@ -4,7 +4,7 @@ sign."""
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -65,6 +65,14 @@ def symmetry(namespace: Namespace, agent: Agent) -> Symmetry | None:
     return Symmetry(observation, ranges, tuple(list(choices).index(name) for name in sources), options)
 
 
+def words_pattern(words: Iterable[str]) -> re.Pattern[str]:
+    """Return a pattern that finds words. A word ends at `_`, at `.` and at the ends of a name."""
+    # A regular expression takes the first alternative that fits: `left_hand` must precede `left`.
+    alternatives = "|".join(map(re.escape, sorted(words, key=len, reverse=True)))
+    # `_` separates words, which `\b` takes for a letter.
+    return re.compile(rf"(?<![A-Za-z0-9])(?:{alternatives})(?![A-Za-z0-9])")
+
+
 def _acted_before(agent: Agent) -> dict[str, str]:
     """Return the number of the action that each number of a previous action repeats:
     `previous_action.left` of an only range `speed` repeats `speed.left`."""
@@ -97,10 +105,7 @@ class _SymmetryReader:
                         f"`{original}` has two mirror images, `{self._words[original]}` and `{image}`",
                         "write each word in one pair; a mirror image of a mirror image is the original",
                     )
-        # A regular expression takes the first alternative that fits: `left_hand` must precede `left`.
-        words = "|".join(map(re.escape, sorted(self._words, key=len, reverse=True)))
-        # `_` separates words, which `\b` takes for a letter.
-        self._pattern = re.compile(rf"(?<![A-Za-z0-9])(?:{words})(?![A-Za-z0-9])") if words else None
+        self._pattern = words_pattern(self._words) if self._words else None
 
     def image(self, name: str) -> str:
         """Return the name of the mirror image: each word of a pair is replaced by the other one."""

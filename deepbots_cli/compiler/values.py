@@ -261,6 +261,17 @@ class ValueReader:
         """Add a finding at the last key of a path."""
         self.add(code, self.key_span(path), headline, remedy, notes=notes)
 
+    def is_whole_number_of_timesteps(
+        self, seconds: float, timestep: float, span: Span, description: str
+    ) -> bool:
+        """Return whether a time is a multiple of the timestep; DB308 if it is not."""
+        # 3 * 0.1 is 0.30000000000000004.
+        is_multiple = abs(seconds - round(seconds / timestep) * timestep) <= 1e-9 * seconds
+        if not is_multiple:
+            headline = f"{description} of {seconds:g} s is not a multiple of the timestep of {timestep:g} s"
+            self.add("DB308", span, headline, "write a multiple of the timestep")
+        return is_multiple
+
     # Names
 
     def report_duplicate(self, path: NodePath, name: str, definition: str, first: NodePath) -> None:

@@ -17,7 +17,7 @@ from urllib.parse import quote
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Label, Source, Span
 from deepbots_cli.diagnostics.registry import RULES, Severity
-from deepbots_cli.errors import counted
+from deepbots_cli.words import counted
 
 Format = Literal["full", "concise", "json"]
 

@@ -16,7 +16,7 @@ from yaml.error import MarkedYAMLError
 
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Fix, Label, Source, Span, foreign
 from deepbots_cli.document.nodes import Node, ScalarNode
-from deepbots_cli.errors import counted
+from deepbots_cli.words import counted
 
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""

@@ -17,15 +17,15 @@ import numpy as np
 
 from deepbots_cli import api
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import EvaluationError, counted
+from deepbots_cli.errors import EvaluationError
 from deepbots_cli.insight.conditions import InstrumentedProgram, instrument_program
 from deepbots_cli.insight.world_changes import Act, Array
-from deepbots_cli.learning.robustness import listed
 from deepbots_cli.learning.run import ModelName, Run
 from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.policies import PolicyDriver
+from deepbots_cli.words import counted, sentence_list
 
 EPISODES, MAX_STEPS = 6, 100
 """The number of compared episodes, and the largest number of steps of each: small differences grow, and late
@@ -391,7 +391,7 @@ class ValueComparison:
             else:
                 texts.append(text)
         texts += [
-            f"{listed(names)} {'is' if len(names) == 1 else 'are'} {counted(age, 'step')} late"
+            f"{sentence_list(names)} {'is' if len(names) == 1 else 'are'} {counted(age, 'step')} late"
             for age, names in late.items()
         ]
         if texts:

@@ -29,7 +29,7 @@ from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError, counted
+from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
@@ -55,6 +55,7 @@ from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.players import open_player
 from deepbots_cli.view.plots import TrainingLog
 from deepbots_cli.view.trajectories import Moving, Positions
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -147,7 +147,8 @@ def transfer(
         with_conditions: Whether the policy is also evaluated under changed conditions.
         seed: Root seed of the starts; by default that of the training.
         executor: Where the evaluations under changed conditions run.
-        on_world: Called with the number of worlds done, and of all.
+        on_world: Called with the number of evaluations or kinds of changes done, and of all; it begins again
+            in each round.
 
     Raises:
         RunError: The run has no model, or does not fit the scenario.

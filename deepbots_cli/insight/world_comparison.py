@@ -15,7 +15,7 @@ of each kind is simulated in all episodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -72,9 +72,10 @@ _LEAST_EXPLAINED = 0.3
 _REFINED = 8
 """The number of kinds of changes that are simulated with all amounts in these episodes, and with the best one
 in all episodes."""
-_SEARCHED, _SEARCH_STEPS = 6, 7
-"""The number of kinds whose amount is searched between the amounts beside the best one, and the number of
-simulations of such a search."""
+_SEARCHED = 6
+"""The number of kinds whose amount is searched between the amounts beside the best one."""
+_SEARCH_STEPS = 7
+"""The number of simulations of such a search."""
 _EXPLAINS_ALL = 0.9995
 """The share from which no better amount is searched."""
 _MAX_LINKS = 12
@@ -130,7 +131,7 @@ def compare_worlds(
         second: The world that repeats its actions.
         document: The scenario of `first`, from `robustness.base_document`.
         seed: Root seed of the starts.
-        on_world: Called with the number of worlds that were compared, and of all.
+        on_world: Called in each of four rounds, with the number of kinds of changes done, and of all.
 
     Raises:
         UsageError: The scenario has copies of a robot.
@@ -162,8 +163,7 @@ def compare_worlds(
     likely = sorted(
         (cause for cause in causes if cause.explained >= _LEAST_EXPLAINED), key=lambda cause: -cause.explained
     )  # stable
-    families = {kind.family: kind.tried for kind in reversed(kinds)}
-    return replace(result, causes=tuple(likely), tried=(_MEASURED, *reversed(families.values())))
+    return replace(result, causes=tuple(likely), tried=(_MEASURED, *_tried(kinds)))
 
 
 def _either(texts: Sequence[str]) -> str:
@@ -317,11 +317,16 @@ class _Kind:
     def text(self, amount: float) -> str:
         return f"{self.name} {self.form.format(amount)}".rstrip()
 
-    @property
-    def tried(self) -> str:
-        """The family, and its amounts in words."""
-        smallest, largest = self.form.format(self.amounts[0]), self.form.format(self.amounts[-1])
-        return f"{self.family} ({smallest} .. {largest})" if self.form else self.family
+
+def _tried(kinds: Iterable[_Kind]) -> Iterator[str]:
+    """Yield each family once, with the smallest and the largest amount of its kinds in words."""
+    families: dict[tuple[str, str], list[_Kind]] = {}
+    for kind in kinds:
+        families.setdefault((kind.family, kind.form), []).append(kind)
+    for (family, form), members in families.items():
+        smallest = form.format(min(kind.amounts[0] for kind in members))
+        largest = form.format(max(kind.amounts[-1] for kind in members))
+        yield f"{family} ({smallest} .. {largest})" if form else family
 
 
 def _kinds(

@@ -14,7 +14,7 @@ from deepbots_cli import api
 from deepbots_cli.analysis.changes import Change, Meanings, compared_meanings
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError, counted
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.calls import Attempt, Counter
 from deepbots_cli.learning.changes import written_scenario
 from deepbots_cli.learning.directories import run_folders
@@ -39,6 +39,7 @@ from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
+from deepbots_cli.words import counted
 
 MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes

@@ -39,6 +39,7 @@ from deepbots_cli.learning.run import ModelName, ModelRef, Run
 from deepbots_cli.learning.statistics import Interval
 from deepbots_cli.program import Program
 from deepbots_cli.rollout.source import RECORD_NAME, Source, SourceKind
+from deepbots_cli.words import sentence_list
 
 EPISODES_PER_LEVEL = 50
 """The number of episodes of a level, unless the scenario has fewer."""
@@ -114,12 +115,13 @@ class Side:
             return ", ".join(parts)
         if _may_be_ordered(between):
             remark = (
-                f"not decided at {listed([entry.level for entry in between])}, which do not differ within"
+                f"not decided at {sentence_list([entry.level for entry in between])}, which do not differ within"
                 " their intervals"
             )
         else:
             failing, holding = (
-                listed([entry.level for entry in between if entry.holds is holds]) for holds in (False, True)
+                sentence_list([entry.level for entry in between if entry.holds is holds])
+                for holds in (False, True)
             )
             remark = f"fails at {failing} but holds at {holding}: here, a larger change is not always harder"
         return "; ".join([*([", ".join(parts)] if parts else []), remark])
@@ -147,11 +149,6 @@ def _may_be_ordered(levels: Sequence[RobustnessLevel]) -> bool:
     scores."""
     intervals = [entry.interval for entry in levels if entry.interval is not None]
     return all(after[0] <= before[1] for index, after in enumerate(intervals) for before in intervals[:index])
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return names as a list in words, such as `a, b and c`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 @dataclass(frozen=True)
@@ -536,7 +533,9 @@ def _surfaces(root: MappingNode, program: Program) -> dict[str, Surface]:
 
 def _named(surfaces: Iterable[str]) -> str:
     names = list(surfaces)
-    return listed(names) if len(names) <= _MAX_NAMED else f"{names[0]} and {len(names) - 1} fixed objects"
+    return (
+        sentence_list(names) if len(names) <= _MAX_NAMED else f"{names[0]} and {len(names) - 1} fixed objects"
+    )
 
 
 def _frictions(root: MappingNode, surfaces: Iterable[Surface], factor: float) -> Change:

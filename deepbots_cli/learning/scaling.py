@@ -20,7 +20,7 @@ from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.training import train
 from deepbots_cli.learning.training_loop import Iteration
 from deepbots_cli.rollout.collector import CollectTimes
-from deepbots_cli.scenario.fields import counted_noun
+from deepbots_cli.words import counted
 
 SECONDS = 4.0
 """The time of a measurement in s, after the first iteration, in which workers start."""
@@ -186,11 +186,11 @@ def choose(timings: Sequence[ShardTiming]) -> ShardTiming:
 def described(timings: Sequence[ShardTiming], choice: ShardTiming) -> str:
     """Return a sentence with the measurements and the choice."""
     rates = ", ".join(
-        f"{counted_noun(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
+        f"{counted(timing.shards, 'shard')} {timing.steps_per_second:,.0f} steps/s" for timing in timings
     )
     reason = (
         ""
         if choice is not timings[0] or len(timings) == 1
         else f", because more are less than {MIN_GAIN} times as fast"
     )
-    return f"measured: {rates}; the training has {counted_noun(choice.shards, 'shard')}{reason}"
+    return f"measured: {rates}; the training has {counted(choice.shards, 'shard')}{reason}"

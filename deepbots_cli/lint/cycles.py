@@ -28,7 +28,6 @@ from deepbots_cli.analysis.ranges import with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.analysis.speeds import rate_of
 from deepbots_cli.diagnostics import Finding, Label
-from deepbots_cli.errors import counted
 from deepbots_cli.expressions.dimensions import Dimension
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, Interval, single
@@ -37,6 +36,7 @@ from deepbots_cli.expressions.types import Operation, walk
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.incentives import MIN_WORTH, horizon, hovering, steps_from
 from deepbots_cli.program.values import Expression
+from deepbots_cli.words import counted
 
 _SHARE_OF_EPISODE = 0.5
 """The share of an episode that is left for repeated cycles; the rest passes on the way, and before a cycle is

@@ -39,7 +39,7 @@ class RulePage:
 
     @property
     def language(self) -> str:
-        """`yaml`, to be laid upon CartPole, or `xml`, a whole robot file."""
+        """`yaml` for an example that is merged into CartPole, `xml` for a whole robot file."""
         return "xml" if self.example.startswith("<") else "yaml"
 
     def text(self, width: int = 100) -> str:

@@ -19,7 +19,6 @@ from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import Entry, MappingNode, ScalarNode, descend, shipped
 from deepbots_cli.document.files import resolve_reference
 from deepbots_cli.document.nodes import NodePath, follow_dotted
-from deepbots_cli.errors import counted
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.check import check
 from deepbots_cli.expressions.dimensions import UNITS
@@ -44,6 +43,7 @@ from deepbots_cli.scenario.base import (
 )
 from deepbots_cli.scenario.fields import FieldType, FilePath, Pattern, Reference
 from deepbots_cli.scenario.scenario import Scenario
+from deepbots_cli.words import counted
 
 _OPTION = Reference("option")
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 RANDOM, ZERO = "random", "zero"
 """Drivers of an agent besides its scripts."""
-_SEPARATOR = "__"
+SEPARATOR = "__"
 
 PREVIOUS_ACTION = "previous_action"
 PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
@@ -35,7 +35,7 @@ _SIGNALS = "signals"
 
 def qualified_name(agent: str, name: str) -> str:
     """Return the name of something of an agent in the program of all agents."""
-    return f"{agent}{_SEPARATOR}{name}"
+    return f"{agent}{SEPARATOR}{name}"
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class MemberNames:
     Attributes:
         agent: The name of the agent.
         signals: Its own signals; signals of the file are the same for all agents.
-        names: Names of its action variables and its own signals, and what they are called there.
+        qualified: The names of its action variables and its own signals, and what they are called there.
         previous: The names of the numbers of its last action, and what they are called there.
         mirrors: The agent that it mirrors.
         ends_alone: Whether its episode may end while those of other agents go on.
@@ -53,7 +53,7 @@ class MemberNames:
 
     agent: str
     signals: frozenset[str]
-    names: Mapping[str, str]
+    qualified: Mapping[str, str]
     previous: Mapping[str, str]
     mirrors: str | None = None
     ends_alone: bool = False
@@ -82,7 +82,7 @@ class MemberNames:
         of_agent = (PREVIOUS_REWARD, EPISODE_RETURN, *((TERMINATED, ENDED) if self.ends_alone else ()))
         if name.name in of_agent:
             return name._replace(name=qualified_name(self.agent, name.name))
-        return name._replace(name=self.names.get(name.name, name.name))
+        return name._replace(name=self.qualified.get(name.name, name.name))
 
     def _slot(self, slot: str) -> str:
         """Return the name of the memory or the stream of a value of the agent."""
@@ -202,7 +202,7 @@ def world_of(program: Program, others: Others) -> Program:
     return replace(
         others.world,
         signals=(*others.world.signals, *further),
-        stored_signals=frozenset(member.names.names.get(name, name) for name in program.stored_signals),
+        stored_signals=frozenset(member.names.qualified.get(name, name) for name in program.stored_signals),
         engine=program.engine,
     )
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.arrays import evaluate
-from deepbots_cli.errors import UsageError, counted
+from deepbots_cli.errors import UsageError
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar, names_in
 from deepbots_cli.program import Program
 from deepbots_cli.runtime.formulas import scale, scale_freely
 from deepbots_cli.runtime.spaces import scaled_goal
+from deepbots_cli.words import counted
 
 
 class Observer:

@@ -55,7 +55,6 @@ from deepbots_cli.scenario.fields import (
     Range,
     Word,
     choices_help,
-    counted_noun,
     error,
     error_at,
     mismatch,
@@ -63,6 +62,7 @@ from deepbots_cli.scenario.fields import (
     word_replacement,
 )
 from deepbots_cli.scenario.synonyms import key_for
+from deepbots_cli.words import counted
 
 T = TypeVar("T")
 Many = tuple[T, ...]
@@ -146,8 +146,8 @@ class Size:
     def _check(self, value: Any, info: ValidationInfo) -> Any:
         if len(value) < self.min and not (info.context and info.context.get(LENIENT)):
             if not value:
-                raise error("DB107", "is empty", f"write at least {counted_noun(self.min, self.noun)}")
-            raise error("DB106", f"expected at least {counted_noun(self.min, self.noun)}, found {len(value)}")
+                raise error("DB107", "is empty", f"write at least {counted(self.min, self.noun)}")
+            raise error("DB106", f"expected at least {counted(self.min, self.noun)}, found {len(value)}")
         return value
 
 

@@ -40,6 +40,7 @@ from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, UNITS, Dimension
 from deepbots_cli.expressions.types import PLANE, SPACE, Components, shortened_list
 from deepbots_cli.scenario.synonyms import line_for, word_for
+from deepbots_cli.words import counted
 
 Scalar = str | int | float
 JsonSchema = dict[str, object]
@@ -98,10 +99,6 @@ def error_at(step: str | int, refused: PydanticCustomError) -> ValidationError:
 
 def with_article(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
-
-
-def counted_noun(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 # Probable words
@@ -639,7 +636,7 @@ class Quantity(Parsed):
         if count not in (None, expected):
             raise error(
                 "DB106",
-                f"expected {counted_noun(expected, 'number')}, found {count}",
+                f"expected {counted(expected, 'number')}, found {count}",
                 self._help_for_count(str(value), count),
             )
         if not isinstance(value, str):

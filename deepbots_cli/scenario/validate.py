@@ -31,7 +31,7 @@ from deepbots_cli.scenario.base import (
     set_paths,
     shape_at,
 )
-from deepbots_cli.scenario.fields import FieldType, counted_noun, error, mismatch
+from deepbots_cli.scenario.fields import FieldType, error, mismatch
 from deepbots_cli.scenario.isaac_lab import advice
 from deepbots_cli.scenario.keys import (
     Suggestion,
@@ -42,6 +42,7 @@ from deepbots_cli.scenario.keys import (
     suggestion_for,
 )
 from deepbots_cli.scenario.scenario import VERSION, Scenario
+from deepbots_cli.words import counted
 
 # The language is nine levels deep; each round takes out at least the innermost faulty one.
 _MAX_ROUNDS = 16
@@ -379,7 +380,7 @@ def _entries_directly_below(
 def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], finding: Finding) -> Finding:
     source = owner.span.source
     first = entries[0].key
-    more = f" and {counted_noun(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
+    more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     verb = "are" if more else "is"
     begin = source.text.rfind("\n", 0, first.span.start) + 1
     starts = [match.start() for match in _LINE.finditer(source.text, begin, entries[-1].value.span.end)]

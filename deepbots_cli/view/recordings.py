@@ -36,7 +36,7 @@ import numpy as np
 
 import deepbots_cli
 from deepbots_cli import frames
-from deepbots_cli.errors import MissingExtraError, counted
+from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.rollout.drivers import HAND
@@ -52,6 +52,7 @@ from deepbots_cli.view.frames import (
     SensorRays,
     WorldFrame,
 )
+from deepbots_cli.words import counted
 
 NS_PER_S = 1_000_000_000
 """Nanoseconds per second, because MCAP counts time in ns."""

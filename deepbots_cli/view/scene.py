@@ -173,7 +173,6 @@ def add_shape(scene: viser.SceneApi, name: str, shape: Shape, color: Color, fram
             import trimesh
 
             solid = trimesh.creation.capsule(height=length, radius=radius)
-            solid.apply_translation((0.0, 0.0, -solid.bounds.mean(axis=0)[2]))
         case Mesh():
             solid = triangles(shape)
     return add_triangles(scene, name, solid, color, frame)

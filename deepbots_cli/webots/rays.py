@@ -50,8 +50,10 @@ class Rays:
         geoms = [] if skipped is None else self._robot_geoms.get(skipped, [])
         saved = groups[geoms].copy()
         groups[geoms] = _SKIPPED_GROUP
-        yield
-        groups[geoms] = saved
+        try:
+            yield
+        finally:
+            groups[geoms] = saved
 
     def cast(
         self, start: Triple, directions: Sequence[Triple], reach: float, skipped: int | None

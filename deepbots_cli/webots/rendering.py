@@ -113,7 +113,7 @@ class Pictures:
             _aim(renderer, frame, near, near * tan(fov / 2) * size[1] / size[0])
             if has_depth:
                 renderer.enable_depth_rendering()
-            picture = renderer.render().copy()
+            picture = renderer.render()
             renderer.disable_depth_rendering()
         return picture
 

@@ -17,7 +17,7 @@ from deepbots_cli import api
 from deepbots_cli.cli.command import Commands
 from deepbots_cli.cli.commands import COMMANDS, GROUPS, REPLACEMENTS, doctor
 from deepbots_cli.engine_kinds import ENGINES
-from deepbots_cli.errors import extra_with, install_hint
+from deepbots_cli.installation import extra_with, install_hint, requirements
 from deepbots_cli.processes import python_command, python_environment
 from tests.few import few
 
@@ -218,13 +218,12 @@ def test_a_missing_module_names_its_extra():
 
 def test_the_doctor_misses_nothing_that_is_for_other_systems(monkeypatch):
     monkeypatch.setattr(
-        doctor,
-        "requires",
+        "importlib.metadata.requires",
         lambda _: ["lost; sys_platform != 'win32' and extra == 'sim'", "there; extra == 'sim'"],
     )
-    assert doctor._requirements()["sim"] == ["lost", "there"]
+    assert requirements()["sim"] == ["lost", "there"]
     monkeypatch.setattr(sys, "platform", "win32")
-    assert doctor._requirements()["sim"] == ["there"]
+    assert requirements()["sim"] == ["there"]
 
 
 def test_the_largest_seed_does_not_fill_the_help(deepbots):

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import install_hint
+from deepbots_cli.installation import install_hint
 from tests.named import with_defaults
 
 pytestmark = pytest.mark.usefixtures("simulated_here")

@@ -38,7 +38,7 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
     command = [
         sys.executable,
         "-c",
-        "from deepbots_cli.errors import install_hint; print(install_hint('sim'))",
+        "from deepbots_cli.installation import install_hint; print(install_hint('sim'))",
     ]
     environment = {
         **os.environ,

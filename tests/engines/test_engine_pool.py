@@ -12,7 +12,8 @@ from math import dist, inf
 import pytest
 
 from deepbots_cli.engines import ENGINES, create, names
-from deepbots_cli.errors import EngineError, UsageError, install_hint
+from deepbots_cli.errors import EngineError, UsageError
+from deepbots_cli.installation import install_hint
 from deepbots_cli.port import View
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
 from deepbots_cli.robots.model import Box, Pose, Sphere

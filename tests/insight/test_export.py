@@ -25,6 +25,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export import network
+from deepbots_cli.insight.export.graph import Graph
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.policy import load_policy
 from deepbots_cli.program.task import Network, Training
@@ -95,6 +96,20 @@ def test_older_values_stand_where_the_environment_puts_them():
     graph = network.policy_graph(learner, program)
     assert _session(graph).get_inputs()[0].shape == ["batch", 12]
     assert [entry.steps_ago for entry in program.agent.inputs][::4] == [2, 1, 0]
+
+
+# torch warns that an odd zero costs it a copy.
+@pytest.mark.filterwarnings("ignore:Using padding=.same")
+@pytest.mark.parametrize("padding", ["same", "valid", (2, 1)])
+def test_a_convolution_has_the_padding_of_torch(padding: str | tuple[int, int]):
+    layer = torch.nn.Conv2d(3, 2, (4, 3), padding=padding, dilation=(1, 2))
+    images = torch.rand(2, 3, 9, 8)
+    expected = layer(images).detach().numpy()
+    graph = Graph()
+    result = network.layers(graph, layer, graph.input("images", np.float32, *images.shape))
+    graph.output("result", result, np.float32, *expected.shape)
+    (output,) = _session(graph.model("convolution")).run(None, {"images": images.numpy()})
+    assert output == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_layer_that_is_not_known_is_named():

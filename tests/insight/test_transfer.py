@@ -15,7 +15,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.insight.recorded_worlds import World
 from deepbots_cli.insight.transfer import Gate, Transfer, _names, _works, transfer
-from deepbots_cli.insight.world_comparison import WorldComparison, compare_worlds
+from deepbots_cli.insight.world_comparison import WorldComparison, _Kind, _tried, compare_worlds
 from deepbots_cli.learning import train
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.learning.run import Run
@@ -315,6 +315,18 @@ def test_an_error_is_named_first(run_of: Any, error: str) -> None:
 def test_the_same_world_differs_in_nothing(run_of: Any) -> None:
     report = compared(run_of("cartpole"), {}, episodes=2)
     assert (report.differences, report.causes) == ((), ())
+
+
+def test_each_family_of_changes_is_listed_once_with_the_amounts_of_all_its_kinds() -> None:
+    def kind(family: str, *amounts: float) -> _Kind:
+        return _Kind(family, family, lambda amount, recorded: [], amounts, form="{:g} N*m")
+
+    kinds = [kind("limit", 1, 5), kind("push", 6, 7), kind("limit", 0.2, 3), kind("drag", 2, 4)]
+    assert [*_tried(kinds)] == [
+        "limit (0.2 N*m .. 5 N*m)",
+        "push (6 N*m .. 7 N*m)",
+        "drag (2 N*m .. 4 N*m)",
+    ]
 
 
 @pytest.mark.slow

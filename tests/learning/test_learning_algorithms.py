@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from stand_in import hyper
 
 from deepbots_cli import api
-from deepbots_cli.errors import MissingExtraError, UsageError, install_hint
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run
 from deepbots_cli.learning.sb3 import algorithms, defaults, models

@@ -23,7 +23,8 @@ from stable_baselines3.common.env_checker import check_env
 from stand_in import hyper
 
 from deepbots_cli.cli.records import training_text
-from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError, install_hint
+from deepbots_cli.errors import DeepbotsError, EngineError, RunError, UsageError
+from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, checkpoints, evaluate, resume, train
 from deepbots_cli.learning.directories import run_lock
 from deepbots_cli.learning.episodes import read_evaluations

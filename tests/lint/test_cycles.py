@@ -11,6 +11,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.analysis import Analysis, possible_returns
+from deepbots_cli.analysis.courses import ways
 from deepbots_cli.analysis.speeds import base_speed, highest_return
 
 HERE = Path(__file__).parent
@@ -144,3 +145,21 @@ def test_statistics_take_no_bound_that_a_fall_may_exceed(folder: Path) -> None:
 def test_robots_that_balance_fly_or_stand_fixed_have_no_limit_from_wheels(name: str) -> None:
     program = api.compile(name).program
     assert all(base_speed(Analysis(program), body.name) == float("inf") for body in program.world.robots)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "{held} > 1 s",
+        "-{held} < -1 s",
+        "1 s - {held} < 0 s",
+        "1 s / (1 s + {held}) < 0.5",
+        "-1 s / (1 s + {held}) > -0.5",
+    ],
+)
+def test_how_long_something_lasts_is_met_by_making_it_true(condition: str) -> None:
+    text = condition.format(held="duration(abs(cart.pole_angle) < 0.1 rad)")
+    program = api.compile("cartpole", overrides=[f"signals={{late: {text}}}"]).program
+    (late,) = (signal.scalars[0] for signal in program.signals if signal.name == "late")
+    ((angle,),) = (way.values() for way in ways(Analysis(program), late))
+    assert angle.within.high == pytest.approx(0.1)

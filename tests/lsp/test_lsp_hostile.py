@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from lsprotocol.types import Position, Range
 
-from deepbots_cli.errors import install_hint
+from deepbots_cli.installation import install_hint
 from deepbots_cli.lsp.completion import completion
 from deepbots_cli.lsp.lookup import definitions, document_symbols, hover
 from deepbots_cli.lsp.server import CodeActions, diagnostics, formatting

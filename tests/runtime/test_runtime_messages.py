@@ -116,7 +116,7 @@ def test_the_error_of_a_short_message_names_its_first_missing_field(format: str)
 
 
 @every_format
-def test_a_message_with_values_too_many_is_refused(format: str) -> None:
+def test_a_message_with_too_many_values_is_refused(format: str) -> None:
     longer = MessageLayout(
         "cart", "from_robot", (*LAYOUT.fields, MessageField("more", "m")), LAYOUT.layout_hash
     )
@@ -203,16 +203,21 @@ def test_garbage_is_refused_but_never_breaks_the_reader(format: str, message: ob
         assert isinstance(layout_error(LAYOUT, format, message, 5), MessageError)
 
 
-@pytest.mark.parametrize("format", ["json", "msgpack", "csv", "struct"])
+@pytest.mark.parametrize("format", ["msgpack", "csv", "struct"])
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
-def test_a_value_that_is_not_finite_arrives_unchanged_or_is_refused(format: str, value: float) -> None:
+def test_a_value_that_is_not_finite_arrives_unchanged(format: str, value: float) -> None:
     sender = codec(FLOATS_ONLY, format)
+    values = reading(sender, FLOATS_ONLY, sender.encode(value, 0.0, 0.0, 0.0))
+    assert values is not None
+    assert values[0] == pytest.approx(value, nan_ok=True)
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan])
+def test_a_value_that_is_not_finite_is_refused_by_json(value: float) -> None:
+    sender = codec(FLOATS_ONLY, "json")
     message = sender.encode(value, 0.0, 0.0, 0.0)
-    values = reading(sender, FLOATS_ONLY, message)
-    if values is None:
-        assert "field 'angle'" in str(layout_error(FLOATS_ONLY, format, message, 1))
-    else:
-        assert values[0] == pytest.approx(value, nan_ok=True)
+    assert reading(sender, FLOATS_ONLY, message) is None
+    assert "field 'angle'" in str(layout_error(FLOATS_ONLY, "json", message, 1))
 
 
 # The channel delivers at once, one value per field, and forgets at a reset
@@ -288,8 +293,7 @@ def test_every_format_carries_every_byte(format: str) -> None:
     assert touch is True
     assert picture.dtype == np.uint8
     assert np.array_equal(picture, PICTURE)
-    size = message_size(PICTURES, format)
-    assert size is None or size == len(message)
+    assert message_size(PICTURES, format) == (None if format in ("csv", "json") else len(message))
 
 
 @pytest.mark.parametrize("format", FORMATS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -153,6 +154,33 @@ def test_the_training_of_one_world_updates_as_often_per_step_as_that_of_many(tmp
     text = (tmp_path / "controllers/train/train.py").read_text()
     assert "train_freq=16," in text
     assert "learning_rate=lambda left: 0.0001 + left * (0.001 - 0.0001)," in text
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("cartpole", {"algorithm": "DQN", "target_update_interval": 500, "exploration_fraction": 0.3}),
+        ("find_ball", {"algorithm": "TD3", "policy_delay": 3, "target_noise_clip": 0.4}),
+        ("find_ball", {"algorithm": "SAC", "tau": 0.01, "gradient_steps": 2}),
+        ("cartpole", {"algorithm": "A2C", "max_grad_norm": 0.3, "gae_lambda": 0.9}),
+    ],
+)
+def test_the_training_has_the_settings_of_its_learner(name: str, settings: dict[str, Any], tmp_path: Path):
+    section = ", ".join(f"{key}: {value}" for key, value in settings.items())
+    exported(name, tmp_path, f"train={{{section}, total_timesteps: 1000}}")
+    text = (tmp_path / "controllers/train/train.py").read_text()
+    assert f"model = {settings.pop('algorithm')}(" in text
+    for key, value in settings.items():
+        assert f"        {key}={value},\n" in text
+
+
+def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):
+    summary = r'Push "it" to C:\new'
+    exported("cartpole", tmp_path, f"summary='{summary}'")
+    assert f"\n{summary}\n" in (tmp_path / "README.md").read_text()
+    module = ast.parse((tmp_path / "controllers/supervisor/webots_environment.py").read_text())
+    (environment,) = (node for node in module.body if isinstance(node, ast.ClassDef))
+    assert ast.get_docstring(environment) == summary
 
 
 def test_the_training_has_the_settings_of_the_scenario(tmp_path: Path):

@@ -30,7 +30,7 @@ from deepbots_cli.engine_kinds import chosen, with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight import speed
 from deepbots_cli.program import Program
-from deepbots_cli.scenario.fields import counted_noun
+from deepbots_cli.words import counted
 
 LIMIT_S = 20.0
 """The default time limit of a measurement by the clock, in s."""
@@ -133,7 +133,7 @@ def command(
         steps = steps or (600 if quick else _affordable_steps(speeds.best[names[0]], rounds))
     numbers = counts(worlds or "1,16,64,256")
     of_each = f", and at least {speed.MIN_STEPS} of each world of a batch" if speed.BATCH in names else ""
-    terminal.note(f"measuring {counted_noun(rounds, 'round')} of {steps:,} steps{of_each}")
+    terminal.note(f"measuring {counted(rounds, 'round')} of {steps:,} steps{of_each}")
     with terminal.progress("measurements") as show:
         measured = speed.measure(
             compiled, names, numbers, steps=steps, rounds=rounds, seed=seed, end=end, on_measured=show

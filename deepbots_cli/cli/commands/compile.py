@@ -15,8 +15,9 @@ from deepbots_cli.codegen import generate_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError, install_source
+from deepbots_cli.errors import UsageError
 from deepbots_cli.files import check_new_folder
+from deepbots_cli.installation import install_source
 from deepbots_cli.program import identity
 
 

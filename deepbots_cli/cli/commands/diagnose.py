@@ -14,11 +14,12 @@ import typer
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, AllowCode, Json, integer, option, whole_number
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import RunError, UsageError, counted
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import sys
 from collections.abc import Iterator
-from contextlib import closing, suppress
-from importlib.metadata import PackageNotFoundError, requires, version
+from contextlib import closing
+from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from typing import Literal, NamedTuple
 
@@ -21,7 +20,7 @@ from deepbots_cli.cli.command import Json
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.document import shipped
-from deepbots_cli.errors import install_hint
+from deepbots_cli.installation import install_hint, requirements
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import random_driver
 
@@ -82,12 +81,12 @@ def checks() -> Iterator[Check]:
         f"{platform.python_version()} at {sys.executable}",
     )
     yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
-    needed = _requirements()
-    versions = {name: _version(name) for names in needed.values() for name in names}
+    needed = requirements()
+    versions = {name: _version(name) for extra in ("", *_EXTRAS) for name in needed.get(extra, ())}
     for name, release in versions.items():
         absent: State = "broken" if name in needed[""] else "missing"
         yield Check(name, "ok" if release else absent, release or "not installed")
-    complete = {extra: all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
+    complete = {extra: extra in needed and all(versions[name] for name in needed[extra]) for extra in _EXTRAS}
     for extra, is_complete in complete.items():
         yield Check(
             f"extra {extra}",
@@ -106,42 +105,6 @@ def checks() -> Iterator[Check]:
             )
     if complete["train"]:
         yield _threads()
-
-
-def _requirements() -> dict[str, list[str]]:
-    """Return the required packages by extra; those that are always required have an empty name."""
-    by_extra: dict[str, list[str]] = {"": [], **{extra: [] for extra in _EXTRAS}}
-    for requirement in requires("deepbots-cli") or ():
-        # The dot stands for a quote, which is ' or " depending on the tool that built the package.
-        extra = re.search(r"extra == .([\w-]+)", requirement)
-        name = re.match(r"[\w.-]+", requirement)
-        if name and _is_for_this_machine(requirement) and (extra is None or extra[1] in _EXTRAS):
-            by_extra[extra[1] if extra else ""] += [name[0], *_packages_of_robot(requirement)]
-    return by_extra
-
-
-def _packages_of_robot(requirement: str) -> Iterator[str]:
-    """Yield the packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; empty
-    for other packages."""
-    robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
-    if robot is None:
-        return
-    extras = (robot[1] or "").split(",")
-    with suppress(PackageNotFoundError):
-        for inner in requires("deepbots-robot") or ():
-            extra = re.search(r"extra == .([\w-]+)", inner)
-            name = re.match(r"[\w.-]+", inner)
-            if name and (extra is None or extra[1] in extras):
-                yield name[0]
-
-
-def _is_for_this_machine(requirement: str) -> bool:
-    """Return whether markers include this Python and system, as in `pybullet>=3.2.6; python_version < '3.12'
-    and sys_platform != 'win32'`."""
-    if re.search(rf"sys_platform != .{sys.platform}\b", requirement):
-        return False
-    below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)
-    return below is None or sys.version_info[:2] < (int(below[1]), int(below[2]))
 
 
 def _version(package: str) -> str | None:

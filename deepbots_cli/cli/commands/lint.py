@@ -25,13 +25,14 @@ from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
 from deepbots_cli.diagnostics.render import escape_log_commands, github, render, sarif, summary
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError, counted
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.files import file_stamps
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer
 from deepbots_cli.lint.settings import Settings, scenarios_in, settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.words import counted
 
 _FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
     "error": ("error",),

@@ -9,8 +9,8 @@ import typer
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Force, integer, option
-from deepbots_cli.errors import counted
 from deepbots_cli.files import atomic_write
+from deepbots_cli.words import counted
 
 
 def command(

@@ -17,9 +17,10 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import ScenarioError, UsageError, counted
+from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.rollout.recordings import Recording

@@ -21,7 +21,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.diagnostics.junit import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
-from deepbots_cli.errors import ScenarioError, UsageError, counted
+from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.learning.calls import Attempt
 from deepbots_cli.learning.executor import results
@@ -29,6 +29,7 @@ from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, r
 from deepbots_cli.lint.settings import settings
 from deepbots_cli.program.task import ScenarioTest
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.words import counted
 
 
 @dataclass(frozen=True)

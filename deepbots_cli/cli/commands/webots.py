@@ -20,7 +20,8 @@ from deepbots_cli.cli.command import ADVANCED, Force, Json, integer, known_engin
 from deepbots_cli.cli.exits import INTERRUPTED
 from deepbots_cli.cli.pages import Host, Open, Port
 from deepbots_cli.cli.tables import table
-from deepbots_cli.errors import UsageError, counted
+from deepbots_cli.errors import UsageError
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.webots.pace import Pace

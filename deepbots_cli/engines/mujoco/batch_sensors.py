@@ -136,6 +136,8 @@ class Observer:
         groups = self._views.expand("geom_group")
         saved_groups = groups[:, own_geoms]
         groups[:, own_geoms] = HIDDEN_GROUP
-        free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
-        groups[:, own_geoms] = saved_groups
+        try:
+            free: Column = self._views.ray(starts, ways, SEEN_GROUPS)[0]
+        finally:
+            groups[:, own_geoms] = saved_groups
         return free

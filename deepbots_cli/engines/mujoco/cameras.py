@@ -110,9 +110,14 @@ class WorldRenderer:
         self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
         self._cast_shadows(renderer, view)
         self._lay_tiles(renderer)
-        # 16 bits have room for the sum of 16 x 16 samples of 255.
-        fine = renderer.render().astype(np.uint16).reshape(view.height, samples, view.width, samples, 3)
-        return self._brightened((fine.sum(axis=(1, 3)) // samples**2).astype(np.uint8))
+        fine = renderer.render()
+        # 16 bits have room for the sum of 16 x 16 samples of 255. At 640 x 480 pixels of 2 x 2 samples, slices
+        # take 5 ms, and a sum over reshaped axes 110 ms.
+        total = np.zeros((view.height, view.width, 3), np.uint16)
+        for row in range(samples):
+            for column in range(samples):
+                total += fine[row::samples, column::samples]
+        return self._brightened((total // samples**2).astype(np.uint8))
 
     def _cast_shadows(self, renderer: Any, view: View) -> None:
         """Let the sun cast shadows around the target of a view. Images of cameras have none."""
@@ -145,7 +150,7 @@ class WorldRenderer:
             frames.rotate(rotation, (0.0, 0.0, 1.0)),
             fov,
         )
-        colors = self._brightened(renderer.render().copy())
+        colors = self._brightened(renderer.render())
         renderer.enable_segmentation_rendering()
         geoms = renderer.render()[..., 0]
         renderer.disable_segmentation_rendering()

@@ -233,15 +233,17 @@ def _separate_rays(world: MujocoWorld, rays: _Rays) -> RayReader:
         world.update_positions()
         saved = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        axes = rays.axes(world).T
-        np.matmul(starts, axes, origins)
-        np.add(origins, position, origins)
-        np.matmul(directions, axes, ways)
-        lengths = [
-            ray(model, data, origin, direction, seen_groups, True, -1, None, None)
-            for origin, direction in ray_views
-        ]
-        groups[:] = saved
+        try:
+            axes = rays.axes(world).T
+            np.matmul(starts, axes, origins)
+            np.add(origins, position, origins)
+            np.matmul(directions, axes, ways)
+            lengths = [
+                ray(model, data, origin, direction, seen_groups, True, -1, None, None)
+                for origin, direction in ray_views
+            ]
+        finally:
+            groups[:] = saved
         return [reach if length < 0.0 or length > reach else length for length in lengths]
 
     return read
@@ -266,22 +268,24 @@ def _rays_from_point(world: MujocoWorld, rays: _Rays, center: FloatArray) -> Ray
         world.update_positions()
         saved = groups.copy()
         groups.fill(HIDDEN_GROUP)
-        axes = rays.axes(world)
-        origin = position + axes @ center
-        ways = (axes @ aside).T.ravel()
-        mj.mj_multiRay(model, data, origin, ways, seen_groups, True, -1, geoms, met, None, count, far)
-        lengths = met.tolist()
-        free = [
-            reach if length < 0.0 else min(length - start, reach)
-            for length, start in zip(lengths, ahead, strict=True)
-        ]
-        for index, length in enumerate(free):
-            if length < 0.0:  # something is between the center and the start
-                origin = position + axes @ starts[index]
-                direction = axes @ directions[index]
-                hit = ray(model, data, origin, direction, seen_groups, True, -1, None, None)
-                free[index] = reach if hit < 0.0 or hit > reach else hit
-        groups[:] = saved
+        try:
+            axes = rays.axes(world)
+            origin = position + axes @ center
+            ways = (axes @ aside).T.ravel()
+            mj.mj_multiRay(model, data, origin, ways, seen_groups, True, -1, geoms, met, None, count, far)
+            lengths = met.tolist()
+            free = [
+                reach if length < 0.0 else min(length - start, reach)
+                for length, start in zip(lengths, ahead, strict=True)
+            ]
+            for index, length in enumerate(free):
+                if length < 0.0:  # something is between the center and the start
+                    origin = position + axes @ starts[index]
+                    direction = axes @ directions[index]
+                    hit = ray(model, data, origin, direction, seen_groups, True, -1, None, None)
+                    free[index] = reach if hit < 0.0 or hit > reach else hit
+        finally:
+            groups[:] = saved
         return free
 
     return read
@@ -307,9 +311,11 @@ def line_of_sight(
         length = float(np.linalg.norm(direction))
         saved = own_groups.copy()
         own_groups.fill(HIDDEN_GROUP)
-        # A length of 0 would divide by 0: both points are then the same.
-        free = mj.mj_ray(model, data, start, direction / (length or 1.0), SEEN_GROUPS, True, -1, met, None)
-        own_groups[:] = saved
+        direction /= length or 1.0  # the length is 0 if both points are the same
+        try:
+            free = mj.mj_ray(model, data, start, direction, SEEN_GROUPS, True, -1, met, None)
+        finally:
+            own_groups[:] = saved
         return free < 0.0 or free > length - SIGHT_TOLERANCE_M or int(met[0]) in its_own
 
     return is_free

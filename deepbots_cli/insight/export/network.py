@@ -59,8 +59,7 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
         case nn.Conv2d() if module.groups == 1 and module.padding_mode == "zeros" and module.bias is not None:
             sides: dict[str, Any] = {
                 "strides": module.stride,
-                # ONNX lists the starts of all axes, then their ends.
-                "pads": [*module.padding, *module.padding],
+                "pads": _paddings(module),
                 "dilations": module.dilation,
             }
             return str(
@@ -88,6 +87,23 @@ def layers(graph: Graph, module: nn.Module, value: str) -> str:
             operator, slope = _ACTIVATIONS[type(module)]
             return str(graph.add(operator, value, **({"alpha": getattr(module, slope)} if slope else {})))
     raise UsageError(f"the policy contains a layer {type(module).__name__}, which cannot be exported")
+
+
+def _paddings(module: nn.Conv2d) -> list[int]:
+    """Return the zeros at the starts of all axes, then those at their ends."""
+    match module.padding:
+        case "valid":
+            return [0, 0, 0, 0]
+        case "same":
+            zeros = [
+                distance * (size - 1)
+                for distance, size in zip(module.dilation, module.kernel_size, strict=True)
+            ]
+            starts = [count // 2 for count in zeros]
+            # torch puts an odd zero at the end.
+            return [*starts, *(count - start for count, start in zip(zeros, starts, strict=True))]
+        case padding:
+            return [*padding, *padding]
 
 
 class Decision(NamedTuple):

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.codegen.names import class_name
+from deepbots_cli.codegen.text import docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.program.task import ACTIVATIONS, Schedule
+from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
 from deepbots_cli.webots.bridge import names
 from deepbots_cli.webots.bridge.project import MODULE, SCENARIO, Project, project_of
 from deepbots_cli.webots.export.gaps import Gaps, Recorder, dynamic_gaps, static_gaps
@@ -153,7 +154,8 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
     controllers = {names.controller_name(name): spec for name, spec in project.robots.items()}
     words = {
         "name": program.name,
-        "summary": _one_line(program.summary),
+        "summary": " ".join(program.summary.split()),
+        "docstring": "\n    ".join(docstring(program.summary)),
         "class_name": class_name(program.name),
         "version": deepbots_cli.__version__,
         "digest": prepared.compiled.digest[:12],
@@ -193,38 +195,38 @@ def _fields(fields: Sequence[Any]) -> str:
     return ", ".join(field.name for field in fields) or "nothing"
 
 
-def _one_line(text: str) -> str:
-    return " ".join(text.split()).replace("\\", "\\\\").replace('"', "'")
-
-
 def _learner(program: Program) -> dict[str, Any]:
     """Return the algorithm, its network, and those of its settings that are numbers."""
-    training = program.agent.training
-    name = training.algorithm if training is not None else ""
-    hyperparameters = {}
-    if training is not None and name in _LEARNERS:
-        hyperparameters = {entry.name: entry.value for entry in training.hyperparameters}
-    if training is not None and name in _OFF_POLICY:
+    agent, training = program.agent, program.agent.training
+    words: dict[str, Any] = {
+        "algorithm": "PPO" if agent.choices else "SAC",
+        "settings": [],
+        "total": 100_000,
+        "policy": "MultiInputPolicy" if agent.goal is not None else "MlpPolicy",
+    }
+    if training is not None:
+        words["total"] = training.total_timesteps
+        if training.algorithm in _LEARNERS:
+            words |= {"algorithm": training.algorithm, "settings": _settings(training)}
+    return words
+
+
+def _settings(training: Training) -> list[tuple[str, str | float]]:
+    """Return the settings of a learner of Stable-Baselines3, and the Python text or number of each."""
+    hyperparameters = {entry.name: entry.value for entry in training.hyperparameters}
+    if training.algorithm in _OFF_POLICY:
         hyperparameters.setdefault("train_freq", 1)
-    # There is one world, and not as many as in a training of deepbots.
-    worlds = training.environments if training is not None else 1
     settings: list[tuple[str, str | float]] = []
     for key in _SETTINGS:
         value = hyperparameters.get(key)
         if isinstance(value, Schedule):
             settings.append((key, f"lambda left: {value.end!r} + left * ({value.start!r} - {value.end!r})"))
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
-            settings.append((key, value * worlds if key in _PER_WORLD else value))
-    if training is not None and name in _LEARNERS:
-        layers, activation = list(training.network.hidden), ACTIVATIONS[training.network.activation]
-        settings.append(("policy_kwargs", f"dict(net_arch={layers}, activation_fn=nn.{activation})"))
-    default = "PPO" if program.agent.choices else "SAC"
-    return {
-        "algorithm": name if name in _LEARNERS else default,
-        "settings": settings,
-        "total": getattr(training, "total_timesteps", None) or 100_000,
-        "policy": "MultiInputPolicy" if program.agent.goal is not None else "MlpPolicy",
-    }
+            # There is one world, and not as many as in a training of deepbots.
+            settings.append((key, value * training.environments if key in _PER_WORLD else value))
+    layers, activation = list(training.network.hidden), ACTIVATIONS[training.network.activation]
+    settings.append(("policy_kwargs", f"dict(net_arch={layers}, activation_fn=nn.{activation})"))
+    return settings
 
 
 def _left_out(program: Program) -> list[str]:

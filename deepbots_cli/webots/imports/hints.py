@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from deepbots_cli.webots.imports.values import Value
 
 MAX_HINTS = 8
+"""The maximum number of hints of one `Todo`."""
 _MAX_DEPTH = 3
-_SHOWN = 60
-"""The maximum number of hints of one `Todo`, of nested calls that are followed, and of characters of
-Python."""
+"""The maximum depth of nested calls that are followed."""
+_MAX_CHARACTERS = 60
+"""The maximum number of characters of Python in a hint."""
 _ATTITUDE = "roll({0}), pitch({0}), yaw({0}) or tilt({0})"
 _OF_NODES: Mapping[str, str] = {
     "getPosition": "position({0})",
@@ -154,7 +155,7 @@ class _Finder:
         return Frame(module, {"self": owner, **local}, owner)
 
     def _assign(self, frame: Frame, function: ast.FunctionDef) -> None:
-        """Note names of nodes, as in `robot = self.robot`."""
+        """Record names of nodes, as in `robot = self.robot`."""
         for node in ast.walk(function):
             match node:
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
@@ -217,7 +218,7 @@ class _Finder:
         if world_node is not None and body is not None:
             calls.used.add(world_node)  # so that the link or marker is in the scenario
         python = " ".join(ast.unparse(node).split())
-        call_text = "".join(letter if letter.isprintable() else "?" for letter in python)[:_SHOWN]
+        call_text = "".join(letter if letter.isprintable() else "?" for letter in python)[:_MAX_CHARACTERS]
         self.hints[f"{words.format(body or 'BODY')} for {call_text}"] = None
 
     def _stored_attributes(self) -> Iterator[str]:

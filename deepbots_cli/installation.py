@@ -1,0 +1,107 @@
+"""The packages that deepbots requires by extra, and how an extra is installed, by the metadata of the
+installation."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+
+# `importlib.metadata` takes 30 ms, so it is imported only for messages.
+
+_EXTRAS_OF_MODULES = {
+    "PIL": "sim",
+    "py_mini_racer": "webots-js",
+    "rsl_rl": "rsl",
+    "websockets": "view",
+    "zmq": "zmq",
+}
+"""The extras of the modules whose packages have other names."""
+
+
+def requirements() -> dict[str, list[str]]:
+    """Return the packages that deepbots requires on this machine, by extra; those that are always required
+    have an empty name. Empty if deepbots is not installed."""
+    by_extra: dict[str, list[str]] = {}
+    for package, extra, requirement in _requirements_of("deepbots-cli"):
+        by_extra.setdefault(extra, []).extend([package, *_packages_of_robot(requirement)])
+    return by_extra
+
+
+def _requirements_of(distribution: str) -> Iterator[tuple[str, str, str]]:
+    """Yield the package, the extra or "", and the text of each requirement that is for this machine."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    with suppress(PackageNotFoundError):
+        for requirement in requires(distribution) or ():
+            package = re.match(r"[\w.-]+", requirement)
+            extra = re.search(r"extra == .([\w-]+)", requirement)
+            if package and _is_for_this_machine(requirement):
+                yield package[0], extra[1] if extra else "", requirement
+
+
+def _packages_of_robot(requirement: str) -> list[str]:
+    """Return the packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none
+    for other packages."""
+    robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
+    if robot is None:
+        return []
+    extras = ("", *(robot[1] or "").split(","))
+    return [package for package, extra, _ in _requirements_of("deepbots-robot") if extra in extras]
+
+
+def _is_for_this_machine(requirement: str) -> bool:
+    """Return whether markers include this Python and system, as in `pybullet>=3.2.6; python_version < '3.12'
+    and sys_platform != 'win32'`."""
+    if re.search(rf"sys_platform != .{sys.platform}\b", requirement):
+        return False
+    below = re.search(r"python_version < .(\d+)\.(\d+)", requirement)
+    return below is None or sys.version_info[:2] < (int(below[1]), int(below[2]))
+
+
+def extra_with(module: str) -> str | None:
+    """Return the smallest extra that requires the package of a module; None if there is none."""
+    if module in _EXTRAS_OF_MODULES:
+        return _EXTRAS_OF_MODULES[module]
+    packages = requirements()
+    fitting = [
+        extra
+        for extra, names in packages.items()
+        if extra and module.lower() in (name.lower().replace("-", "_") for name in names)
+    ]
+    return min(fitting, key=lambda extra: len(packages[extra]), default=None)
+
+
+def install_hint(extra: str, origin: str | None = None) -> str:
+    """Return the advice to install an extra from `origin`, by default from where deepbots was installed.
+
+    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
+    it.
+    """
+    origin = origin or install_source()
+    packages = [f"'{origin}[{extra}]'"]
+    if origin != "deepbots-cli" and "deepbots-robot" in requirements().get(extra, ()):
+        packages.insert(0, f"'{origin}/deepbots_robot'")
+    return f"install it with: pip install {' '.join(packages)}"
+
+
+def install_source() -> str:
+    """Return the clone that deepbots was installed from if pip knows it and it still exists, else the package
+    name."""
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from pathlib import Path
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        address = urlsplit(
+            str(json.loads(distribution("deepbots-cli").read_text("direct_url.json") or "{}").get("url", ""))
+        )
+    except (PackageNotFoundError, ValueError):
+        return "deepbots-cli"
+    folder = Path(url2pathname(address.path))
+    return (
+        str(folder) if address.scheme == "file" and (folder / "pyproject.toml").is_file() else "deepbots-cli"
+    )

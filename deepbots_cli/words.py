@@ -1,0 +1,15 @@
+"""Numbers and lists in the words of messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def counted(count: int, noun: str) -> str:
+    """Return `1 start`, `1,200 starts`."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def sentence_list(words: Sequence[str], last: str = "and") -> str:
+    """Return a list in words: `a`, `a and b`, `a, b and c`."""
+    return f" {last} ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
