@@ -97,7 +97,7 @@ class Notices:
             ui.label(text)
             ui.button("×", on_click=self._place.clear).props('dense flat aria-label="Close the notice"')
 
-    def withdraw(self, text: str) -> None:
-        """Remove a message that no longer holds, if it is the one that is shown."""
-        if self._text == text:
+    def withdraw(self, text: str | None = None) -> None:
+        """Remove a message that no longer holds, if it is the one that is shown; by default, any."""
+        if text in (None, self._text):
             self._place.clear()

@@ -318,6 +318,7 @@ class StudioPage:
     def _save_file(self) -> None:
         file = self._file
         if file is not None and file.is_modified:
+            self._notices.withdraw()
             self._guarded(lambda: self._session.save(file))
 
     def _format(self) -> None:
@@ -352,8 +353,9 @@ class StudioPage:
 
         def write() -> None:
             lines = self._session.write_values(values)
-            names = values_text(values)
-            self._notices.show(f"{names} is in the text now; save it, or press Train, which saves it too")
+            self._notices.show(
+                f"{values_text(values)} is in the text; save it, or press Train, which saves it too"
+            )
             if self._file is not None and self._file.path == self._session.current:
                 self._editor.refresh()
                 self._editor.mark_lines(lines)

@@ -37,7 +37,7 @@ _CLOSING_MS = 300
 _KEY_SIGNS = {"left arrow": "←", "right arrow": "→", "up arrow": "↑", "down arrow": "↓"}
 _ROBOT_TEXTS = {
     None: "starting",
-    "running": "runs the saved file",
+    "running": "driven by a script, not by a policy",
     "outdated": "the saved file has errors; the robot is that of the last version without",
     "errors": "the file has errors; correct them and save to see the robot",
     "failed": "stopped",
@@ -47,6 +47,12 @@ _DRIVERS = {
     "zero": "the middle of each range and the first option of each choice",
     "policy": "the policy that the training has learned",
     "you": "the keys or a gamepad; the best return stays in view",
+}
+_DRIVEN_BY = {
+    "random": "driven by random actions",
+    "zero": "driven by the middle of each range",
+    "policy": "driven by the policy of {}",
+    "you": "driven by you",
 }
 _DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>
   <q-item-label>{{{{ props.opt.label }}}}</q-item-label>
@@ -146,11 +152,10 @@ class RobotPane:
         text = robot.problem or _ROBOT_TEXTS[state.state if state else None]
         if not robot.reference:
             text = "there is no scenario in this folder yet; New ... at the top writes one"
-        if state is not None and state.state == "running" and robot.reference != str(self._session.current):
-            name = Path(robot.reference).name
-            text = f"{name}: {state.note}" if state.note else f"driven by the policy of {name}"
-        elif state is not None and state.state == "running" and state.driver not in _DRIVERS:
-            text = "driven by a script, not by a policy"
+        if state is not None and state.state == "running" and state.driver in _DRIVEN_BY:
+            text = _DRIVEN_BY[state.driver].format(Path(robot.reference).name)
+        if state is not None and state.note:
+            text = f"{Path(robot.reference).name}: {state.note}"
         if state is not None and state.text and not robot.problem:
             text = state.text
         self._robot_text.set_text(text)

@@ -25,12 +25,13 @@ EASY = TEXT.replace("near:  4 cm", "near:  5 m")
 HARD = TEXT.replace("near:  4 cm", "near:  0.1 mm").replace("  time: ", "  bonus: 0.001\n  time: ")
 
 
-def _trained(folder: Path, name: str, text: str) -> Path:
+def _trained(folder: Path, name: str, text: str, *options: str) -> Path:
     folder.mkdir(exist_ok=True)
     shutil.copy(SHUTTLE.with_name("shuttle.urdf"), folder)
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
     run = folder / "runs" / name
-    assert main(["train", str(folder / "mine.yaml"), "--run", str(run), "--timesteps", "128", "--quiet"]) == 0
+    options = ("--timesteps", "128", *options)
+    assert main(["train", str(folder / "mine.yaml"), "--run", str(run), "--quiet", *options]) == 0
     return run
 
 
@@ -79,6 +80,20 @@ def test_a_single_change_is_not_called_one_of_several(solved, tmp_path, capsys, 
     run = _trained(tmp_path, "missed", TEXT.replace("near:  4 cm", "near:  0.1 mm"))
     (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
     assert cause["advice"].startswith("Set it back and train again")
+
+
+def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes(
+    solved, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree(solved)
+    _trained(tmp_path, "longer", EASY, "--timesteps", "512", "--full")
+    run = _trained(tmp_path, "missed", HARD, "--set", "train.total_timesteps=512")
+    causes = _causes(run, capsys)
+    assert [cause["cause"] for cause in causes][:2] == ["too_few_steps", "changed_since_solved"]
+    assert causes[0]["text"].startswith(
+        f"The training is shorter than {Path('runs/longer')}, which made 512 steps and was solved"
+    )
 
 
 def test_the_nearest_of_the_solved_runs_is_compared(solved, tmp_path, capsys, monkeypatch):

@@ -33,7 +33,8 @@ def test_a_scenario_is_written_saved_and_trained_by_the_keyboard(tmp_path):
     with served(tmp_path, "mine.yaml") as studio, browser() as new_tab:
         page = StudioTab(new_tab(), studio.address)
         page.wait(
-            "document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'", 60
+            "document.querySelector('.studio-robot .studio-status').innerText == 'driven by random actions'",
+            60,
         )
         passed = _tab_to(page, "text of the scenario")
         assert any("New ..." in each for each in passed)

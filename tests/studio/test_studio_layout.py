@@ -17,7 +17,7 @@ from tests.view.browser import CHROMIUM, browser
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
 
-RUNS = "document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'"
+RUNS = "document.querySelector('.studio-robot .studio-status').innerText == 'driven by random actions'"
 RECTANGLE = """(() => { const box = %s.getBoundingClientRect();
     return { left: box.left, right: box.right, top: box.top, bottom: box.bottom, height: box.height }; })()"""
 OUTLINES = """(() => { const one = document.activeElement, style = getComputedStyle(one);

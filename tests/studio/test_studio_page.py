@@ -67,7 +67,9 @@ def studio(folder):
 
 def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     page = StudioTab(new_tab(), studio.address)
-    page.wait("document.querySelector('.studio-robot .studio-status').innerText == 'runs the saved file'", 60)
+    page.wait(
+        "document.querySelector('.studio-robot .studio-status').innerText == 'driven by random actions'", 60
+    )
 
     # A mistake is underlined and explained; the finding goes with it.
     page.click_line("  fall_angle:")
