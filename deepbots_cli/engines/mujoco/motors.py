@@ -244,16 +244,14 @@ class Motor:
         width = model.actuator_biasprm.shape[1]
         actuators = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
-        by_joint = list(
-            zip(actuators, [width * actuator for actuator in actuators], dofs, moved, strict=True)
-        )
+        addresses = [width * actuator for actuator in actuators]
+        by_joint = list(zip(actuators, addresses, dofs, moved, strict=True))
 
         def aim(targets: Sequence[float]) -> None:
             target_velocities = targets
             if rate:
-                target_velocities = [
-                    (target - now) * rate for target, now in zip(targets, position(), strict=True)
-                ]
+                pairs = zip(targets, position(), strict=True)
+                target_velocities = [(target - now) * rate for target, now in pairs]
             gains = velocity_gains(target_velocities, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
