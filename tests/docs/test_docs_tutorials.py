@@ -154,6 +154,15 @@ def changed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("section", SECTIONS)
+def test_the_files_that_a_section_names_exist(section: str) -> None:
+    text = re.sub(r"^```.*?^```$", "", SECTIONS[section], flags=re.M | re.S)
+    names = re.findall(r"`((?:\w+/)+\w+\.(?:py|yaml))", text)
+    assert [
+        name for name in names if not any((ROOT / part / name).is_file() for part in ("", "deepbots_cli"))
+    ] == []
+
+
+@pytest.mark.parametrize("section", SECTIONS)
 def test_a_diff_changes_three_files_at_most(section: str) -> None:
     files = re.findall(r"^\+\+\+ b/(.*)$", block(section, "diff"), re.M)
     assert files
