@@ -120,7 +120,7 @@ def test_bars_move_by_mouse_and_keys_and_the_sizes_and_options_are_kept(folder, 
         page.wait(f"document.querySelector('.studio-robot').clientHeight < {robot - 5}")
         page.tab.run("document.querySelector('[aria-label=Timesteps]').focus()")
         page.type("512")
-        page.wait("localStorage.getItem('deepbots-studio-size-robot') == '48'")
+        page.wait("localStorage.getItem('deepbots-studio-size-robot') == '50'")
         width = _rectangle(page, text)["right"]
 
         page.load(studio.address)
