@@ -212,8 +212,8 @@ def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     """Return the points where a robot with all joints at 0 touches level ground, in the frame of its root;
     meshes do not count.
 
-    A point is the end of a shape within `thickness` (m) of the lowest. An upright cylinder counts as the box
-    around it, so its points are the corners of a square.
+    The result has the ends of all shapes that are at most `thickness` (m) above the lowest point. For an upright
+    cylinder, it has the corners of the box around it.
     """
     lowest = -resting_height(model)
     touching = [

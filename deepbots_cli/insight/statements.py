@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 
 from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.learning.statistics import wilson
+from deepbots_cli.words import sentence_list
 
 Numbers = Mapping[str, Any]
 T = TypeVar("T")
@@ -170,5 +171,4 @@ MAX_LISTED = 4
 
 def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
     """Return parts as a list in words: `a, b and c`, or `a, b and 7 more` if there are more than `limit`."""
-    parts = [*parts[:limit], *([f"{len(parts) - limit} more"] if len(parts) > limit else [])]
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return sentence_list([*parts[:limit], *([f"{len(parts) - limit} more"] if len(parts) > limit else [])])
