@@ -424,6 +424,10 @@ class EngineProxy:
     def _reader(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
         return self.bound(self._pass(method, parts, *args, **kwargs))
 
+    def _call(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
+        # The table would bind `_pass` of this class, also where a subclass has its own.
+        return self._pass(method, parts, *args, **kwargs)
+
     def place(self, body: str, *args: Any, **kwargs: Any) -> None:
         if engine := self.changing(body):
             engine.place(self.body(body), *args, **kwargs)
@@ -456,19 +460,19 @@ class EngineProxy:
     angular_momentum = partialmethod(_reader, "angular_momentum", 1)
     motion = partialmethod(_reader, "motion", 1)
 
-    velocity_motor = partialmethod(_pass, "velocity_motor", 1)
-    position_motor = partialmethod(_pass, "position_motor", 1)
-    torque_motor = partialmethod(_pass, "torque_motor", 1)
-    pusher = partialmethod(_pass, "pusher", 1)
+    velocity_motor = partialmethod(_call, "velocity_motor", 1)
+    position_motor = partialmethod(_call, "position_motor", 1)
+    torque_motor = partialmethod(_call, "torque_motor", 1)
+    pusher = partialmethod(_call, "pusher", 1)
 
-    reset = partialmethod(_pass, "reset", 0)
-    step = partialmethod(_pass, "step", 0)
-    before_substep = partialmethod(_pass, "before_substep", 0)
-    snapshot = partialmethod(_pass, "snapshot", 0)
-    restore = partialmethod(_pass, "restore", 0)
-    overlaps = partialmethod(_pass, "overlaps", 0)
-    require_finite = partialmethod(_pass, "require_finite", 0)
-    render = partialmethod(_pass, "render", 0)
+    reset = partialmethod(_call, "reset", 0)
+    step = partialmethod(_call, "step", 0)
+    before_substep = partialmethod(_call, "before_substep", 0)
+    snapshot = partialmethod(_call, "snapshot", 0)
+    restore = partialmethod(_call, "restore", 0)
+    overlaps = partialmethod(_call, "overlaps", 0)
+    require_finite = partialmethod(_call, "require_finite", 0)
+    render = partialmethod(_call, "render", 0)
 
 
 class BatchEngine(Bindable, Protocol):

@@ -1,4 +1,4 @@
-"""Numbers and lists in the words of messages."""
+"""Numbers, units and lists in the words of messages."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from collections.abc import Sequence
 def counted(count: int, noun: str) -> str:
     """Return `1 start`, `1,200 starts`."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as users read it: empty for a plain number, whose unit is `1`."""
+    return "" if unit == "1" else unit
 
 
 def sentence_list(words: Sequence[str], last: str = "and") -> str:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path, PurePath
 
 from deepbots_cli.compiler.robots import ResolvedRobot
@@ -147,10 +148,13 @@ def copy_names(files: Iterable[Path], homes: tuple[Path, ...]) -> dict[Path, str
             next((home for home in homes if file.is_relative_to(home)), file.parent), []
         ).append(file)
     names: dict[Path, str] = {}
-    for number, members in enumerate(groups.values()):
+    elsewhere = (f"{ELSEWHERE}{number}" for number in count(1))
+    for members in groups.values():
         # The common path of a single file would be the file itself.
         top = os.path.commonpath([file.parent for file in members])
-        folder = f"{ELSEWHERE}{number}" if number else ""
+        # The files at the top may have a folder of such a name: a copy of a run has one.
+        used = {PurePath(name).parts[0] for name in names.values()}
+        folder = next(name for name in elsewhere if name not in used) if used else ""
         names |= {file: PurePath(folder, file.relative_to(top)).as_posix() for file in members}
     return names
 

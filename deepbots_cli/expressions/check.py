@@ -69,6 +69,7 @@ from deepbots_cli.expressions.unification import (
     require_kind,
     warn_of_degrees,
 )
+from deepbots_cli.words import sentence_list
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -935,9 +936,7 @@ def _one_of(kinds: frozenset[Kind]) -> str:
     if kinds >= {Kind.WALL, Kind.WALLS}:
         descriptions.remove(Kind.WALLS.description)
         descriptions[descriptions.index(Kind.WALL.description)] = "a wall"
-    return (
-        descriptions[0] if len(descriptions) == 1 else f"{', '.join(descriptions[:-1])} or {descriptions[-1]}"
-    )
+    return sentence_list(descriptions, "or")
 
 
 def _keep_above(low: float) -> str:

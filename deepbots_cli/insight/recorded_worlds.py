@@ -25,7 +25,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import sequence_driver
 from deepbots_cli.rollout.policies import PolicyDriver
-from deepbots_cli.words import counted, sentence_list
+from deepbots_cli.words import counted, sentence_list, unit_text
 
 EPISODES, MAX_STEPS = 6, 100
 """The number of compared episodes, and the largest number of steps of each: small differences grow, and late
@@ -116,7 +116,7 @@ def columns_of(watch: InstrumentedProgram) -> list[Column]:
     signals = _kept_signals(watch)
     return [
         *(
-            Column(number.full_name, number.unit.removeprefix("1"))
+            Column(number.full_name, unit_text(number.unit))
             for number in watch.program.agent.numbers
             if number.name in signals
         ),

@@ -9,6 +9,7 @@ is best in its middle has none.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -112,7 +113,7 @@ class DrawnEffects:
 
     @property
     def effective(self) -> list[DrawnValue]:
-        """The values that have an effect."""
+        """The values with an effect, in the order of `values`."""
         return [value for value in self.values.values() if value.has_effect]
 
     @property
@@ -176,7 +177,7 @@ def drawn_effects(
     meaning of their own.
 
     Args:
-        done: The episodes.
+        episodes: The episodes.
         labels: The labels of the draws.
         bounds: The possible returns.
     """
@@ -225,7 +226,13 @@ def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[Dr
     if len(options) <= MAX_OPTIONS:
         parts = [[episode for episode in ordered if episode.drawn[name] == option] for option in options]
     else:
-        edges = [len(ordered) * part // BINS for part in range(BINS + 1)]
+        values = [episode.drawn[name] for episode in ordered]
+        edges = [0]
+        for part in range(1, BINS):  # equal values are in one part
+            value = values[len(values) * part // BINS]
+            before = bisect_left(values, value)
+            edges.append(before if before > edges[-1] else bisect_right(values, value))
+        edges.append(len(values))
         parts = [ordered[first:end] for first, end in pairwise(edges)]
     return tuple(
         DrawnBin.of_episodes(part, bounds, low=part[0].drawn[name], high=part[-1].drawn[name])
@@ -240,7 +247,7 @@ def _parts(episodes: Sequence[Episode], name: str, bounds: Interval) -> tuple[Dr
 def _mean_outcomes(episodes: Sequence[Episode], outcome: Outcome) -> tuple[list[Episode], Floats]:
     """Return one episode of each start, and the mean outcome of each start.
 
-    Several policies that begin with the same start are no independent observations of its difficulty.
+    Several policies that begin with the same start are not independent observations of its difficulty.
     """
     groups: dict[tuple[str, int], list[Episode]] = {}
     for number, episode in enumerate(episodes):

@@ -19,6 +19,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.runtime.observing import Observer
 from deepbots_cli.runtime.spaces import action_space, observation_space
+from deepbots_cli.words import unit_text
 
 
 @dataclass(frozen=True)
@@ -176,4 +177,4 @@ def loaded(run: Run, model: ModelName) -> Learner:
 def _values(part: Choices | ActionRange) -> list[ActionValue]:
     if isinstance(part, Choices):
         return [ActionValue(part.name, tuple(option.name for option in part.options))]
-    return [ActionValue(name, (), part.unit.removeprefix("1"), part.low, part.high) for name in part.names]
+    return [ActionValue(name, (), unit_text(part.unit), part.low, part.high) for name in part.names]

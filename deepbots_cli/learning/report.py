@@ -112,8 +112,8 @@ class ProgressReporter(Reporter):
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._display = Display(stream)
-        self._first = 0
         self._began = 0.0
+        self._timed: tuple[float, int] | None = None
         self._shown = 0.0
         self._tenth = 0
         self._evaluations = 0
@@ -123,15 +123,18 @@ class ProgressReporter(Reporter):
         self._display.print(f"note: {text}")
 
     def start(self, progress: TrainingProgress) -> None:
-        self._first = progress.steps
         self._began = time.perf_counter()
+        self._timed = None
         self._shown = self._began
         self._tenth = 10 * progress.steps // progress.total_steps
 
     def update(self, progress: TrainingProgress) -> None:
         now = time.perf_counter()
-        speed = (progress.steps - self._first) / max(1e-9, now - self._began)
-        seconds_left = progress.seconds_left(self._first, now - self._began)
+        if self._timed is None:  # a resumed training first replays its episodes, which may take minutes
+            self._timed = (now, progress.steps)
+        timed_at, first_step = self._timed
+        speed = (progress.steps - first_step) / max(1e-9, now - timed_at)
+        seconds_left = progress.seconds_left(first_step, now - timed_at)
         if self._display.is_terminal:
             is_urgent = progress.steps >= progress.total_steps or progress.activity is not None
             elapsed = now - self._began

@@ -19,6 +19,7 @@ from deepbots_cli.program import Program, generated
 from deepbots_cli.program.task import Observation
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import ARENA_WALLS, GROUND
+from deepbots_cli.words import sentence_list
 
 
 class RuleContext:
@@ -140,11 +141,7 @@ class Simulation(RuleContext):
     def summary(self) -> str:
         """The extent of the simulation, for a note."""
         parts = [f"{measured.steps} steps of {by}" for by, measured in self.measured.items()]
-        return (
-            f"simulated: {' and '.join(filter(None, (', '.join(parts[:-1]), parts[-1])))}"
-            if parts
-            else "nothing was simulated"
-        )
+        return f"simulated: {sentence_list(parts)}" if parts else "nothing was simulated"
 
     # Expressions without a value
 

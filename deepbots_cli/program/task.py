@@ -15,6 +15,7 @@ from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
 from deepbots_cli.program.values import Expression, Noise
 from deepbots_cli.program.world import whole_timesteps
 from deepbots_cli.robots.model import Vector
+from deepbots_cli.words import unit_text
 
 # Limits of one observation, in numbers and in bytes of images; a network with more inputs is not small.
 MAX_OBSERVED_NUMBERS = 100_000
@@ -722,7 +723,7 @@ class Agent:
         """The numbers that the policy sees, in their order in its observation."""
         entries = [(self.numbers[index], age) for index, age in self.seen]
         return tuple(
-            ObservedValue(n.full_name, n.unit.removeprefix("1"), n.low, n.high, n.is_truth, age, n.clip)
+            ObservedValue(n.full_name, unit_text(n.unit), n.low, n.high, n.is_truth, age, n.clip)
             for n, age in entries
         )
 

@@ -31,7 +31,7 @@ def application_of(session: Session, gate: access.Gate, first: Path | None) -> G
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        # Each analysis collects garbage, which visited the 400 000 objects of the imports every time.
+        # Each analysis collects garbage, and would visit the 400,000 objects of the imports.
         gc.collect()
         gc.freeze()
         if first is not None:
@@ -92,7 +92,7 @@ class _Routes:
             text, line, column = content["text"], content["line"], content["column"]
         except (ValueError, TypeError, KeyError, RecursionError):
             return None
-        is_place = isinstance(text, str) and type(line) is int and type(column) is int
+        is_place = isinstance(text, str) and all(type(at) is int and at >= 0 for at in (line, column))
         return (path, text, line, column) if is_place and path in self._session.files else None
 
     async def _picture(self, _: Request) -> Response:

@@ -177,8 +177,7 @@ class Commands:
         if trained:
             self.watch(Path(trained[-1].record.run))
         if running:
-            self.task = running[-1]
-            self._tell("task")
+            self.show(running[-1])
 
     def look(self) -> None:
         """Notice commands that have ended."""

@@ -38,10 +38,10 @@ class Following:
         self._run = run if self._waits else None
 
     def turn(self, on: bool) -> None:
-        """Begin or stop to follow the training that runs and each later one. The shown robot stays."""
+        """Begin or stop to follow the shown training and each later one. With `on` false, the shown robot
+        stays."""
         self.is_on = on
-        task = self._commands.training_task
-        if on and task is not None and task.is_running and self._commands.training is not None:
+        if on and self._commands.training is not None:
             self.begin(self._commands.training.path)
         elif not on:
             self._waits = False

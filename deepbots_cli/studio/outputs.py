@@ -136,9 +136,8 @@ class CommandTab:
         task = self._session.commands.task
         options = {
             entry.path.name: f"{entry.path.name} {entry.command}"
-            for entry in self._session.commands.tasks.all[-30:]
+            for entry in reversed(self._session.commands.tasks.all[-30:])
         }
-        options = dict(reversed(options.items()))
         if options != self._choice.options:
             self._choice.set_options(options, value=task.path.name if task else None)
         self._empty.set_visibility(task is None)

@@ -25,6 +25,7 @@ from deepbots_cli.studio.runs_tab import RunsTab, values_text
 from deepbots_cli.studio.session import HAS_ERRORS, Session, Topic
 from deepbots_cli.studio.start import StartPage
 from deepbots_cli.studio.training_tab import TrainingTab
+from deepbots_cli.words import counted
 
 _MAX_FIXES = 3
 _STYLE = Path(__file__).with_name("studio.css")
@@ -58,6 +59,7 @@ class StudioPage:
         self._dark = ui.dark_mode(value=None)
         self._is_dark = False
         ui.page_title(f"deepbots studio: {session.folder.name}")
+        ui.context.client.content.classes("studio-loads")
         self._add_header()
         self._start_page = StartPage(session, self._new)
         self._main = ui.element("div").classes("studio-main")
@@ -91,6 +93,7 @@ class StudioPage:
             self._set_dark(bool(preferences["dark"]))
             self._columns.restore(preferences)
             self._rows.restore(preferences)
+        client.content.classes(remove="studio-loads")
         self._robot.begin()
         with suppress(TimeoutError):
             self._robot.adapt(str(await ui.run_javascript(DRAWS, timeout=_BROWSER_S)))
@@ -274,9 +277,7 @@ class StudioPage:
             text = "no findings"
         else:
             text = ", ".join(
-                f"{number} {word}{'' if number == 1 else 's'}"
-                for number, word in ((errors, "error"), (warnings, "warning"))
-                if number
+                counted(number, word) for number, word in ((errors, "error"), (warnings, "warning")) if number
             )
         self._status.set_text(text)
         kind = findings[0].severity if findings else "good"  # errors come first

@@ -18,6 +18,7 @@ from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.learning.changes import changed_values
 from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.run import Run
+from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.charts import comparison_chart
 from deepbots_cli.studio.commands import RUNS_FOLDER
 from deepbots_cli.studio.outputs import Result, text_with_code
@@ -56,6 +57,25 @@ _AGE = """at => {
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _AGE_INTERVAL_S = 30.0
+_SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
+_WIDE = {**_SHORT, "classes": "studio-wide", "headerClasses": "studio-wide"}
+"""Columns that a narrow page leaves out."""
+_COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
+    ("name", "run", "left", _SHORT),
+    ("state", "state", "left", _WIDE),
+    ("return", "mean return", "right", _SHORT),
+    ("success", "success", "right", _SHORT),
+    ("solved", "solved", "left", _SHORT),
+    ("steps", "steps", "right", _SHORT),
+    ("when", "when", "left", {**_WIDE, ":format": _AGE}),
+    (
+        "change",
+        "changed since the run before",
+        "left",
+        {"style": "overflow-wrap: anywhere", "classes": "studio-change"},
+    ),
+)
+"""Name, label, alignment and other properties of each column of the table."""
 _OPTIONAL = ("success", "solved")
 """The columns that are left out while no run has a value."""
 
@@ -75,28 +95,10 @@ class RunsTab:
         self._is_dark = False
         self._compared: tuple[ui.echart, dict[str, Curves]] | None = None
         self._names: set[str] = set()
-        columns = [
-            {"name": name, "label": label, "field": name, "align": align, "sortable": True}
-            for name, label, align in (
-                ("name", "run", "left"),
-                ("state", "state", "left"),
-                ("return", "mean return", "right"),
-                ("success", "success", "right"),
-                ("solved", "solved", "left"),
-                ("steps", "steps", "right"),
-                ("when", "when", "left"),
-                ("change", "changed since the run before", "left"),
-            )
+        self._columns = [
+            {"name": name, "field": name, "label": label, "align": align, "sortable": True, **more}
+            for name, label, align, more in _COLUMNS
         ]
-        for column in columns[:-1]:
-            column["headerStyle"] = column["style"] = "white-space: nowrap"
-        columns[-1]["style"] = "overflow-wrap: anywhere"
-        columns[-1]["classes"] = "studio-change"
-        by_name = {column["name"]: column for column in columns}
-        by_name["when"][":format"] = _AGE
-        for name in ("state", "when"):
-            by_name[name]["classes"] = by_name[name]["headerClasses"] = "studio-wide"
-        self._columns = columns
         ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
@@ -120,12 +122,14 @@ class RunsTab:
             )
             self._timesteps.classes("studio-number studio-resume")
         with ui.element("div").classes("studio-scroll"):
-            self._add_table(columns)
+            self._add_table()
         self._show_buttons()
 
-    def _add_table(self, columns: list[dict[str, Any]]) -> None:
+    def _add_table(self) -> None:
         self._result = Result("Back to the runs")
-        self._table = ui.table(columns=columns, rows=[], row_key="name", selection="multiple", pagination=0)
+        self._table = ui.table(
+            columns=self._columns, rows=[], row_key="name", selection="multiple", pagination=0
+        )
         self._table.props("dense flat wrap-cells hide-pagination hide-selected-banner")
         self._table.props('no-data-label="No runs yet: press Train in the tab Train"')
         self._table.classes("studio-table")
@@ -218,7 +222,11 @@ class RunsTab:
 
     def watch(self, run: Path) -> None:
         """Show the robot of a run, which its policy drives."""
-        self._session.robot.show(self._session.folder / run)
+        robot, path = self._session.robot, self._session.folder / run
+        if robot.reference == str(path) and robot.state is not None and robot.state.driver == POLICY:
+            self._session.say(f"the robot is driven by the policy of {run.name} already")
+        else:
+            robot.show(path)
 
     def make_file(self, verb: str, name: str, run: Path) -> None:
         """Write a file about a run, such as a video, and show how far it is."""
@@ -328,7 +336,7 @@ class RunsTab:
             with bar:
                 if is_written:
                     ui.label(f"In the text: {values_text(values)}")
-                    ui.button("Save and train", on_click=self._train).props("dense outline no-caps")
+                    ui.button("Save and train", on_click=train).props("dense outline no-caps")
                 else:
                     text = words.replace("{}", values_text(values))
                     ui.button(text, on_click=write).props("dense outline no-caps")
@@ -336,6 +344,10 @@ class RunsTab:
         def write() -> None:
             self._write_advice(values)
             show()
+
+        def train() -> None:
+            session.use_file_for(values)
+            self._train()
 
         bar = ui.element("div").classes("studio-bar")
         show()

@@ -69,7 +69,7 @@ class Session:
         self._changes = RunChanges()
         self.notice = ""
         self.following = Following(self.robot, self.commands)
-        self.training_options: dict[str, str] = {}
+        self.training_options = {"--timesteps": "", "--seed": ""}
         self._problem = ""
         self._listeners: list[Listener] = []
         self._language: Language | None = None
@@ -238,6 +238,11 @@ class Session:
                 parameters.update({(path, name): value for name, value in written_parameters(text).items()})
         return parameters
 
+    def use_file_for(self, values: Mapping[str, str]) -> None:
+        """Forget the options of the next training that would override values of the file."""
+        if "train.total_timesteps" in values:
+            self.training_options["--timesteps"] = ""
+
     def write_values(self, values: Mapping[str, str]) -> list[int]:
         """Write values into the text of the current scenario, by the path of each, such as `train.gamma`.
         Comments and layout stay.
@@ -259,6 +264,7 @@ class Session:
                 raise UsageError(f"{file.path.name} has no place for it; write `{path}: {value}` yourself")
             file.edit([edit])
             lines.append(file.text.count("\n", 0, edit.start))
+        self.use_file_for(values)
         if file.text == before:
             raise UsageError(f"{file.path.name} has these values already")
         self.edited(file)

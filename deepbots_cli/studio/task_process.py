@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 from deepbots_cli.cli import main as deepbots
-from deepbots_cli.learning.directories import run_lock
-from deepbots_cli.studio.tasks import EXIT_NAME, LOG_NAME, TASK_NAME, TaskRecord, write_record
+from deepbots_cli.learning.directories import run_lock, write_text
+from deepbots_cli.studio.tasks import EXIT_NAME, LOG_NAME, TASK_NAME, TaskRecord
 
 
 def run_task(folder: Path) -> int:
@@ -18,7 +18,8 @@ def run_task(folder: Path) -> int:
         log = os.open(folder / LOG_NAME, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         os.dup2(log, 1)
         os.dup2(log, 2)
-        write_record(folder, record.model_copy(update={"pid": os.getpid()}))
+        started = record.model_copy(update={"pid": os.getpid()})
+        write_text(folder / TASK_NAME, started.model_dump_json(indent=2))
         code = 1
         try:
             code = _run(record)

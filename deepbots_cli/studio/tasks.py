@@ -6,10 +6,10 @@ code). The process locks the folder while it runs, so a studio that starts again
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -189,21 +189,9 @@ class Tasks:
         """Remove the oldest tasks that have ended."""
         for task in self.all[: max(0, len(self.all) - _MAX_TASKS)]:
             if not task.is_running:
-                for name in (TASK_NAME, LOG_NAME, EXIT_NAME, ".lock"):
-                    (task.path / name).unlink(missing_ok=True)
-                try:
-                    task.path.rmdir()
-                except OSError:
-                    continue
+                shutil.rmtree(task.path, ignore_errors=True)
                 self.all.remove(task)
 
 
 def _read(path: Path) -> TaskRecord:
     return read_json(path / TASK_NAME, TaskRecord, _MAX_RECORD_BYTES)
-
-
-def write_record(path: Path, record: TaskRecord) -> None:
-    """Replace the record of a task."""
-    draft = path / f"{TASK_NAME}.new"
-    draft.write_text(json.dumps(record.model_dump(), indent=2), encoding="utf-8")
-    os.replace(draft, path / TASK_NAME)

@@ -89,12 +89,7 @@ class TrainingTab:
 
     def _option(self, label: str, name: str, placeholder: str) -> ui.input:
         """Add a field for an option of the command; the session keeps its text."""
-        options = self._session.training_options
-        field = ui.input(
-            value=options.get(name, ""),
-            placeholder=placeholder,
-            on_change=lambda event: options.update({name: str(event.value or "").strip()}),
-        )
+        field = ui.input(placeholder=placeholder).bind_value(self._session.training_options, name)
         field.props(f'dense outlined prefix="{label}" aria-label="{label}"')
         return field.classes(f"studio-number studio{name}")
 
@@ -108,9 +103,8 @@ class TrainingTab:
 
     def train(self) -> None:
         """Train the scenario with the options of the tab."""
-        options = [
-            word for name, text in self._session.training_options.items() if text for word in (name, text)
-        ]
+        values = {name: (text or "").strip() for name, text in self._session.training_options.items()}
+        options = [word for name, value in values.items() if value for word in (name, value)]
 
         def train() -> None:
             task = self._session.commands.train(self._session.saved_name(), options)

@@ -152,7 +152,7 @@ class WatchedTraining:
         if run is None or run.state != "training" or not run.total_timesteps or len(self._steps) < 2:
             return None
         (begin, first), (end, last) = self._steps[0], self._steps[-1]
-        if last <= first:
+        if last <= first or end - begin < _STILL_S:
             return None
         return max(0.0, (run.total_timesteps - last) * (end - begin) / (last - first))
 
@@ -179,8 +179,9 @@ class WatchedTraining:
             self.problem = str(error)
         self.listed = listed
         self._ended = listed.state != "training"
-        self._steps.append((began, listed.steps or 0))
-        while self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
+        if listed.steps:  # before the first step, the training starts
+            self._steps.append((began, listed.steps))
+        while self._steps and self._steps[-1][0] - self._steps[0][0] > _SPEED_WINDOW_S:
             self._steps.popleft()
         took = time.thread_time() - used
         # A single read may import a package, or compile the scenario; the next one does not.

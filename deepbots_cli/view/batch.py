@@ -20,7 +20,7 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.spaces import joined
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.view.episodes import Player, RunDriver
+from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import (
     AgentFrame,
     FrameReader,
@@ -58,7 +58,7 @@ class BatchPlayer(Player):
             UsageError: The driver is a script, which reads values that only a single world computes.
         """
         if name == POLICY and self.opened.run is not None:
-            self.driver = RunDriver(self.opened.run, self.env, self.batch)
+            self.driver = self._run_driver(self.opened.run, self.batch)
         elif name in (HAND, RANDOM, ZERO):
             drivers = [self._make_driver(single, name) for single in self.batch.singles]
             self.driver = Driver(

@@ -298,11 +298,12 @@ class Player:
         elif self.opened.run is None:
             raise UsageError("only a run has a policy")
         else:
-            showing = self.opened.shown
-            self.driver = RunDriver(
-                self.opened.run, self.env, model=showing.model, deterministic=showing.deterministic
-            )
+            self.driver = self._run_driver(self.opened.run)
         self.driver_name = name
+
+    def _run_driver(self, run: Run, batch: BatchSupervisor | None = None) -> RunDriver:
+        showing = self.opened.shown
+        return RunDriver(run, self.env, batch, model=showing.model, deterministic=showing.deterministic)
 
     def _make_driver(self, env: Supervisor, name: str) -> Driver:
         return (

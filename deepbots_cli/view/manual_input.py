@@ -139,7 +139,8 @@ class ManualInput:
                 effects += [(tuple(map(_key_name, keys)), f"{word} {name}") for keys, word in ends]
         for field in self._choices:
             effects += [
-                ((_key_name(codes[0]),), field.options[option]) for codes, option in self._keys_of(field)
+                (tuple(map(_key_name, codes)), field.options[option])
+                for codes, option in self._keys_of(field)
             ]
         return effects
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.errors import DeepbotsError
@@ -86,7 +86,9 @@ class Templates:
                     raise
         except JSEvalException as error:
             raise TemplateError(f"fails: {_reason(error)}") from error
-        if not isinstance(rendered, str) or len(rendered) > MAX_BYTES:
+        if not isinstance(rendered, str):
+            raise TemplateError("returns before its end")
+        if len(rendered.encode()) > MAX_BYTES:
             raise TemplateError(f"makes more than {MAX_BYTES >> 20} MiB")
         return rendered
 
@@ -104,15 +106,9 @@ class Templates:
             "coordinate_system": "ENU",
             "webots_version": {"major": "R2025a", "revision": "0"},
         }
-        fields = {
-            name: {
-                "value": _plain(entry, value_of(node, name), 0),
-                "defaultValue": _plain(entry, entry.default, 0),
-            }
-            for name, entry in proto.interface.items()
-        }
+        fields = _literal(_fields(proto.interface, node, 0))
         return _SCRIPT.format(
-            fields=_literal(fields), context=_literal(context), modules="\n".join(modules.values()), body=body
+            fields=fields, context=_literal(context), modules="\n".join(modules.values()), body=body
         )
 
     def _imported(self, text: str, modules: dict[str, str]) -> str:
@@ -129,7 +125,9 @@ class Templates:
         if file in modules:
             return
         path = self._files.module(file)
-        if path is None or len(modules) >= MAX_MODULES:
+        if len(modules) >= MAX_MODULES:
+            raise TemplateError(f"imports more than {MAX_MODULES} modules")
+        if path is None:
             raise TemplateError(
                 f"imports {file}, which is not available; name a copy of Webots by --protos DIR"
             )
@@ -156,7 +154,8 @@ def _parts(template: str) -> Iterator[str]:
     for match in _STATEMENT.finditer(template):
         yield f"template_ += {json.dumps(template[end : match.start()])};"
         is_expression, code = match.groups()
-        yield f"template_ += ({code.strip().rstrip(';')});" if is_expression else code
+        # The line break ends a comment at the end of the expression.
+        yield f"template_ += ({code.strip().rstrip(';')}\n);" if is_expression else code
         end = match.end()
     yield f"template_ += {json.dumps(template[end:])};"
 
@@ -188,14 +187,17 @@ def _whole(item: Item, base: str) -> Any:
 def _node(node: Node, depth: int) -> Any:
     if depth > MAX_DEPTH:
         raise TemplateError(f"has nodes in its fields that are deeper than {MAX_DEPTH}")
-    fields = {
+    return {"node_name": node.type, "fields": _fields(parameters(node), node, depth)}
+
+
+def _fields(interface: Mapping[str, Parameter], node: Node, depth: int) -> dict[str, Any]:
+    return {
         name: {
             "value": _plain(entry, value_of(node, name), depth),
             "defaultValue": _plain(entry, entry.default, depth),
         }
-        for name, entry in parameters(node).items()
+        for name, entry in interface.items()
     }
-    return {"node_name": node.type, "fields": fields}
 
 
 def _reason(error: Exception) -> str:

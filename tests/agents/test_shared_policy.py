@@ -23,17 +23,29 @@ from tests.agents.carts import CARTS
 from tests.learning.interruption import At, outcome
 
 PPO = "train: {algorithm: PPO, total_timesteps: 512, n_steps: 64, batch_size: 32, network: {hidden: [8]}}\n"
-SHARED = CARTS.replace(
-    "right: {like: left, robots: [right]}", "right: {like: left, robots: [right], policy: left}"
+
+
+def _changed(text: str, *changes: tuple[str, str]) -> str:
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+SHARED = _changed(
+    CARTS, ("right: {like: left, robots: [right]}", "right: {like: left, robots: [right], policy: left}")
 )
-ALONE = SHARED.replace("success: right, failure: left}", "ends: left, failure: left}").replace(
-    "success: left, failure: right}", "ends: right, failure: right}"
+ALONE = _changed(
+    SHARED,
+    ("success: right, failure: left}", "ends: left, failure: left}"),
+    ("success: left, failure: right}", "ends: right, failure: right}"),
 )
-TEAM = (
-    SHARED.replace("success: right, failure: left", "failure: all")
-    .replace("success: left, failure: right", "failure: all")
-    .replace("policy: left}\n", "policy: left}\n  third: {like: left, robots: [third], policy: left}\n")
-    .replace(
+TEAM = _changed(
+    SHARED,
+    ("success: right, failure: left", "failure: all"),
+    ("success: left, failure: right", "failure: all"),
+    ("policy: left}\n", "policy: left}\n  third: {like: left, robots: [third], policy: left}\n"),
+    (
         "signals:",
         """\
   third:
@@ -43,7 +55,7 @@ TEAM = (
     actuators: {wheels: {type: velocity_motor, joints: [wheel_*]}}
     apply: {wheels: drive * 5 rad/s}
 signals:""",
-    )
+    ),
 )
 """Three equal robots, each of which has an agent."""
 
@@ -56,7 +68,7 @@ def carts(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("text", [SHARED, ALONE], ids=["together", "alone"])
-def test_the_policy_learns_from_the_steps_of_both_agents(tmp_path: Path, text: str) -> None:
+def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> None:
     file = tmp_path / "carts.yaml"
     file.write_text(text)
     program = api.compile(file).program
@@ -86,12 +98,15 @@ def test_the_policy_learns_from_the_steps_of_both_agents(tmp_path: Path, text: s
         assert both.columns["values"][:, rows].tolist() == part.columns["values"].tolist()
         own = [(number, end.row - 2 * side) for number, end in both.endings if end.row // 2 == side]
         assert own == [(number, end.row) for number, end in part.endings]
+        assert (part.taking_part is not None) == bool(alone)
         if part.taking_part is not None:
             assert both.taking_part is not None
             assert both.taking_part[:, rows].tolist() == part.taking_part.tolist()
 
 
-def test_both_agents_act_by_the_same_weights(carts: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", [SHARED, ALONE], ids=["together", "alone"])
+def test_both_agents_act_by_the_same_weights(carts: Path, tmp_path: Path, text: str) -> None:
+    carts.write_text(text + PPO)
     result = deepbots_cli.train(carts, run=tmp_path / "run", seed=1)
     assert result.steps == 512
     weights = load_model(Run.open(tmp_path / "run"), "best").weights()
@@ -121,11 +136,6 @@ def test_shards_give_the_same_weights_wherever_they_run(carts: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_agents_that_end_alone_share_a_policy(carts: Path, tmp_path: Path) -> None:
-    carts.write_text(ALONE + PPO)
-    assert deepbots_cli.train(carts, run=tmp_path / "run", seed=1).steps == 512
-
-
 def test_an_algorithm_without_support_is_refused(carts: Path, tmp_path: Path) -> None:
     carts.write_text(SHARED + "train: {algorithm: SAC, total_timesteps: 256}\n")
     with pytest.raises(UsageError, match="SAC does not support a policy that several agents share"):

@@ -99,6 +99,7 @@ def test_files_of_other_homes_get_folders_of_their_own():
             "/ours/m/x.stl",
             "/mine/b/y.yaml",
             "/far/z.urdf",
+            "/mine/elsewhere_1/y.urdf",
             "/mine/a/x.yaml",
         )
     ]
@@ -106,9 +107,10 @@ def test_files_of_other_homes_get_folders_of_their_own():
     assert list(named.values()) == [
         "a/x.yaml",
         "b/y.yaml",
-        "elsewhere_1/r/x.urdf",
-        "elsewhere_1/m/x.stl",
-        "elsewhere_2/z.urdf",
+        "elsewhere_1/y.urdf",  # the project has such a folder
+        "elsewhere_2/r/x.urdf",
+        "elsewhere_2/m/x.stl",
+        "elsewhere_3/z.urdf",
     ]
 
 

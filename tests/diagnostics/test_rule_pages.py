@@ -102,7 +102,7 @@ def test_every_finding_has_a_page_and_all_but_four_an_example() -> None:
     assert [page.code for page in every_page() if not page.example] == ["DB316", "DB410", "DB902", "DB903"]
 
 
-def test_a_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
+def test_a_static_rule_is_in_the_catalog_under_the_name_of_its_function() -> None:
     for rule in STATIC_RULES:
         assert RULES[rule.code].name == rule.check.__name__.replace("_", "-")
 

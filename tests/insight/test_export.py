@@ -119,6 +119,14 @@ def test_a_layer_that_is_not_known_is_named():
         network.policy_graph(learner, program)
 
 
+def test_a_rate_has_a_unit_and_a_plain_number_none():
+    rates = ["augment.rate=1 / (1 s + time)", "augment.share=x / track"]
+    ranges = ["observation.rate=0 .. 1 Hz", "observation.share=-1 .. 1"]
+    program = api.compile("cartpole", overrides=[*rates, *ranges]).program
+    units = {entry.name: entry.unit for entry in program.agent.inputs}
+    assert (units["rate"], units["share"]) == ("1/s", "")
+
+
 @pytest.fixture(scope="session")
 def bundle(run, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("bundles") / "cartpole-bundle"

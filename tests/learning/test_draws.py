@@ -59,6 +59,19 @@ def _from(values: list[float | str], successes: list[bool], name: str = "value")
     )
 
 
+@pytest.mark.parametrize(
+    ("values", "parts"),
+    [
+        ([*range(1, 9)] * 4, [(1, 2), (3, 4), (5, 6), (7, 8)]),
+        ([*range(1, 8)] * 4, [(1, 1), (2, 3), (4, 5), (6, 7)]),
+        ([0] * 28 + [*range(1, 9)], [(0, 0), (1, 8)]),
+    ],
+)
+def test_equal_values_are_in_one_quarter(values: list[float | str], parts: list[tuple[int, int]]) -> None:
+    (value,) = _from(values, [number % 2 == 0 for number in range(len(values))]).values.values()
+    assert [(part.low, part.high) for part in value.parts] == parts
+
+
 def test_noise_of_sixty_draws_names_none() -> None:
     effects = _evaluation(seed=3, low=0.8, high=0.8)
     assert _named(effects) == []

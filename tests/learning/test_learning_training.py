@@ -325,6 +325,19 @@ def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
     ]  # after 30 s, an evaluation after 50 s, 30 s later, a second evaluation after 100 s
 
 
+def test_the_speed_leaves_out_the_time_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    now = 0.0
+    monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
+    display = ProgressReporter(stream)
+    display.start(TrainingProgress(500_000, 1_000_000, 0, None, None))
+    for second in range(90, 151):
+        now = float(second)
+        steps = 500_000 + 1_000 * (second - 90)
+        display.update(TrainingProgress(steps, 1_000_000, 0, None, None))
+    assert stream.getvalue().splitlines()[-1].endswith("1,000 steps/s  at most 7:20 min to go")
+
+
 def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:
     def interrupt() -> None:
         raise KeyboardInterrupt

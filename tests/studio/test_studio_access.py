@@ -29,7 +29,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
 from deepbots_cli.studio.gate import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.tasks import LOG_NAME, Task, TaskRecord, Tasks, write_record
+from deepbots_cli.studio.tasks import LOG_NAME, TASK_NAME, Task, TaskRecord, Tasks
 from deepbots_cli.view import access
 
 TOKEN = "a-token-of-22-letters-"
@@ -381,7 +381,7 @@ def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
         path = tmp_path / "0001"
         path.mkdir()
         record = TaskRecord(words=("train",), folder="/", started=1e12, pid=sleeping.pid)
-        write_record(path, record)
+        (path / TASK_NAME).write_text(record.model_dump_json())
         (task,) = Tasks(tmp_path).all
         assert not task.is_running
         task.stop()

@@ -164,6 +164,9 @@ def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
             assert file.text == SCENARIO
             with pytest.raises(UsageError, match="these values already"):
                 session.write_values({"reward.bonus": ""})
+            session.training_options["--timesteps"] = "512"  # which would override the next value
+            session.write_values({"train.total_timesteps": "1_024"})
+            assert session.training_options["--timesteps"] == ""
 
     asyncio.run(run())
 
@@ -222,9 +225,12 @@ def test_the_robot_follows_the_newest_policy_of_a_training_until_a_text_is_saved
             await running.until(lambda: not training.is_running, 120)
             assert not session.following.is_offered
 
-            # From a robot that shows a policy, the next training is followed without being asked.
-            robot.show(folder / "runs" / "mine-1")
+            # A training that has just ended is shown, too.
+            session.following.turn(True)
+            await running.until(lambda: robot.reference == str(folder / "runs" / "mine-1"))
             await running.runs()
+
+            # From a robot that shows a policy, the next training is followed without being asked.
             session.following.turn(False)
             assert robot.reference == str(folder / "runs" / "mine-1")
             session.commands.train("mine.yaml", ["--timesteps", "512"])

@@ -225,6 +225,9 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, ca
             "--episodes failed repeats an evaluation of a run",
         ),
         (["render", "epuck", "-o", "b.gif"], "epuck is a robot file"),
+        (["render", "epuck", "--seed", "0"], "epuck is a robot file"),
+        (["render", "epuck", "--last"], "epuck is a robot file"),
+        (["render", "cartpole", "--size", "9" * 5000 + "x100"], "is not a size"),
     ):
         assert main(words) == 2
         assert message in " ".join(capsys.readouterr().err.split())

@@ -67,6 +67,16 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
         assert player.driver._policy is before
 
 
+def test_the_named_model_drives_a_batch_too(tmp_path):
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    run.model("best").write_bytes(b"")  # which would be refused
+    for worlds in (None, 2):
+        shown = Showing(str(run.path), engine="mujoco", worlds=worlds, model="last")
+        with closing(open_player(shown.open())) as player:
+            player.begin(0, 0)
+            assert player.step().step == 1
+
+
 def test_the_page_of_a_training_marks_the_stages_of_its_curriculum(tmp_path):
     pytest.importorskip("viser")
     from deepbots_cli.view.page import Page

@@ -133,9 +133,12 @@ def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path
     ("name", "reason"),
     [
         ("see_ball", "camera"),
-        ("biped", "stiffness"),
+        ("biped", "motors of Webots have no stiffness, and no torque that falls with their speed."),
         ("tag", "Several agents"),
-        ("cartpole_wireless", "each physics step"),
+        (
+            "cartpole_wireless",
+            "Delays, and other actuators that act in each physics step, cannot be exported.",
+        ),
         ("panda_reach", "panda_joint4"),
         ("tests/data/hosts/radar.yaml", "does not say which body"),
     ],

@@ -46,7 +46,7 @@ def test_a_template_makes_nodes_of_the_values_of_its_fields(tmp_path: Path):
           if (fields.part.value === undefined) { sum += 100; }
         >%
         # a comment %< }}} >%
-        Solid { translation %<= size.x * 2 >% 0 %<= fields.size.defaultValue.z >%
+        Solid { translation %<= size.x * 2 // twice >% 0 %<= fields.size.defaultValue.z >%
           name "%<= sum + " " + context.os >%"
           children [ %< for (let k = 0; k < 3; ++k) { >% Pose { translation %<= k >% 0 0 } %< } >% ] }""",
         "Thing { size 5 5 5 list [ 3 4 ] }",
@@ -117,6 +117,7 @@ def test_a_template_imports_modules_of_a_copy_of_webots(tmp_path: Path):
             "imports wbrandom.js, which is not available",
         ),
         ("%<= 'x'.repeat(2 ** 24) >%", "makes more than 8 MiB"),
+        ("%< return 5; >% Solid { }", "returns before its end"),
         ("Solid { name '%<= '%' + '< 1 >' + '%' >%' }", "makes another template"),
     ],
 )

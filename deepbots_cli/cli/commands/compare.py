@@ -20,6 +20,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.words import counted, sentence_list
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
@@ -125,10 +126,9 @@ def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compi
 def _refuse_options(names: Sequence[str]) -> None:
     """Refuse options that agents that compete do not take."""
     if names:
-        listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
         hint = ", and write a change as a scenario with `extends` for --scenario" if "--case" in names else ""
         raise UsageError(
-            f"agents that compete play against each other in one scenario; leave out {listed}{hint}"
+            f"agents that compete play against each other in one scenario; leave out {sentence_list(names)}{hint}"
         )
 
 
@@ -180,8 +180,8 @@ def _lines(comparison: Comparison) -> Iterator[str]:
     else:
         where = ""
     yield (
-        f"{where}{comparison.episodes:,} held-out episode{'' if comparison.episodes == 1 else 's'} of each"
-        f" run, from evaluation seed {comparison.seed}"
+        f"{where}{counted(comparison.episodes, 'held-out episode')} of each run, from evaluation seed"
+        f" {comparison.seed}"
     )
     has_success = all(group.success_defined for group in comparison.groups)
     yield table([_row(group, success_defined=has_success) for group in comparison.groups])

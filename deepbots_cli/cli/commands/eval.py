@@ -42,6 +42,7 @@ from deepbots_cli.learning.group import Group
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -530,7 +531,7 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
     gates = request.gates
     scenarios = request.scenarios(group.record.engine)
     ready = group.runs_with_model
-    reason = f"{request.run} contains {len(ready)} trained run{'' if len(ready) == 1 else 's'}"
+    reason = f"{request.run} contains {counted(len(ready), 'trained run')}"
     processes.check_dividable(request.workers, request.address, len(ready), reason)
     options = {**request.options, **further_options, "case": request.case, "stage": request.stage}
     groups: list[GroupResult] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ from deepbots_cli.learning.run import ModelName, ModelRef
 from deepbots_cli.program.world import RobotBody, WorldModel
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+from deepbots_cli.words import sentence_list
 
 if TYPE_CHECKING:
     from deepbots_cli.view.episodes import Player
@@ -70,6 +72,7 @@ _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
 """The files that an option applies to; other options apply to all."""
 _DEFAULT_SIZES = {PICTURE: (640, 480)}
 MAX_SIDE = 4096
+_SIZE = re.compile(r"[0-9]{1,5}[xX][0-9]{1,5}")
 MAX_EPISODES = 10_000
 MAX_FILMS = 10
 """The largest number of failed episodes of which a film is made."""
@@ -80,14 +83,13 @@ _VIDEO_ONLY = "Video (.mp4, .gif, .html)"
 
 def size(text: str) -> tuple[int, int]:
     """Parse `640x480`, the width and height of a picture in pixels."""
-    wide, _, tall = text.lower().partition("x")
-    if not (
-        wide.isdecimal() and tall.isdecimal() and 16 <= int(wide) <= MAX_SIDE and 16 <= int(tall) <= MAX_SIDE
-    ):
+    sides = [int(side) for side in re.findall(r"[0-9]+", text)] if _SIZE.fullmatch(text) else []
+    if not sides or not all(16 <= side <= MAX_SIDE for side in sides):
         raise typer.BadParameter(
             f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}"
         )
-    return int(wide), int(tall)
+    width, height = sides
+    return width, height
 
 
 def point(text: str) -> tuple[float, float, float]:
@@ -225,7 +227,8 @@ def command(
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
-        has_episode = any((driver, seed, episode, overrides, case, stage))
+        of_episode = (driver, seed, episode, overrides, case, stage)
+        has_episode = last or any(value is not None for value in of_episode)
         _check_robot_options(shown, kind, present, has_episode=has_episode)
         pictures.check_target(file, SUFFIXES, force=force)
         _draw_robot(shown, file, shot, engine_or_default(engine), permissions)
@@ -403,9 +406,7 @@ def _checked_kind(file: Path, options: Sequence[str]) -> str:
     """
     kind = file.suffix.lower()
     if kind not in SUFFIXES:
-        raise UsageError(
-            f"{file} must end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; the suffix says what is made"
-        )
+        raise UsageError(f"{file} must end in {sentence_list(SUFFIXES, 'or')}; the suffix says what is made")
     wrong = [name for name in options if kind not in _SUFFIXES_OF[name]]
     if wrong:
         reasons = [f"{name} is for {', '.join(_SUFFIXES_OF[name])}" for name in wrong]

@@ -28,12 +28,14 @@ from deepbots_cli.learning.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.words import unit_text
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.export.control import ControlStep
     from deepbots_robot.model import ActionPart, BundleInfo, Input, Output, RobotFile, RosTopic
 
-_LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9][\w.+() -]*)")
+_LICENSE = re.compile(r"SPDX-License-Identifier:\s*([A-Za-z0-9(][\w.+() -]*)")
+_SCENARIO_SUFFIXES = (".yaml", ".yml")
 
 
 def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[PurePosixPath, bytes]:
@@ -79,9 +81,9 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         numbers=run.program.agent.numbers,
         places=_message_paths(info),
     )
-    # The scenario names the copies of its robot files; the YAML files that it was put together from are in
-    # it.
-    robots = [name for name in run.record.inputs if not name.endswith((".yaml", ".yml"))]
+    # The scenario names the copies of its robot files. It contains the YAML files that it extends or
+    # includes.
+    robots = [name for name in run.record.inputs if not name.endswith(_SCENARIO_SUFFIXES)]
     files = {
         bundle.GRAPH_NAME: graph,
         bundle.PARITY_NAME: parity,
@@ -220,7 +222,7 @@ def _action_parts(program: Program) -> list[ActionPart]:
     for part in program.agent.action:
         if isinstance(part, ActionRange):
             parts += [
-                ActionPart(name=name, unit=part.unit.removeprefix("1"), low=part.low, high=part.high)
+                ActionPart(name=name, unit=unit_text(part.unit), low=part.low, high=part.high)
                 for name in part.names
             ]
         else:
@@ -250,7 +252,7 @@ def _licenses(inputs: Path) -> dict[str, str]:
     """Return the SPDX identifiers in the scenario and robot files of a run, by file."""
     licenses = {}
     for path in sorted(inputs.rglob("*")):
-        if path.suffix in (".yaml", ".urdf", ".xacro") and (
+        if path.suffix in (*_SCENARIO_SUFFIXES, ".urdf", ".xacro") and (
             match := _LICENSE.search(path.read_text("utf-8", errors="replace"))
         ):
             licenses[path.relative_to(inputs).as_posix()] = match[1].strip(" -")

@@ -25,6 +25,7 @@ from deepbots_cli.insight.export.graph import Graph
 from deepbots_cli.insight.export.network import Decision, decide, policy_graph, takes_masks
 from deepbots_cli.learning.learner import Learner
 from deepbots_cli.program import Program
+from deepbots_cli.words import unit_text
 
 STATE, ACTION = "observation.state", "action"
 GRAPH_NAME, FEATURES_NAME = "policy.onnx", "features.json"
@@ -72,7 +73,7 @@ def lerobot_files(program: Program, learner: Learner) -> dict[PurePosixPath, byt
     ]
     features = {
         STATE: _feature(
-            [number.full_name for number in numbers], [number.unit.removeprefix("1") for number in numbers]
+            [number.full_name for number in numbers], [unit_text(number.unit) for number in numbers]
         ),
         ACTION: _feature(names, [entry.unit for entry in outputs for _ in range(entry.shape[0])]),
     }

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from functools import partialmethod
 from typing import TYPE_CHECKING, Any, Protocol
 
 from deepbots_cli.port import EngineProxy
@@ -56,12 +55,6 @@ class ReaderLog(EngineProxy):
     def bound(self, read: Callable[..., Any]) -> Any:
         self.readers.append(read)
         return read
-
-    velocity_motor = partialmethod(_pass, "velocity_motor", 1)
-    position_motor = partialmethod(_pass, "position_motor", 1)
-    torque_motor = partialmethod(_pass, "torque_motor", 1)
-    pusher = partialmethod(_pass, "pusher", 1)
-    before_substep = partialmethod(_pass, "before_substep", 0)
 
     def readings(self) -> list[Any]:
         """Return the value of each reader, as lists of numbers."""

@@ -26,18 +26,20 @@ _OF_ROBOTS = frozenset(
     )
 )
 _MISSING = {
-    "contact": "touch sensors of robots",
-    "contact_force": "contact forces",
-    "contact_force_vector": "contact forces",
-    "joint_wrench": "forces and torques in joints",
-    "camera": "cameras",
-    "pusher": "disturbances and thrust",
-    "before_substep": "actuators that act in each physics step, such as those with a delay",
-    "line_of_sight": "lines of sight",
+    "contact": "Touch sensors of robots",
+    "contact_force": "Contact forces",
+    "contact_force_vector": "Contact forces",
+    "joint_torques": "Torques of motors that the supervisor reads",
+    "joint_wrench": "Forces and torques in joints",
+    "camera": "Cameras",
+    "pusher": "Disturbances and thrust",
+    "before_substep": "Delays, and other actuators that act in each physics step,",
+    "line_of_sight": "Lines of sight that a robot measures",
     "inverse_kinematics": "Cartesian actuators",
-    "clearance": "clearances that a robot measures",
-    "angular_momentum": "angular momentum that a robot measures",
+    "clearance": "Clearances that a robot measures",
+    "angular_momentum": "Angular momentum that a robot measures",
 }
+"""What the methods of an engine are for, as the subject of a sentence."""
 _OF_SUPERVISOR = frozenset(
     ["contact_force", "contact_force_vector", "joint_torques", "joint_wrench", "camera", "pusher"]
 )
@@ -70,16 +72,9 @@ class Recorder(EngineProxy):
         self.parameters: set[str] = set()
         self.has_joint_velocities = False
 
-    def bound(self, read: Any) -> Any:
-        return read
-
     def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
         self.methods.add(method)
         return super()._pass(method, parts, *args, **kwargs)
-
-    def pusher(self, part: Any, frame: Any = "world") -> Any:
-        self.methods.add("pusher")
-        return self.engine.pusher(part, frame)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         self.has_joint_velocities |= velocity != 0.0
@@ -129,11 +124,13 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
             )
     for actuator in robot.actuators:
         if not isinstance(actuator, Motor):
-            gaps.miss(f"The actuator {actuator.name} of {robot.name} is no motor of a joint.")
+            gaps.miss(
+                f"The actuator {actuator.name} of {robot.name} cannot be exported: it is not a motor of a joint."
+            )
         elif actuator.stiffness is not None or actuator.no_load_speed is not None:
             gaps.miss(
-                f"The motor {actuator.name} of {robot.name} has a stiffness, or a torque that falls with its"
-                " speed; motors of Webots have neither."
+                f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no stiffness,"
+                " and no torque that falls with their speed."
             )
     if not (robot.to_route.perfect and robot.from_route.perfect):
         gaps.differ("Latency, loss and range of messages are left out.")
@@ -170,8 +167,7 @@ def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
             if isinstance(remote, RemoteRobot):
                 _gaps_of_calls(remote, gaps)
     for method in sorted(recorder.methods & _OF_SUPERVISOR):
-        quantity = _MISSING.get(method, "torques of motors that the supervisor reads")
-        gaps.miss(f"The supervisor of Webots cannot measure {quantity}.")
+        gaps.miss(f"{_MISSING[method]} cannot be exported.")
     if "contact" in recorder.methods:
         gaps.differ("A contact counts if it lasts until the end of a timestep.")
     for seed in SEEDS:
@@ -181,7 +177,7 @@ def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
     varied = sorted(recorder.parameters - _LOOKS - {"gravity"})
     if varied:
         names = ", ".join(name.replace("_", " ") for name in varied)
-        gaps.differ(f"What episodes vary of {names} has its usual value in Webots.")
+        gaps.differ(f"Changes of {names} between episodes are left out.")
     if recorder.parameters & _LOOKS:
         gaps.differ("Colors and light that episodes vary have their usual values.")
     if recorder.has_joint_velocities:
@@ -191,6 +187,6 @@ def dynamic_gaps(recorder: Recorder, task: Supervisor, gaps: Gaps) -> None:
 def _gaps_of_calls(remote: RemoteRobot, gaps: Gaps) -> None:
     for method, _, options in remote.log.calls:
         if method not in _OF_ROBOTS:
-            gaps.miss(f"Robots in Webots do not have {_MISSING.get(method, method.replace('_', ' '))}.")
+            gaps.miss(f"{_MISSING[method]} cannot be exported.")
         if options.get("upright"):
             gaps.miss("Rays that stay level when the robot tilts cannot be exported.")
