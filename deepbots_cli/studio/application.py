@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import json
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 from fastapi import FastAPI, Request, Response
+from fastapi.responses import FileResponse, JSONResponse
 from nicegui import ui
 
 from deepbots_cli.studio.gate import Guarded
@@ -41,6 +41,8 @@ def application_of(session: Session, gate: access.Gate, first: Path | None) -> G
             yield
         finally:
             watching.cancel()
+            with suppress(asyncio.CancelledError):
+                await watching
             await session.close()
 
     application = FastAPI(lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
@@ -78,16 +80,16 @@ class _Routes:
 
     async def _complete(self, request: Request) -> Response:
         place = await self._place(request)
-        return _json({"options": []} if place is None else self._session.language.complete(*place))
+        return JSONResponse({"options": []} if place is None else self._session.language.complete(*place))
 
     async def _hover(self, request: Request) -> Response:
         place = await self._place(request)
-        return _json(None if place is None else self._session.language.hover(*place))
+        return JSONResponse(None if place is None else self._session.language.hover(*place))
 
     async def _place(self, request: Request) -> tuple[Path, str, int, int] | None:
         """Return file, text, line and column of a request; None if it has none."""
         try:
-            content = json.loads(await request.body())
+            content = await request.json()
             path = Path(content["path"])
             text, line, column = content["text"], content["line"], content["column"]
         except (ValueError, TypeError, KeyError, RecursionError):
@@ -109,13 +111,7 @@ class _Routes:
         kind = _MEDIA_TYPES.get(file.suffix) if file is not None else None
         if file is None or kind is None or not file.resolve().is_relative_to(session.folder):
             return Response("there is no such file\n", 404)
-        try:
-            content = await asyncio.to_thread(file.read_bytes)
-        except OSError:
+        if not file.is_file():
             return Response("the file is gone\n", 404)
         policy = _PAGE_POLICY if kind == "text/html" else _MEDIA_POLICY
-        return Response(content, media_type=kind, headers={"Content-Security-Policy": policy})
-
-
-def _json(value: object) -> Response:
-    return Response(json.dumps(value), media_type="application/json")
+        return FileResponse(file, media_type=kind, headers={"Content-Security-Policy": policy})

@@ -319,9 +319,10 @@ class Session:
         while True:
             try:
                 await self._look()
-            except (DeepbotsError, OSError) as error:  # of a damaged file; drafts must be kept nevertheless
-                if self.notice != str(error):
-                    self.say(str(error))
+            except Exception as error:  # noqa: BLE001 - drafts must be kept, whatever fails
+                sentence = str(error) if isinstance(error, DeepbotsError | OSError) else repr(error)
+                if self.notice != sentence:
+                    self.say(sentence)
             await asyncio.sleep(_WATCH_INTERVAL_S)
 
     async def _look(self) -> None:
