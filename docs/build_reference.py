@@ -163,7 +163,11 @@ def _defaults() -> Iterator[str]:
         " one scenario or run."
     )
     for algorithm, model in ALGORITHMS.items():
-        own, library, title = DEFAULTS[algorithm], library_defaults(algorithm) or {}, library_of(algorithm)
+        own, library, title = (
+            DEFAULTS.get(algorithm, {}),
+            library_defaults(algorithm) or {},
+            library_of(algorithm),
+        )
         yield from ["", f"### {algorithm}", "", "| hyperparameter | default | set by |", "|---|---|---|"]
         for name in model.hyperparameter_names():
             text, source = (

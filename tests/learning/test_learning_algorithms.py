@@ -18,6 +18,7 @@ import stand_in
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from sb3_contrib import QRDQN
 from stand_in import hyper
 
 from deepbots_cli import api
@@ -25,14 +26,16 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.installation import install_hint
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
 from deepbots_cli.learning.run import Run
-from deepbots_cli.learning.sb3 import algorithms, defaults, models
+from deepbots_cli.learning.sb3 import algorithms, defaults, models, networks
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.learning.sb3.environment import CollectorEnvironment
 from deepbots_cli.learning.sb3.learner import OffPolicyLearner
+from deepbots_cli.learning.sb3.rollouts import ExplorationActor
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, AdaptiveRate, Hindsight, Network, Schedule, Training
 from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.worlds import Worlds
+from deepbots_cli.scenario.training import ALGORITHMS
 from tests.few import few
 
 SMALL = Network((8,))
@@ -450,10 +453,24 @@ def test_the_frequency_of_updates_may_be_given_in_episodes(tmp_path: Path) -> No
     assert learned(stand_in.build, tmp_path, training).steps >= 200
 
 
+# Networks
+
+
+def test_a_policy_with_unknown_networks_is_refused_where_its_layers_are_needed() -> None:
+    model = QRDQN("MlpPolicy", gym.make("CartPole-v1"), buffer_size=1)
+    assert networks.critic_values(model.policy, [np.zeros(4, np.float32)]) is None
+    with pytest.raises(
+        UsageError,
+        match="the policy QRDQNPolicy cannot act in other processes: it has no network `action_net`, `q_net` or"
+        " `actor`",
+    ):
+        ExplorationActor(model).parameters()
+
+
 # Defaults
 
 
-STABLE = sorted(set(defaults.DEFAULTS) - {"rsl_rl.PPO"})
+STABLE = sorted(set(ALGORITHMS) - {"rsl_rl.PPO"})
 
 
 @pytest.mark.parametrize("algorithm", STABLE)

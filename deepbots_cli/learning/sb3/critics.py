@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.preprocessing import get_action_dim
 
+from deepbots_cli.learning.sb3.networks import Family, family_of, lowest
 from deepbots_cli.rollout.worlds import Array
 
 _SAMPLES = 256
@@ -41,10 +42,13 @@ class CriticCheck(NamedTuple):
 
 def check_critic(model: Any) -> CriticCheck | None:
     """Compare the newest steps in the replay buffer whose return is known; None while there are too few of
-    them.
+    them, and for a policy of no family.
 
     No random number is drawn, and nothing is changed.
     """
+    family = family_of(model.policy)
+    if family is None:
+        return None
     buffer = model.replay_buffer
     # Three times the horizon leave 1 - exp(-2) of the steps with a known return.
     horizon = math.ceil(math.log(_UNKNOWN) / math.log(model.gamma)) if 0 < model.gamma < 1 else _WINDOW
@@ -66,7 +70,7 @@ def check_critic(model: Any) -> CriticCheck | None:
     samples = np.linspace(0, len(steps) - 1, min(_SAMPLES, len(steps))).round().astype(int)
     steps, copies = steps[samples], copies[samples]
     cells = rows[steps], copies
-    values = _values(model, buffer, cells)
+    values = _values(family, model, buffer, cells)
     return CriticCheck(float(values.mean()), float(followed[steps, copies].mean()))
 
 
@@ -86,7 +90,7 @@ def _discounted(rewards: Array, dones: Array, timeouts: Array, gamma: float) -> 
     return followed, unknown
 
 
-def _values(model: Any, buffer: Any, cells: tuple[Array, Array]) -> Array:
+def _values(family: Family, model: Any, buffer: Any, cells: tuple[Array, Array]) -> Array:
     """Return the critic's values of stored steps, the smaller one of two critics."""
     contents: Any = buffer.observations
     stored = (
@@ -98,11 +102,5 @@ def _values(model: Any, buffer: Any, cells: tuple[Array, Array]) -> Array:
     actions = buffer.actions[cells][:, : get_action_dim(model.action_space)]
     with torch.no_grad():
         observations, _ = model.policy.obs_to_tensor(stored)
-        if hasattr(model, "q_net"):
-            action_columns = torch.as_tensor(actions, device=model.device).long().reshape(-1, 1)
-            predictions = model.q_net(observations).gather(1, action_columns)
-        else:
-            values = model.critic(observations, torch.as_tensor(actions, device=model.device).float())
-            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            predictions = values.mean(dim=2) if isinstance(values, torch.Tensor) else torch.cat(values, dim=1)
-    return np.asarray(predictions.min(dim=1).values.cpu().numpy(), float)
+        columns = torch.as_tensor(actions, device=model.device)
+        return lowest(family.values(model.policy, observations, columns))

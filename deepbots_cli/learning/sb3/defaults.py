@@ -20,13 +20,6 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.task import ActionNoise, Schedule, Training
 from deepbots_cli.scenario.training import ALGORITHMS
 
-LIBRARIES: Mapping[str, str] = {
-    "MaskablePPO": "sb3_contrib",
-    "RecurrentPPO": "sb3_contrib",
-    "TQC": "sb3_contrib",
-    "rsl_rl.PPO": "rsl_rl",
-}
-"""The package of each algorithm that Stable-Baselines3 does not have itself."""
 _LIBRARY_TITLES = {
     "stable_baselines3": "Stable-Baselines3",
     "sb3_contrib": "sb3-contrib",
@@ -148,7 +141,7 @@ DEFAULTS: Mapping[str, Mapping[str, Default]] = {
     "TQC": _ACTOR_CRITIC,
     "rsl_rl.PPO": _RSL,
 }
-"""Our defaults, by algorithm and hyperparameter."""
+"""Our defaults, by algorithm and hyperparameter; an algorithm without any is left out."""
 
 
 def default_values(training: Training, total_timesteps: int, longest_episode: int) -> dict[str, object]:
@@ -218,7 +211,14 @@ def _hyperparameters_of_members(scenario: Program, total_timesteps: int) -> list
 
 def library_of(algorithm: str) -> str:
     """Return the title of the library that has the algorithm."""
-    return _LIBRARY_TITLES[LIBRARIES.get(algorithm, "stable_baselines3")]
+    return _LIBRARY_TITLES[_package(algorithm)]
+
+
+def _package(algorithm: str) -> str:
+    """Return the package that has the algorithm. `rsl_rl.PPO` names it, because deepbots has the class that
+    its model imports."""
+    imported = ALGORITHMS[algorithm].import_path.partition(":")[0]
+    return algorithm.rpartition(".")[0] or imported
 
 
 @cache
@@ -227,7 +227,7 @@ def library_defaults(algorithm: str) -> Mapping[str, object] | None:
 
     A default that is no literal is given as its text.
     """
-    spec = find_spec(LIBRARIES.get(algorithm, "stable_baselines3"))
+    spec = find_spec(_package(algorithm))
     if spec is None or spec.origin is None:
         return None
     name = algorithm.rpartition(".")[2]

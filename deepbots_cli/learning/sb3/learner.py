@@ -320,7 +320,7 @@ class StableLearner(Learner):
     def values(self, observations: Any) -> Array | None:
         if self.setup.policy_columns is not None:  # the observations lack what the critic sees
             return None
-        return networks.critic_values(self.setup.training, self.model.policy, observations)
+        return networks.critic_values(self.model.policy, observations)
 
     def network(self) -> networks.PolicyNetwork:
         return networks.policy_network(self.setup.training, self.model.policy)

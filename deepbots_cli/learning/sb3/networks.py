@@ -1,12 +1,12 @@
-"""The layers of a policy of Stable-Baselines3, by the algorithm that made it: for evaluations, an export, and
-the values of its critic."""
+"""The networks of a policy of Stable-Baselines3, by its family: for evaluations, an export, shards, and the
+values of its critic."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3.asymmetric import PolicyColumns, policy_extractor
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.worlds import Array
-from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import sentence_list
 
 
 def likeliest_actions(policy: Any, observations: Any) -> Array | None:
@@ -97,6 +97,84 @@ def _is_layers(policy: Any) -> bool:
     )
 
 
+class Family(Protocol):
+    """How the policies of some algorithms are built.
+
+    Attributes:
+        name: The attribute of such a policy, and of no other one, with the network that chooses actions.
+    """
+
+    name: str
+
+    def layers(self, policy: Any) -> tuple[Any, nn.Module]:
+        """Return the extractor of the policy, and its layers up to the logits of choices or the values of
+        ranges."""
+
+    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the value of each row of observations: a column for each critic, shape (rows, critics).
+
+        The value is V, or Q of these actions, by default of those of the policy.
+        """
+
+
+class _OnPolicy:
+    """PPO, A2C, MaskablePPO, RecurrentPPO."""
+
+    name = "action_net"
+
+    def layers(self, policy: Any) -> tuple[Any, nn.Module]:
+        layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
+        return policy.pi_features_extractor, layers
+
+    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+        values: torch.Tensor = policy.predict_values(inputs)
+        return values
+
+
+class _OfChoices:
+    """DQN."""
+
+    name = "q_net"
+
+    def layers(self, policy: Any) -> tuple[Any, nn.Module]:
+        return policy.q_net.features_extractor, policy.q_net.q_net
+
+    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+        values: torch.Tensor = policy.q_net(inputs)
+        if actions is None:
+            return values.max(dim=1, keepdim=True).values
+        return values.gather(1, actions.long().reshape(-1, 1))
+
+
+class _OfRanges:
+    """SAC, TD3, DDPG, TQC."""
+
+    name = "actor"
+
+    def layers(self, policy: Any) -> tuple[Any, nn.Module]:
+        actor = policy.actor
+        if not hasattr(actor, "latent_pi"):  # TD3 and DDPG: the last layer of `mu` is a Tanh
+            return actor.features_extractor, actor.mu
+        return actor.features_extractor, nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh())
+
+    def values(self, policy: Any, inputs: Any, actions: torch.Tensor | None = None) -> torch.Tensor:
+        # Without `deterministic`, the actor of SAC and TQC would sample.
+        chosen = policy(inputs, deterministic=True) if actions is None else actions.float()
+        predicted = policy.critic(inputs, chosen)
+        # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
+        if isinstance(predicted, torch.Tensor):
+            return predicted.mean(dim=2)
+        return torch.cat(predicted, dim=1)
+
+
+_FAMILIES: tuple[Family, ...] = (_OnPolicy(), _OfChoices(), _OfRanges())
+
+
+def family_of(policy: Any) -> Family | None:
+    """Return the family of a policy; None for one of another library, or of an unknown kind."""
+    return next((family for family in _FAMILIES if hasattr(policy, family.name)), None)
+
+
 @dataclass(frozen=True)
 class PolicyNetwork:
     """The computation of a policy, as modules of torch.
@@ -121,24 +199,16 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
     """Return the layers of the policy that an algorithm made.
 
     Raises:
-        UsageError: The policy has no modules of torch.
+        UsageError: The policy has no modules of torch, or is of no family.
     """
     if next(policy.parameters(), None) is None:
         raise UsageError(
             f"the policy of {training.algorithm} has no networks in torch, and cannot be exported"
         )
-    base = ALGORITHMS[training.algorithm].base()
-    layers: nn.Module
-    if base in ("PPO", "A2C", "MaskablePPO", "RecurrentPPO"):
-        extractor = policy.pi_features_extractor
-        layers = nn.Sequential(policy.mlp_extractor.policy_net, policy.action_net)
-    elif base == "DQN":
-        extractor, layers = policy.q_net.features_extractor, policy.q_net.q_net
-    else:  # the last layer of `mu` of TD3 and DDPG is a Tanh
-        actor = policy.actor
-        squashed = base in ("SAC", "TQC")
-        extractor = actor.features_extractor
-        layers = nn.Sequential(actor.latent_pi, actor.mu, nn.Tanh()) if squashed else actor.mu
+    family = family_of(policy)
+    if family is None:
+        raise UsageError(unknown_networks(policy, "cannot be exported"))
+    extractor, layers = family.layers(policy)
     space: Any = extractor.space if isinstance(extractor, PolicyColumns) else policy.observation_space
     # An observation with several parts has an extractor for each of them.
     extractors = getattr(policy_extractor(extractor), "extractors", None)
@@ -150,23 +220,29 @@ def policy_network(training: Training, policy: Any) -> PolicyNetwork:
         else {name: _plain(module) for name, module in extractors.items()},
         pictures=images if policy.normalize_images else frozenset(),
         transposed=images,
-        memory=policy.lstm_actor if base == "RecurrentPPO" else None,
+        memory=getattr(policy, "lstm_actor", None),
         layers=layers,
     )
+
+
+def unknown_networks(policy: Any, consequence: str) -> str:
+    """Return a sentence about a policy without a family."""
+    names = sentence_list([f"`{family.name}`" for family in _FAMILIES], "or")
+    return f"the policy {type(policy).__name__} {consequence}: it has no network {names}"
 
 
 def _plain(module: nn.Module) -> nn.Module:
     return nn.Sequential(module.cnn, module.linear) if isinstance(module, NatureCNN) else module
 
 
-def critic_values(training: Training, policy: Any, observations: Sequence[Any]) -> Array | None:
+def critic_values(policy: Any, observations: Sequence[Any]) -> Array | None:
     """Return the critic's value of each observation: V, or Q of the action of the policy, the smaller one of
     two critics.
 
-    The result is None for a policy without a network of torch, or with a memory.
+    The result is None for a policy of no family, or with a memory.
     """
-    base = ALGORITHMS[training.algorithm].base()
-    if not observations or base == "RecurrentPPO" or next(policy.parameters(), None) is None:
+    family = family_of(policy)
+    if not observations or family is None or hasattr(policy, "lstm_actor"):
         return None
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
     stacked = (
@@ -176,15 +252,9 @@ def critic_values(training: Training, policy: Any, observations: Sequence[Any]) 
     )
     with torch.no_grad():
         inputs, _ = policy.obs_to_tensor(stacked)
-        if base in ("PPO", "A2C", "MaskablePPO"):
-            values = policy.predict_values(inputs).reshape(len(observations), -1)
-        elif base == "DQN":
-            values = policy.q_net(inputs).max(dim=1, keepdim=True).values
-        else:
-            # Without `deterministic`, the actor of SAC and TQC would sample.
-            predicted = policy.critic(inputs, policy(inputs, deterministic=True))
-            # TQC has an array of quantiles (rows, critics, quantiles), others a tuple of columns.
-            values = (
-                predicted.mean(dim=2) if isinstance(predicted, torch.Tensor) else torch.cat(predicted, dim=1)
-            )
-        return np.asarray(values.min(dim=1).values.cpu().numpy(), float)
+        return lowest(family.values(policy, inputs))
+
+
+def lowest(values: torch.Tensor) -> Array:
+    """Return the smallest value of each row, shape (rows,)."""
+    return np.asarray(values.min(dim=1).values.cpu().numpy(), float)

@@ -17,13 +17,12 @@ from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.utils import obs_as_tensor
 from stable_baselines3.common.vec_env import VecTransposeImage
 
+from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.sb3 import internals, networks
 from deepbots_cli.learning.sb3.algorithms import DecayingNoise
 from deepbots_cli.rollout.collector import Decision, Fragment
 from deepbots_cli.rollout.worlds import Array
 
-_ACTING_NETWORKS = ("actor", "q_net")
-"""The attributes of off-policy policies that are the network that chooses actions."""
 _LSTM_BUFFERS = ("hidden_states_pi", "cell_states_pi", "hidden_states_vf", "cell_states_vf")
 
 
@@ -157,15 +156,16 @@ class ExplorationActor:
 
     def parameters(self) -> Mapping[str, Any]:
         model = self._model
+        family = networks.family_of(model.policy)
+        if family is None:  # others would act with its first weights
+            raise UsageError(networks.unknown_networks(model.policy, "cannot act in other processes"))
         numbers = {
             name: getattr(model, name)
             for name in (*internals.EXPLORATION, "num_timesteps", "n_envs")
             if hasattr(model, name)
         }
         return numbers | {
-            name: array
-            for name, array in _weights(model).items()
-            if name.partition(".")[0] in _ACTING_NETWORKS
+            name: array for name, array in _weights(model).items() if name.partition(".")[0] == family.name
         }
 
     def load(self, parameters: Mapping[str, Any]) -> None:
