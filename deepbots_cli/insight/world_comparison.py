@@ -20,7 +20,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, exp, floor, log
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -64,6 +64,8 @@ from deepbots_cli.learning.robustness import (
     plans,
 )
 from deepbots_cli.learning.run import ModelName, Run
+
+T = TypeVar("T")
 
 _MEASURED = "order, sign, unit, offset and age of numbers"
 """The changes that are tried without a simulation."""
@@ -186,62 +188,82 @@ def _simulated_causes(
     """Return the changes that explain most of a few short episodes, with the share that they explain of
     all."""
     probe = comparison.part()
-    scores: dict[tuple[_Kind, float], float] = {}
+    scores = _Scores(probe)
+    groups = _groups(probe, kinds, on_world)
+    likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
+    for group in _announced(likely, on_world):
+        for amount in group.first.amounts:
+            scores.of(group.first, amount)
+    likely.sort(key=lambda group: -scores.of(group.first, scores.best_amount(group.first)))
+    for group in _announced(likely[:_SEARCHED], on_world):
+        _search(group.first, scores.best_amount(group.first), scores.of)
+    effects = []
+    for group in _announced(likely, on_world):
+        amount = scores.best_amount(group.first)
+        values = _simulated(comparison, group.first, amount)
+        if values is not None:
+            effects.append(Effect([kind.text(amount) for kind in group.kinds], values))
+    return effects
 
-    def score(kind: _Kind, amount: float) -> float:
-        if (kind, amount) not in scores:
-            values = _simulated(probe, kind, amount)
-            scores[kind, amount] = -1.0 if values is None else max(probe.explained(values), -1.0)
-        return scores[kind, amount]
 
-    def best(kind: _Kind) -> float:
+def _announced(items: Sequence[T], on_world: Callable[[int, int], object]) -> Iterator[T]:
+    """Yield the items of a round; after each, `on_world` gets the number of those done, and of all."""
+    for number, item in enumerate(items, 1):
+        yield item
+        on_world(number, len(items))
+
+
+class _Scores:
+    """How much of a few short episodes the amounts of changes explain; each is simulated once."""
+
+    def __init__(self, probe: ValueComparison) -> None:
+        self._probe = probe
+        self._scores: dict[tuple[_Kind, float], float] = {}
+
+    def of(self, kind: _Kind, amount: float) -> float:
+        """Return the explained share, at least -1; -1 for a change that does not fit the scenario."""
+        if (kind, amount) not in self._scores:
+            values = _simulated(self._probe, kind, amount)
+            score = -1.0 if values is None else max(self._probe.explained(values), -1.0)
+            self._scores[kind, amount] = score
+        return self._scores[kind, amount]
+
+    def best_amount(self, kind: _Kind) -> float:
+        """Return the amount of a kind that explains most, among those with a score."""
         return max(
-            (amount for scored_kind, amount in scores if scored_kind is kind),
+            (amount for scored_kind, amount in self._scores if scored_kind is kind),
             # Rounded, so that the last bits do not choose among amounts with the same effect.
-            key=lambda amount: (round(scores[kind, amount], 9), amount),
+            key=lambda amount: (round(self._scores[kind, amount], 9), amount),
         )
 
+
+def _groups(
+    probe: ValueComparison, kinds: Sequence[_Kind], on_world: Callable[[int, int], object]
+) -> list[_Group]:
+    """Return the kinds of changes with an effect like the observed one; those with the same effect are one
+    group."""
     groups: list[_Group] = []
-    for number, kind in enumerate(kinds):
+    for kind in _announced(kinds, on_world):
         effects = [
             values for amount in kind.probes if (values := _simulated(probe, kind, amount)) is not None
         ]
-        on_world(number + 1, len(kinds))
         likeness = max(
             (probe.likeness(values) if kind.form else probe.explained(values) for values in effects),
             default=0.0,
         )
         if likeness <= 0.0:
             continue
-        duplicate = next(
-            (
-                group
-                for group in groups
-                if group.kinds[0].probes == kind.probes and probe.all_same(group.effects, effects)
-            ),
-            None,
+        duplicates = (
+            group
+            for group in groups
+            if group.first.probes == kind.probes and probe.all_same(group.effects, effects)
         )
+        duplicate = next(duplicates, None)
         if duplicate is None:
             groups.append(_Group([kind], effects, likeness))
         else:
             duplicate.kinds.append(kind)
-    likely = sorted(groups, key=lambda group: -group.likeness)[:_REFINED]
-    for number, group in enumerate(likely):
-        for amount in group.kinds[0].amounts:
-            score(group.kinds[0], amount)
-        on_world(number + 1, len(likely))
-    likely.sort(key=lambda group: -scores[group.kinds[0], best(group.kinds[0])])
-    for number, group in enumerate(likely[:_SEARCHED]):
-        _search(group.kinds[0], best(group.kinds[0]), score)
-        on_world(number + 1, len(likely[:_SEARCHED]))
-    rows = []
-    for number, group in enumerate(likely):
-        amount = best(group.kinds[0])
-        values = _simulated(comparison, group.kinds[0], amount)
-        if values is not None:
-            rows.append(Effect([kind.text(amount) for kind in group.kinds], values))
-        on_world(number + 1, len(likely))
-    return rows
+    return groups
 
 
 def _search(kind: _Kind, amount: float, score: Callable[[_Kind, float], float]) -> None:
@@ -282,6 +304,10 @@ class _Group:
     kinds: list[_Kind]
     effects: list[list[Array]]
     likeness: float
+
+    @property
+    def first(self) -> _Kind:
+        return self.kinds[0]
 
 
 # Changes of the first world
