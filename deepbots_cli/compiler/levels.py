@@ -39,7 +39,7 @@ class _LevelsReader(NamespaceReader):
         spec = self._levels
         errors_before = len(self._values.findings.errors)
         values = {name: self._values_of(name) for name in spec.set}
-        by_world = self._by_world(spec.per_world) if spec.per_world is not None else None
+        per_world = self._per_world(spec.per_world) if spec.per_world is not None else None
         start = self._start()
         up, down = self._outcomes("up"), self._outcomes("down")
         shared = sorted(up & down - {SUCCESS})
@@ -56,7 +56,7 @@ class _LevelsReader(NamespaceReader):
             frozenset(up),
             frozenset(down),
             spec.at_top == "random",
-            by_world,
+            per_world,
         )
 
     # The values of a parameter
@@ -160,7 +160,7 @@ class _LevelsReader(NamespaceReader):
             self._values.add("DB105", path, f"{headline} (SI units)", remedy)
         return not beyond
 
-    def _by_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
+    def _per_world(self, name: str) -> tuple[str, tuple[float, ...]] | None:
         """Return a parameter and its values, of which each world has one; None after a finding."""
         path: NodePath = (*self._levels.path, "per_world")
         remedy = f"draw it, for example `{name}: integer(0 .. 5)`, or remove `per_world`"

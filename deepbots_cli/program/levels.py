@@ -23,7 +23,7 @@ class Levels:
             `SUCCESS`.
         down: The outcomes after which it is one level lower.
         is_random_at_top: Whether `up` in the highest level leads to a random level.
-        by_world: The name of a draw, and its values (SI units), of which each world has one for the whole
+        per_world: The name of a draw, and its values (SI units), of which each world has one for the whole
             training; none without it.
     """
 
@@ -33,20 +33,20 @@ class Levels:
     up: frozenset[str]
     down: frozenset[str]
     is_random_at_top: bool
-    by_world: tuple[str, tuple[float, ...]] | None = None
+    per_world: tuple[str, tuple[float, ...]] | None = None
 
     def digest_fields(self) -> dict[str, object]:
         # The order of a set of texts differs between processes.
         fields = {**vars(self), "up": tuple(sorted(self.up)), "down": tuple(sorted(self.down))}
-        if self.by_world is None:  # The digests of files without it stay.
-            del fields["by_world"]
+        if self.per_world is None:  # The digests of files without it stay.
+            del fields["per_world"]
         return fields
 
     def first(self, world: int) -> int:
         """Return the level in which a world begins: the levels from the lowest to the highest, in turn, and
-        all values of `by_world` in each of them."""
+        all values of `per_world` in each of them."""
         low, high = self.start
-        turns = 1 if self.by_world is None else len(self.by_world[1])
+        turns = 1 if self.per_world is None else len(self.per_world[1])
         return low + world // turns % (high - low + 1)
 
     def settings(self, world: int, level: int) -> Mapping[str, float]:
@@ -54,10 +54,10 @@ class Levels:
         return {name: values[level] for name, values in self.values} | self.settings_of(world)
 
     def settings_of(self, world: int) -> dict[str, float]:
-        """Return the value of `by_world` that a world has in all levels."""
-        if self.by_world is None:
+        """Return the value of `per_world` that a world has in all levels."""
+        if self.per_world is None:
             return {}
-        name, values = self.by_world
+        name, values = self.per_world
         return {name: values[world % len(values)]}
 
     def next(self, level: int, outcomes: Sequence[str], draw: Callable[[], int]) -> int:

@@ -93,7 +93,7 @@ def test_a_parameter_with_one_value_is_not_divided() -> None:
     by_set = ["parameters.kind=integer(0 .. 3)", "curriculum.per_world=kind", "kind=2"]
     levels = api.compile(SCENARIO, overrides=by_set).program.levels
     assert levels is not None
-    assert levels.by_world is None
+    assert levels.per_world is None
 
 
 def test_one_value_by_set_replaces_the_levels() -> None:
