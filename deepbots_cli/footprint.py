@@ -1,32 +1,24 @@
-"""Footprints of bodies on the ground, as discs and rectangles; link frames; bounding boxes; the height at
-which a body rests.
+"""Footprints of bodies on the ground, as discs and rectangles, and the points where a robot touches it.
 
 The footprint of an object is a rectangle or a disc, exact while it stands upright. The footprint of a robot
 is the disc around its links with all joints at 0. Lengths are in m, angles in rad.
 
-Distances do not use shapely, and link frames do not use yourdfpy: lint needs both and imports no numpy. A
-patch and its distance to another take 19 us here and 17 us with shapely.
+Distances do not use shapely: lint needs them and imports no numpy. A patch and its distance to another take
+19 us here and 17 us with shapely.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import product
+from collections.abc import Iterator
 from math import cos, hypot, pi, sin
 from typing import NamedTuple
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Frame, Triple, quaternion
-from deepbots_cli.robots.meshes import mesh_bounds
+from deepbots_cli.frames import Frame, quaternion
+from deepbots_cli.robots.kinematics import bounds_of_shape, corners, placed, resting_height, solids
 from deepbots_cli.robots.model import (
-    Box,
     Capsule,
     Cylinder,
-    Geometry,
-    Joint,
-    Link,
-    Mesh,
     RobotModel,
     Shape,
     Sphere,
@@ -183,7 +175,7 @@ def half_width(model: RobotModel) -> float:
 def _all_discs(model: RobotModel) -> list[tuple[float, float, float]]:
     """Return the discs of all collision shapes, or of all visuals where there are none, in the frame of the
     root link."""
-    for pairs in (_placed(model, lambda link: link.collisions), _placed(model, lambda link: link.visuals)):
+    for pairs in (placed(model, lambda link: link.collisions), placed(model, lambda link: link.visuals)):
         discs = [disc for shape, frame in pairs for disc in _discs(shape, frame)]
         if discs:
             return discs
@@ -205,7 +197,7 @@ def _discs(shape: Shape, frame: Frame) -> Iterator[tuple[float, float, float]]:
         case Cylinder(radius) if hypot(axis[0], axis[1]) < 1e-3:
             yield x, y, radius
         case _:
-            yield from ((px, py, 0.0) for px, py, _ in _corners(shape, frame))
+            yield from ((px, py, 0.0) for px, py, _ in corners(shape, frame))
 
 
 def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
@@ -218,7 +210,7 @@ def contact_points(model: RobotModel, thickness: float) -> list[Spot]:
     lowest = -resting_height(model)
     touching = [
         (shape, frame)
-        for shape, frame in _solids(model)
+        for shape, frame in solids(model)
         if bounds_of_shape(shape, frame)[0][2] <= lowest + thickness
     ]
     return [foot for shape, frame in touching for foot in _feet(shape, frame, thickness)]
@@ -236,158 +228,6 @@ def _feet(shape: Shape, frame: Frame, thickness: float) -> Iterator[Spot]:
             end = -length / 2 if axis[2] > 0.0 else length / 2
             yield x + end * axis[0], y + end * axis[1]
         case _:
-            corners = _corners(shape, frame)
-            lowest = min(corner[2] for corner in corners)
-            yield from ((corner[0], corner[1]) for corner in corners if corner[2] <= lowest + thickness)
-
-
-# Link frames
-
-
-def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
-    """Return the frame of every link in the frame of the root; `positions` of joints (rad or m) are by name;
-    others are at 0 or follow."""
-    below: dict[str, list[Joint]] = {}
-    for joint in model.joints:
-        below.setdefault(joint.parent, []).append(joint)
-    positions = positions or {}
-    if model.followers:
-        followers = {
-            name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()
-        }
-        positions = {**followers, **positions}
-    frames_by_link = {model.root: frames.IDENTITY_FRAME}
-    waiting = [model.root]
-    while waiting:
-        parent = waiting.pop()
-        for joint in below.get(parent, ()):
-            frames_by_link[joint.child] = child_frame(
-                joint, frames_by_link[parent], positions.get(joint.name, 0.0)
-            )
-            waiting.append(joint.child)
-    return frames_by_link
-
-
-def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
-    """Return the frame of a joint's child link, from the frame of its parent link."""
-    frame = frames.compose(parent, frames.frame(joint.origin))
-    if not joint.moves or position == 0.0:
-        return frame
-    # URDF gives the axis in the frame of the joint, so the motion follows the origin.
-    if joint.type == "prismatic":
-        return frames.compose(frame, (frames.scaled(joint.axis, position), frames.IDENTITY_ROTATION))
-    return frames.compose(frame, (frames.IDENTITY_FRAME[0], frames.from_axis_angle(joint.axis, position)))
-
-
-def _placed(
-    model: RobotModel,
-    shapes_of: Callable[[Link], Iterable[Geometry]],
-    positions: Mapping[str, float] | None = None,
-) -> list[tuple[Shape, Frame]]:
-    """Return the shapes of each link of a robot, in the frame of its root."""
-    where = link_frames(model, positions)
-    parts = [(where[link.name], part) for link in model.links for part in shapes_of(link)]
-    return [(part.shape, frames.compose(link, frames.frame(part.origin))) for link, part in parts]
-
-
-def _solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
-    """Return the collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
-    return [
-        (shape, frame)
-        for shape, frame in _placed(model, lambda link: link.collisions)
-        if not isinstance(shape, Mesh)
-    ]
-
-
-# Bounding boxes
-
-Bounds = tuple[Triple, Triple]
-"""The lowest and the highest coordinates of a box."""
-
-
-def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
-    """Return the box around all shapes of a robot and the origins of its links, in the frame of its root;
-    `positions` as in `link_frames`."""
-    boxes = [
-        bounds_of_shape(shape, frame)
-        for shape, frame in _placed(model, lambda link: (*link.visuals, *link.collisions), positions)
-    ]
-    boxes += [(origin, origin) for origin, _ in link_frames(model, positions).values()]
-    return box_around(boxes)
-
-
-def without_meshes(model: RobotModel) -> RobotModel:
-    """Return the robot without its meshes, which may take seconds to read."""
-
-    def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
-        return tuple(part for part in parts if not isinstance(part.shape, Mesh))
-
-    links = tuple(
-        replace(link, visuals=plain(link.visuals), collisions=plain(link.collisions)) for link in model.links
-    )
-    return replace(model, links=links)
-
-
-def box_around(boxes: Sequence[Bounds]) -> Bounds:
-    """Return the box around all boxes; a cube of 1 m around the origin for none."""
-    lows, highs = zip(*(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))]), strict=True)
-    (x, y, z), (x_end, y_end, z_end) = map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True))
-    return (x, y, z), (x_end, y_end, z_end)
-
-
-def box_sides(box: Bounds) -> Triple:
-    """Return the lengths of a box along x, y and z."""
-    return frames.subtract(box[1], box[0])
-
-
-def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
-    """Return the height of the origin of a body that rests on flat ground with this attitude; meshes of a
-    robot do not count."""
-    tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
-    if not isinstance(body, RobotModel):
-        # `0.0 - z` and not `-z`, which is -0.0 for a body with its lowest point at the origin.
-        return 0.0 - bounds_of_shape(body, tilted)[0][2]
-    return 0.0 - min(
-        (bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in _solids(body)),
-        default=0.0,
-    )
-
-
-def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
-    """Return the box around a shape whose own frame is `frame`."""
-    (x, y, z), turn = frame
-    match shape:
-        case Sphere(radius):
-            dx = dy = dz = radius
-        case Capsule(radius, length):
-            dx, dy, dz = (abs(c) * length / 2 + radius for c in frames.rotate(turn, (0.0, 0.0, 1.0)))
-        case Cylinder(radius, length):
-            axis = frames.rotate(turn, (0.0, 0.0, 1.0))
-            # Rounding may take |c| above 1, and Python's root of a negative number is complex.
-            dx, dy, dz = (abs(c) * length / 2 + radius * max(0.0, 1.0 - c * c) ** 0.5 for c in axis)
-        case _:
-            xs, ys, zs = zip(*_corners(shape, frame), strict=True)
-            return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
-    return (x - dx, y - dy, z - dz), (x + dx, y + dy, z + dz)
-
-
-def _corners(shape: Shape, frame: Frame) -> list[Triple]:
-    """Return the corners of the box around a shape in its own axes; a mesh whose size is unknown counts as
-    its origin."""
-    x, y, z = zip(*_own_bounds(shape), strict=True)
-    return [frames.add(frame[0], frames.rotate(frame[1], corner)) for corner in product(x, y, z)]
-
-
-def _own_bounds(shape: Shape) -> Bounds:
-    match shape:
-        case Mesh():
-            return mesh_bounds(shape) or (frames.IDENTITY_FRAME[0], frames.IDENTITY_FRAME[0])
-        case Box(size):
-            a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
-        case Cylinder(radius, length):
-            a, b, c = radius, radius, length / 2
-        case Capsule(radius, length):
-            a, b, c = radius, radius, length / 2 + radius
-        case Sphere(radius):
-            a = b = c = radius
-    return (-a, -b, -c), (a, b, c)
+            ends = corners(shape, frame)
+            lowest = min(corner[2] for corner in ends)
+            yield from ((corner[0], corner[1]) for corner in ends if corner[2] <= lowest + thickness)

@@ -30,6 +30,7 @@ from deepbots_cli.footprint import Footprint, Patch
 from deepbots_cli.program.resets import MAX_SPOTS, Cells, Layout, ObjectGroup, Placement, Region, Top
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import MAX_BODIES, WALL_COLOR, ObjectBody, WorldModel
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Box, Cylinder, Mesh
 from deepbots_cli.scenario.scenario import MapLayout
 from deepbots_cli.scenario.scenario import Placement as PlacementSpec
@@ -270,7 +271,7 @@ class PlacementChecker(NamespaceReader):
 def _standing_patch(body: ObjectBody, place: Placement | None) -> Patch | None:
     """Return the patch of an object that rises above level ground; None if it does not, or if its place is
     not fixed."""
-    low, high = footprint.bounds_of_shape(body.shape)
+    low, high = kinematics.bounds_of_shape(body.shape)
     if place is None:  # a piece of a wall
         x, y, z = body.pose.xyz
         rpy = body.pose.rpy

@@ -11,11 +11,11 @@ import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.expressions.dimensions import ONE, Unit
-from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.draws import DrawnEffects
 from deepbots_cli.program.members import Member
 from deepbots_cli.program.world import WorldModel
+from deepbots_cli.robots.kinematics import bounds_of_shape
 from deepbots_cli.robots.model import Cylinder, Sphere
 from deepbots_cli.rollout import Episode
 from deepbots_cli.runtime.spaces import joined, parts_of_rows

@@ -22,7 +22,6 @@ from deepbots_cli.document import Node
 from deepbots_cli.document.nodes import entries_at, node_at, text_at
 from deepbots_cli.expressions.scalar import names_in
 from deepbots_cli.expressions.text import formula_text
-from deepbots_cli.footprint import box_sides, resting_height, robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.insight.timing import timing
 from deepbots_cli.learning.run import Run
@@ -47,6 +46,7 @@ from deepbots_cli.program.task import (
     ImageObservation,
     Schedule,
 )
+from deepbots_cli.robots.kinematics import box_sides, resting_height, robot_bounds
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 

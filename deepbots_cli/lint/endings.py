@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from math import sqrt
 from typing import NamedTuple
 
-from deepbots_cli import footprint
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import (
     ConditionComparison,
@@ -29,6 +28,7 @@ from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import whole_timesteps
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
 _TOUCHING_FACTOR = 0.98
@@ -538,7 +538,7 @@ def _height(analysis: Analysis, subject: str, shape: Shape | RobotModel) -> floa
         return None
     if heights.is_single:
         return heights.low
-    return footprint.resting_height(shape) if not heights.is_finite else None
+    return kinematics.resting_height(shape) if not heights.is_finite else None
 
 
 def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:

@@ -12,12 +12,12 @@ from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
-from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Triple
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import linear
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.program.task import Mirror, ObservedNumber, Symmetry
+from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import Joint, RobotModel
 
 _JOINT_READINGS = frozenset({"joint_position", "joint_velocity", "joint_torque"})

@@ -20,13 +20,14 @@ from deepbots_cli.expressions.intervals import NEVER, Interval, hull
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, walk
 from deepbots_cli.expressions.types import Reference
 from deepbots_cli.expressions.types import walk as walk_typed
-from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import Frame, Triple, quaternion
 from deepbots_cli.lint.context import RuleContext, Simulation, rule
 from deepbots_cli.lint.report import ARENA, MAX_SINK, TOPPLING_S, Clearance, SimulationPosition, UnreachedPose
 from deepbots_cli.lint.simulation import casts_rays, driven_wheels
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Thrust
 from deepbots_cli.program.world import ObjectBody, RobotBody, WorldModel, whole_timesteps
+from deepbots_cli.robots import kinematics
+from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.meshes import mesh_bounds
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
@@ -543,7 +544,7 @@ def _links_beside_wheels(model: RobotModel, wheels: tuple[str, ...]) -> Iterator
     ]
     bottoms: dict[str, float] = {}
     for link, part in shapes:
-        box = footprint.bounds_of_shape(part.shape, frames.compose(where[link], frames.frame(part.origin)))
+        box = kinematics.bounds_of_shape(part.shape, frames.compose(where[link], frames.frame(part.origin)))
         bottoms[link] = min(bottoms.get(link, inf), box[0][2])
     driven = {model.joint(wheel).child for wheel in wheels}
     lowest = min((bottoms.get(link, inf) for link in driven), default=inf)
@@ -743,7 +744,7 @@ class Heights:
         rays = [frames.compose(mount, frames.frame(ray)) for ray in sensor.beams.rays]
         tried: list[list[tuple[float, float]]] = []
         for positions in _attitudes(body.model):
-            link = frames.compose(root, footprint.link_frames(body.model, positions)[sensor.subjects[0]])
+            link = frames.compose(root, kinematics.link_frames(body.model, positions)[sensor.subjects[0]])
             ray_frames = [frames.compose(link, ray) for ray in rays]
             tried.append(
                 [(position[2], frames.rotate(turn, (1.0, 0.0, 0.0))[2]) for position, turn in ray_frames]
@@ -797,8 +798,8 @@ class Heights:
         poses = list(self._analysis.start.poses(body.name))
         top = -inf
         for shape, fixed in kinds:
-            box = footprint.bounds_of_shape(shape)
-            size = footprint.box_sides(box)
+            box = kinematics.bounds_of_shape(shape)
+            size = kinematics.box_sides(box)
             high = box[1][2]
             top = max(top, -inf if fixed else max(size))
             if not poses:  # a wall
@@ -822,7 +823,7 @@ class Heights:
             or not _end_is_motionless(body.model, _HIGHEST)
         ):
             return inf
-        return root[0][2] + footprint.robot_bounds(body.model)[1][2]
+        return root[0][2] + kinematics.robot_bounds(body.model)[1][2]
 
 
 def _attitudes(model: RobotModel) -> Iterator[dict[str, float]]:
@@ -848,9 +849,9 @@ def _end_is_motionless(model: RobotModel, end: int) -> bool:
 
     Meshes do not count.
     """
-    plain = footprint.without_meshes(model)
+    plain = kinematics.without_meshes(model)
     height, *other_heights = [
-        footprint.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)
+        kinematics.robot_bounds(plain, positions)[end][2] for positions in _attitudes(model)
     ]
     return all(abs(other_height - height) <= _SAME_HEIGHT_M for other_height in other_heights)
 
@@ -868,12 +869,12 @@ def _standing_height(model: RobotModel) -> float | None:
         min(foot[axis] for foot in contact_points) < center[axis] < max(foot[axis] for foot in contact_points)
         for axis in (0, 1)
     )
-    return footprint.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
+    return kinematics.resting_height(model) if stands and _end_is_motionless(model, _LOWEST) else None
 
 
 def _center_of_mass(model: RobotModel) -> tuple[float, float]:
     """Return (x, y) of the center of mass in the frame of the root, in m, with all joints at 0."""
-    where = footprint.link_frames(model)
+    where = kinematics.link_frames(model)
     inertials = [(link.name, link.inertial) for link in model.links if link.inertial]
     masses = [
         (inertial.mass, frames.compose(where[name], frames.frame(inertial.origin))[0])

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from math import isnan, nan
 from typing import NamedTuple
 
-from deepbots_cli import footprint, frames
+from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import ConditionComparison, Threshold, comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, range_text, with_unit
@@ -20,6 +20,7 @@ from deepbots_cli.expressions.types import Typed, walk
 from deepbots_cli.lint.context import RuleContext, rule
 from deepbots_cli.lint.observations import RangedNumber, first_of_each_clipped, ranged_numbers, replace_range
 from deepbots_cli.program.values import Expression
+from deepbots_cli.robots import kinematics
 
 _RELATIVE_ROUNDING = 1e-6
 """The relative difference that rounding alone may cause."""
@@ -296,7 +297,7 @@ def _reading_at_rest(analysis: Analysis, leaf: Scalar) -> float | None:
         tilt not in (NEVER, SIGNED_UNIT) for tilt in tilts
     ):
         return None
-    link = footprint.link_frames(model)[sensor.subjects[0]]
+    link = kinematics.link_frames(model)[sensor.subjects[0]]
     turn = frames.compose(link, frames.frame(sensor.mount))[1]
     # An accelerometer at rest measures the reaction to gravity, which points upward.
     x, y, z = analysis.program.world.gravity

@@ -20,13 +20,13 @@ from deepbots_cli.compiler.inputs import Inputs
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import MissingExtraError
-from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import rotate
 from deepbots_cli.lint.report import Fault, Halt, SimulationReport, decode
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot, Sensor
 from deepbots_cli.program.task import idle_action
+from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import RobotModel
 
 # What is simulated

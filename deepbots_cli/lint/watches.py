@@ -9,7 +9,7 @@ from functools import partial
 from math import acos, atan2, dist, hypot, inf, radians, remainder, tau
 from typing import NamedTuple
 
-from deepbots_cli import footprint, frames
+from deepbots_cli import frames
 from deepbots_cli.frames import Triple
 from deepbots_cli.lint.report import (
     ARENA,
@@ -27,6 +27,7 @@ from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Cartesian as CartesianActuator
 from deepbots_cli.program.robots import Sensor
 from deepbots_cli.program.world import ObjectBody
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import RobotModel
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Cartesian
@@ -286,7 +287,7 @@ class ArmWatch:
             else {}
         )
         position, rotation = frames.compose(
-            world.engine.pose(robot)(), footprint.link_frames(model, now | positions)[actuator.link]
+            world.engine.pose(robot)(), kinematics.link_frames(model, now | positions)[actuator.link]
         )
         distance = dist(position, target)
         angle = (
@@ -376,7 +377,7 @@ class RayWatch:
             return lambda: None
         tops = {body.name: _top_of(engine, body) for body in self._world.objects if body.solid}
         tops |= {
-            body.name: _top_of_robot(engine, body.name, footprint.robot_bounds(body.model))
+            body.name: _top_of_robot(engine, body.name, kinematics.robot_bounds(body.model))
             for body in self._world.robots
         }
         if self._world.arena is not None:
@@ -410,10 +411,10 @@ class RayWatch:
 def _top_of(engine: Engine, body: ObjectBody) -> Callable[[], float]:
     shapes = [variant.shape for variant in body.variants] or [body.shape]
     pose = engine.pose(body.name)
-    return lambda: max(footprint.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
+    return lambda: max(kinematics.bounds_of_shape(shape, pose())[1][2] for shape in shapes)
 
 
-def _top_of_robot(engine: Engine, name: str, box: footprint.Bounds) -> Callable[[], float]:
+def _top_of_robot(engine: Engine, name: str, box: kinematics.Bounds) -> Callable[[], float]:
     """Return a reader of an upper bound of the height in any attitude of the root, m."""
     pose = engine.pose(name)
     reach = hypot(*(max(-low, high) for low, high in zip(*box, strict=True)))

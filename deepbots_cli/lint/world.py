@@ -27,6 +27,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement
 from deepbots_cli.program.robots import CustomActuator, Motor, Sensor, Thrust
 from deepbots_cli.program.world import ARENA_WALLS, GROUND, ObjectBody, RobotBody, Variant
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Capsule, Cylinder, Mesh, Shape, Sphere, volume
 
 _MIN_DENSITY, _MAX_DENSITY = 0.1, 25_000.0
@@ -161,7 +162,7 @@ def odd_scale(context: RuleContext) -> Iterator[Finding]:
     world = context.program.world
     values = context.values
     sizes = [
-        (robot, max(footprint.box_sides(footprint.robot_bounds(footprint.without_meshes(robot.model)))))
+        (robot, max(kinematics.box_sides(kinematics.robot_bounds(kinematics.without_meshes(robot.model)))))
         for robot in world.robots
     ]
     robots = [(robot, size) for robot, size in sizes if size > 0.0]
@@ -221,8 +222,8 @@ def _is_within(start: StartRanges, robot: RobotBody, body: ObjectBody, shape: Sh
     """Return whether the origin of a robot lies within the outline of an object, seen from above, and part of
     the robot at the same height."""
     radius, half = _inner_cylinder(shape)
-    high = footprint.robot_bounds(footprint.without_meshes(robot.model))[1][2]
-    standing, lying = footprint.resting_height(robot.model), footprint.resting_height(shape)
+    high = kinematics.robot_bounds(kinematics.without_meshes(robot.model))[1][2]
+    standing, lying = kinematics.resting_height(robot.model), kinematics.resting_height(shape)
     pairs = [
         (thing_pose, robot_pose)
         for thing_pose in start.poses(body.name)
@@ -251,7 +252,7 @@ def _inner_cylinder(shape: Shape) -> tuple[float, float]:
         case Capsule(radius, length) | Cylinder(radius, length):
             return radius, length / 2
         case _:
-            return footprint.shape_footprint(shape).inradius, footprint.resting_height(shape)
+            return footprint.shape_footprint(shape).inradius, kinematics.resting_height(shape)
 
 
 def _odd_mass(

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
-from deepbots_cli import footprint
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, Scalar, is_drawn
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import EngineParameter
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import RobotModel, Shape
 
 MAX_SPOTS = 1_000_000  # the spots of a region with a grid
@@ -121,7 +121,7 @@ class Placement:
             or not isinstance(pitch, Const)
         ):
             return None
-        return footprint.resting_height(self.lying, roll.value, pitch.value)
+        return kinematics.resting_height(self.lying, roll.value, pitch.value)
 
     @property
     def seeks_height(self) -> bool:

@@ -1,10 +1,11 @@
 """Robots as data: from a URDF file to a checked model, changed by pure functions, and back to text.
 
-model.py     links, joints, shapes; mass, volume and inertia in closed form; normalized URDF for an engine;
-             a robot with one thing changed (with_scale, with_mass, with_friction, with_joint)
-elements.py  XML to elements with their position in the file; their numbers and vectors
-reader.py    elements to a checked model, every finding with its place
-meshes.py    the locations, permissions and contents of mesh files
-collada.py   the triangles of a COLLADA file, and its faults
-coverage.py  how many times the triangles of a mesh cover each other
+model.py       links, joints, shapes; mass, volume and inertia in closed form; normalized URDF for an engine;
+               a robot with one thing changed (with_scale, with_mass, with_friction, with_joint)
+kinematics.py  frames of links, bounding boxes, the height at which a robot or a shape rests
+elements.py    XML to elements with their position in the file; their numbers and vectors
+reader.py      elements to a checked model, every finding with its place
+meshes.py      the locations, permissions and contents of mesh files
+collada.py     the triangles of a COLLADA file, and its faults
+coverage.py    how many times the triangles of a mesh cover each other
 """

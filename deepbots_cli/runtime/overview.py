@@ -10,13 +10,13 @@ from functools import lru_cache
 from deepbots_cli.expressions.functions import interval_of
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.scalar import Const, Draw, Name, Op, Scalar
-from deepbots_cli.footprint import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.frames import Triple, add, cross, dot, quaternion, rotate, scaled
 from deepbots_cli.geometry import ground_height, terrain_bounds
 from deepbots_cli.port import ZERO_VECTOR, Engine, View
 from deepbots_cli.program import Program
 from deepbots_cli.program.resets import Placement, Region, Top
 from deepbots_cli.program.world import ObjectBody, Picture, Pit, Terrain, WorldModel
+from deepbots_cli.robots.kinematics import Bounds, bounds_of_shape, box_around, robot_bounds
 from deepbots_cli.runtime.placement import copy_offset
 
 # The direction of the eye from the middle: the right, a little to the front, above.

@@ -25,6 +25,7 @@ from deepbots_cli.program import Program
 from deepbots_cli.program.draws import kind_key
 from deepbots_cli.program.task import RobotCopies
 from deepbots_cli.program.world import ObjectBody, Variant, WorldModel
+from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Shape
 from deepbots_cli.runtime.streams import Streams
 
@@ -547,11 +548,11 @@ class Forms:
 
     def resting_height(self, body: str, rpy: Triple) -> float:
         """Return the height (m) of the body's origin if its lowest point touches flat ground."""
-        return footprint.resting_height(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
+        return kinematics.resting_height(self.models.get(body) or self.shape(body), rpy[0], rpy[1])
 
     def top(self, body: str, z: float, rpy: Triple) -> float:
         """Return the height of the top of an object whose origin is at `z`; infinite for a robot."""
-        return z + footprint.resting_height(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
+        return z + kinematics.resting_height(self.shape(body), rpy[0], rpy[1]) if body in self.things else inf
 
     def at_home(self, body: str) -> tuple[Patch, float]:
         """Return the patch and the top of an object at the pose of the world model."""

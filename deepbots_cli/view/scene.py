@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from deepbots_cli import frames, geometry
 from deepbots_cli.engines import masses, objects
 from deepbots_cli.errors import EngineError
-from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
+from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import (
     Box,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, degrees, sin
 
 from deepbots_cli import api
-from deepbots_cli.footprint import box_sides, robot_bounds
+from deepbots_cli.robots.kinematics import box_sides, robot_bounds
 from figures.drawing import Drawing, Point
 
 SCALE = 1150.0  # pixels per meter

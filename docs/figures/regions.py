@@ -10,9 +10,9 @@ from pathlib import Path
 from deepbots_cli import api
 from deepbots_cli.compiler import check
 from deepbots_cli.document import loads
-from deepbots_cli.footprint import robot_bounds
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.program.resets import Placement, Region
+from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.robots.model import Box, Sphere
 from deepbots_cli.runtime import Supervisor
 from figures.drawing import Drawing, Point

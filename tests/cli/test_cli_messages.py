@@ -11,8 +11,8 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.document import load, shipped
 from deepbots_cli.document.nodes import to_data
-from deepbots_cli.footprint import box_around
 from deepbots_cli.learning.report import TrainingProgress
+from deepbots_cli.robots.kinematics import box_around
 from deepbots_cli.runtime.overview import extent
 
 CARTPOLE = "deepbots: 1\nextends: cartpole\nname: Copy\n"

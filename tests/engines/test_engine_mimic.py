@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 
 from deepbots_cli.engines.kinematics import Chain
-from deepbots_cli.footprint import link_frames
 from deepbots_cli.frames import IDENTITY_FRAME
 from deepbots_cli.program.world import RobotBody, WorldModel
+from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import Inertial, Joint, Limit, Link, Mimic, Pose, RobotModel
 
 WEIGHTLESS = (0.0, 0.0, 0.0)

@@ -12,8 +12,8 @@ from PIL import Image
 from deepbots_cli import frames
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.footprint import bounds_of_shape
 from deepbots_cli.port import View
+from deepbots_cli.robots.kinematics import bounds_of_shape
 from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.pictures import (
     PaintedPath,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.footprint import robot_bounds
+from deepbots_cli.robots.kinematics import robot_bounds
 from deepbots_cli.runtime.overview import overview
 from deepbots_cli.view import trajectories
 from deepbots_cli.view.episodes import Player, Showing

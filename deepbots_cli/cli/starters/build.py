@@ -14,7 +14,8 @@ from itertools import product
 from math import atan2, dist, hypot, inf, pi, prod
 
 from deepbots_cli import frames
-from deepbots_cli.footprint import (
+from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
+from deepbots_cli.robots.kinematics import (
     Bounds,
     bounds_of_shape,
     box_around,
@@ -23,7 +24,6 @@ from deepbots_cli.footprint import (
     link_frames,
     robot_bounds,
 )
-from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.robots.model import Joint, Link, RobotModel
 
 Positions = Mapping[str, float]

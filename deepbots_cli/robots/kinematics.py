@@ -1,0 +1,178 @@
+"""Where the links and shapes of a robot are: frames of links, bounding boxes, and the height at which a body
+rests. Lengths are in m, angles in rad.
+
+Link frames do not use yourdfpy: lint needs them and imports no numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+from deepbots_cli import frames
+from deepbots_cli.frames import Frame, Triple, quaternion
+from deepbots_cli.robots.meshes import mesh_bounds
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Geometry,
+    Joint,
+    Link,
+    Mesh,
+    RobotModel,
+    Shape,
+    Sphere,
+)
+
+# Link frames
+
+
+def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
+    """Return the frame of every link in the frame of the root; `positions` of joints (rad or m) are by name;
+    others are at 0 or follow."""
+    below: dict[str, list[Joint]] = {}
+    for joint in model.joints:
+        below.setdefault(joint.parent, []).append(joint)
+    positions = positions or {}
+    if model.followers:
+        followers = {
+            name: mimic.position(positions.get(mimic.joint, 0.0)) for name, mimic in model.followers.items()
+        }
+        positions = {**followers, **positions}
+    frames_by_link = {model.root: frames.IDENTITY_FRAME}
+    waiting = [model.root]
+    while waiting:
+        parent = waiting.pop()
+        for joint in below.get(parent, ()):
+            frames_by_link[joint.child] = child_frame(
+                joint, frames_by_link[parent], positions.get(joint.name, 0.0)
+            )
+            waiting.append(joint.child)
+    return frames_by_link
+
+
+def child_frame(joint: Joint, parent: Frame, position: float) -> Frame:
+    """Return the frame of a joint's child link, from the frame of its parent link."""
+    frame = frames.compose(parent, frames.frame(joint.origin))
+    if not joint.moves or position == 0.0:
+        return frame
+    # URDF gives the axis in the frame of the joint, so the motion follows the origin.
+    if joint.type == "prismatic":
+        return frames.compose(frame, (frames.scaled(joint.axis, position), frames.IDENTITY_ROTATION))
+    return frames.compose(frame, (frames.IDENTITY_FRAME[0], frames.from_axis_angle(joint.axis, position)))
+
+
+def placed(
+    model: RobotModel,
+    shapes_of: Callable[[Link], Iterable[Geometry]],
+    positions: Mapping[str, float] | None = None,
+) -> list[tuple[Shape, Frame]]:
+    """Return the shapes of each link of a robot, in the frame of its root."""
+    where = link_frames(model, positions)
+    parts = [(where[link.name], part) for link in model.links for part in shapes_of(link)]
+    return [(part.shape, frames.compose(link, frames.frame(part.origin))) for link, part in parts]
+
+
+def solids(model: RobotModel) -> list[tuple[Shape, Frame]]:
+    """Return the collision shapes that are no meshes, in the frame of the root, with all joints at 0."""
+    return [
+        (shape, frame)
+        for shape, frame in placed(model, lambda link: link.collisions)
+        if not isinstance(shape, Mesh)
+    ]
+
+
+# Bounding boxes
+
+Bounds = tuple[Triple, Triple]
+"""The lowest and the highest coordinates of a box."""
+
+
+def robot_bounds(model: RobotModel, positions: Mapping[str, float] | None = None) -> Bounds:
+    """Return the box around all shapes of a robot and the origins of its links, in the frame of its root;
+    `positions` as in `link_frames`."""
+    boxes = [
+        bounds_of_shape(shape, frame)
+        for shape, frame in placed(model, lambda link: (*link.visuals, *link.collisions), positions)
+    ]
+    boxes += [(origin, origin) for origin, _ in link_frames(model, positions).values()]
+    return box_around(boxes)
+
+
+def without_meshes(model: RobotModel) -> RobotModel:
+    """Return the robot without its meshes, which may take seconds to read."""
+
+    def plain(parts: tuple[Geometry, ...]) -> tuple[Geometry, ...]:
+        return tuple(part for part in parts if not isinstance(part.shape, Mesh))
+
+    links = tuple(
+        replace(link, visuals=plain(link.visuals), collisions=plain(link.collisions)) for link in model.links
+    )
+    return replace(model, links=links)
+
+
+def box_around(boxes: Sequence[Bounds]) -> Bounds:
+    """Return the box around all boxes; a cube of 1 m around the origin for none."""
+    lows, highs = zip(*(boxes or [((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5))]), strict=True)
+    (x, y, z), (x_end, y_end, z_end) = map(min, zip(*lows, strict=True)), map(max, zip(*highs, strict=True))
+    return (x, y, z), (x_end, y_end, z_end)
+
+
+def box_sides(box: Bounds) -> Triple:
+    """Return the lengths of a box along x, y and z."""
+    return frames.subtract(box[1], box[0])
+
+
+def resting_height(body: Shape | RobotModel, roll: float = 0.0, pitch: float = 0.0) -> float:
+    """Return the height of the origin of a body that rests on flat ground with this attitude; meshes of a
+    robot do not count."""
+    tilted = (frames.IDENTITY_FRAME[0], quaternion(roll, pitch, 0.0))
+    if not isinstance(body, RobotModel):
+        # `0.0 - z` and not `-z`, which is -0.0 for a body with its lowest point at the origin.
+        return 0.0 - bounds_of_shape(body, tilted)[0][2]
+    return 0.0 - min(
+        (bounds_of_shape(shape, frames.compose(tilted, frame))[0][2] for shape, frame in solids(body)),
+        default=0.0,
+    )
+
+
+def bounds_of_shape(shape: Shape, frame: Frame = frames.IDENTITY_FRAME) -> Bounds:
+    """Return the box around a shape whose own frame is `frame`."""
+    (x, y, z), turn = frame
+    match shape:
+        case Sphere(radius):
+            dx = dy = dz = radius
+        case Capsule(radius, length):
+            dx, dy, dz = (abs(c) * length / 2 + radius for c in frames.rotate(turn, (0.0, 0.0, 1.0)))
+        case Cylinder(radius, length):
+            axis = frames.rotate(turn, (0.0, 0.0, 1.0))
+            # Rounding may take |c| above 1, and Python's root of a negative number is complex.
+            dx, dy, dz = (abs(c) * length / 2 + radius * max(0.0, 1.0 - c * c) ** 0.5 for c in axis)
+        case _:
+            xs, ys, zs = zip(*corners(shape, frame), strict=True)
+            return (min(xs), min(ys), min(zs)), (max(xs), max(ys), max(zs))
+    return (x - dx, y - dy, z - dz), (x + dx, y + dy, z + dz)
+
+
+def corners(shape: Shape, frame: Frame) -> list[Triple]:
+    """Return the corners of the box around a shape in its own axes; a mesh whose size is unknown counts as
+    its origin."""
+    x, y, z = zip(*_own_bounds(shape), strict=True)
+    return [frames.add(frame[0], frames.rotate(frame[1], corner)) for corner in product(x, y, z)]
+
+
+def _own_bounds(shape: Shape) -> Bounds:
+    match shape:
+        case Mesh():
+            return mesh_bounds(shape) or (frames.IDENTITY_FRAME[0], frames.IDENTITY_FRAME[0])
+        case Box(size):
+            a, b, c = size[0] / 2, size[1] / 2, size[2] / 2
+        case Cylinder(radius, length):
+            a, b, c = radius, radius, length / 2
+        case Capsule(radius, length):
+            a, b, c = radius, radius, length / 2 + radius
+        case Sphere(radius):
+            a = b = c = radius
+    return (-a, -b, -c), (a, b, c)
