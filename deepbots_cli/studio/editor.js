@@ -30,7 +30,7 @@ const marks = CM.StateField.define({
   },
   provide: (field) => CM.EditorView.decorations.from(field),
 });
-// The rest of a long line is indented as its begin, and by two letters more.
+// The rest of a long line is indented as its start, and by two letters more.
 const hanging = CM.StateField.define({
   create: (state) => hangingLines(state.doc),
   update: (set, transaction) => transaction.docChanged ? hangingLines(transaction.state.doc) : set,

@@ -180,7 +180,7 @@ class OpenFile:
         """Read a file.
 
         Raises:
-            UsageError: It is no text file, or too large.
+            UsageError: It is not a text file, or too large.
         """
         stamp = _stamp(path)
         text, form = read_text(path)
@@ -301,11 +301,11 @@ def read_text(path: Path) -> tuple[str, Form]:
     first line count.
 
     Raises:
-        UsageError: It is no regular file, too large, or no UTF-8.
+        UsageError: It is not a regular file, too large, or not UTF-8.
     """
     try:
         if not path.is_file():
-            raise UsageError(f"{path} is no file")
+            raise UsageError(f"{path} is not a file")
         content = read_at_most(path, MAX_BYTES + 1)
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {(error.strerror or 'error').lower()}") from error
@@ -314,7 +314,7 @@ def read_text(path: Path) -> tuple[str, Form]:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path.name} is no text in UTF-8") from error
+        raise UsageError(f"{path.name} is not text in UTF-8") from error
     first, _, _ = text.partition("\n")
     form = Form("\r\n" if first.endswith("\r") else "\n", content.startswith(codecs.BOM_UTF8))
     return _clean(text), form

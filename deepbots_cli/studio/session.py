@@ -135,7 +135,7 @@ class Session:
         """Open a file, with its unsaved text of an earlier session.
 
         Raises:
-            UsageError: It is outside of the folder and no scenario reads it, or it is no text file.
+            UsageError: It is outside of the folder and no scenario reads it, or it is not a text file.
         """
         path = self.folder / path
         real = _real_path(path)
@@ -143,7 +143,9 @@ class Session:
             return self.files[real]
         is_read = any(real in self.language.files_of(other) for other in self.files)
         if real is None or (not self.may_open(path) and not is_read):
-            raise UsageError(f"{path} is no scenario in {self.folder}; the studio opens no other files")
+            raise UsageError(
+                f"{path} is not a scenario in {self.folder}; the studio does not open other files"
+            )
         removed = self.removed_drafts().get(real)
         if removed is None:
             file = OpenFile.open(real, read_only=not real.is_relative_to(self.folder))

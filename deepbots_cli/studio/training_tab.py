@@ -22,7 +22,7 @@ Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
     (
         "Write",
-        "Change the text, and save it with Ctrl+S: the robot begins anew. Mistakes are listed below the text.",
+        "Change the text, and save it with Ctrl+S: the robot starts again. Mistakes are listed below the text.",
     ),
     (
         "Try",

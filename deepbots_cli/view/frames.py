@@ -143,7 +143,7 @@ class FrameLayout:
 
     def goal_point(self, agent: AgentFrame, word: str) -> Triple | None:
         """Return the `achieved` or `desired` goal as a point (m, world frame), on the ground if it has no z;
-        None if it is no position."""
+        None if it is not a position."""
         indices = [index for index, field in enumerate(self.observation) if field.group == word]
         axes = [self.observation[index].name for index in indices if self.observation[index].unit == "m"]
         if axes not in ([f"{word}.x", f"{word}.y"], [f"{word}.x", f"{word}.y", f"{word}.z"]):

@@ -159,7 +159,7 @@ class Page:
         self.playback.seek(index)
 
     def change_parameter(self, name: str, text: str) -> None:
-        """Change a parameter of the scenario. The world begins anew once no further change arrives."""
+        """Change a parameter of the scenario. The world starts again once no further change arrives."""
         self._changed[name] = text
         self._changed_at = time.monotonic()
 

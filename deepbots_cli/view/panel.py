@@ -229,7 +229,7 @@ class Panel:
         state = f"{world.title}: {state}" if world.title else state
         color = "#0072B2"
         if frame.ended_by:
-            unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is no failure
+            unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
             color = "#009E73" if frame.is_success or frame.succeeded else unsuccessful
         total = "" if player.reader.layout.of_robot else f", return so far {agent.episode_return:.4g}"
         numbers = f"episode {playback.episode + player.world}, step {frame.step}, {frame.time:.2f} s{total}"

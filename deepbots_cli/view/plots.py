@@ -174,7 +174,9 @@ def read_agent_log(path: Path, member: Member, window: int = 100) -> TrainingLog
 def _read_run(path: Path, window: int, member: Member | None = None) -> TrainingLog:
     record = RunRecord.read(path)
     teacher = teacher_of(path)
-    recorded = "-recorded" if teacher == DEMONSTRATIONS_NAME else ""  # a recording is no part of the scenario
+    recorded = (
+        "-recorded" if teacher == DEMONSTRATIONS_NAME else ""
+    )  # a recording is not part of the scenario
     settings = short_settings(changed_settings(record.command))
     log = TrainingLog(
         path, f"{record.scenario} {record.digest}{recorded}", settings=settings, teacher=teacher
@@ -282,7 +284,7 @@ def logs_of(run: Path, agent: str = "") -> tuple[Any, list[dict[str, Any]]]:
     which the policy acted, and of the `returns` and `successes` of their episodes.
 
     Raises:
-        RunError: A file is no regular file, too large, or damaged.
+        RunError: A file is not a regular file, too large, or damaged.
     """
     path = run / "monitor.csv"
     names = KeptNames(path)

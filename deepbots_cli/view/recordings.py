@@ -5,7 +5,7 @@
         when it is opened
     /episode                      its number and its seed
     /tf                           foxglove.FrameTransforms: the pose of every link
-    /scan/ROBOT.SENSOR            foxglove.LaserScan, or foxglove.PointCloud where the rays are no fan
+    /scan/ROBOT.SENSOR            foxglove.LaserScan, or foxglove.PointCloud where the rays are not a fan
     /image/ROBOT.SENSOR           foxglove.CompressedImage
     /message/ROBOT/DIRECTION the message that its receiver uses
     /agent/NAME                   observation, action, reward, reward terms

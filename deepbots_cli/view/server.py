@@ -228,7 +228,7 @@ def _answer(status: int, reason: str, body: bytes, **headers: str) -> Response:
 
 def _read_drive(text: Any) -> tuple[Keys, Axes]:
     """Read the held keys and the axes of a gamepad, from -1 to 1, from a message such as `KeyW+KeyA|0.5,-1`.
-    An axis that is no number is 0.
+    An axis that is not a number is 0.
 
     Raises:
         ValueError: The text is not such a message.

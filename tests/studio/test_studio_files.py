@@ -293,7 +293,7 @@ def test_a_damaged_draft_is_ignored(tmp_path, content):
     ("content", "sentence"),
     [
         (b"x" * (5 << 20), "mine.yaml has more than 1,048,576 bytes, which is too large for a scenario"),
-        (bytes(range(256)), "mine.yaml is no text in UTF-8"),
+        (bytes(range(256)), "mine.yaml is not text in UTF-8"),
     ],
 )
 def test_a_file_that_is_no_scenario_is_one_sentence(tmp_path, content, sentence):

@@ -146,7 +146,7 @@ def test_a_removed_file_is_offered_by_the_next_studio_until_it_is_discarded(fold
             assert (again.text, again.is_gone) == (file.text, True)
             session.close_file(again.path)
             assert not session.removed_drafts()
-            with pytest.raises(UsageError, match="is no file"):
+            with pytest.raises(UsageError, match="is not a file"):
                 session.open(Path("mine.yaml"))
 
     asyncio.run(run())
