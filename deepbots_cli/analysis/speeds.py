@@ -18,6 +18,8 @@ from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
+from deepbots_cli.footprint import contact_points, link_frames
+from deepbots_cli.frames import cross, dot, rotate
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.robots.model import Cylinder, Joint, RobotModel, Sphere
 
@@ -29,6 +31,10 @@ _TOLERANCE = 1.1
 drives on by 0.02 %."""
 _GROUND_GAP = 0.01
 """m; casters often end a little above the ground, so that the weight is on the wheels."""
+_SAME_PLACE = 1e-3
+"""m; hubs of one axle that are rounded, or a caster so near to the axle that the robot balances."""
+_SAME_DIRECTION = 1e-3
+"""The sine of the angle between axes that are taken to be parallel."""
 # `math.exp` raises OverflowError above 709.
 _MAX_EXPONENT = 50.0
 _AS_FAST_AS_THE_BODY = frozenset({"clearance", "path_distance", "cross_track_error", "arc_length"})
@@ -79,6 +85,15 @@ def base_speed(analysis: Analysis, robot: str) -> float:
 
 
 def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float:
+    """Return the largest speed (m/s) of the origin of a robot that stands on the wheels of one axle and on
+    parts that slide; infinite for any other robot.
+
+    Wheels on the left and on the right that drive at a and b (m/s) move the middle of their axle forward at
+    (a + b) / 2 and turn the robot at (b - a) / track; the axle does not slide along itself. A point x ahead
+    of this middle and y to its left moves at hypot((a + b) / 2 - y (b - a) / track, x (b - a) / track). That
+    is convex in a and b, so it is largest where both have their largest values: a = b drives at that speed,
+    and a = -b turns in place, at 2 / track times that speed times hypot(x, y).
+    """
     wheels = [
         joint
         for joint in model.moving_joints
@@ -91,23 +106,20 @@ def _speed_on_wheels(analysis: Analysis, robot: str, model: RobotModel) -> float
         len(wheels) < len(model.moving_joints)
         or not driven
         or not driven <= speeds.keys()
-        or not _stands(model, wheels)
+        or not _stands_on_one_axle(model, wheels)
     ):
         return INF
+    placed = link_frames(model)
+    axis = rotate(placed[wheels[0].child][1], wheels[0].axis)
+    hubs = [placed[joint.child][0] for joint in wheels if joint.name in driven]
+    first, *_, last = sorted([hubs[0], *hubs], key=lambda hub: dot(axis, hub))
+    track = hypot(last[0] - first[0], last[1] - first[1])
+    if track < _SAME_PLACE:
+        return INF  # one wheel does not limit how fast the robot turns
     fastest = max(
         speeds[joint.name] * (_radius(model, joint) or 0.0) for joint in wheels if joint.name in driven
     )
-    positions = [joint.origin.xyz for joint in wheels if joint.name in driven]
-    (left, right), (back, front) = (
-        (min(at[axis] for at in positions), max(at[axis] for at in positions)) for axis in (1, 0)
-    )
-    # The distance of the origin from the rectangle of the driven wheels.
-    off = hypot(max(0.0, back, -front), max(0.0, left, -right))
-    # Without a track, the wheels do not limit how fast the robot turns.
-    if off > 1e-6 and right - left < 1e-6:
-        return INF
-    # Wheels at v and -v turn the robot at 2 v / track; the origin is `off` from the line between them.
-    turning = 2.0 * off / (right - left) if off > 1e-6 else 0.0
+    turning = 2.0 * hypot((first[0] + last[0]) / 2, (first[1] + last[1]) / 2) / track
     return fastest * max(1.0, turning) * _TOLERANCE
 
 
@@ -119,36 +131,23 @@ def _radius(model: RobotModel, joint: Joint) -> float | None:
     return shapes[0].radius
 
 
-def _stands(model: RobotModel, wheels: Sequence[Joint]) -> bool:
-    """Return whether a robot stands without balancing: on wheels and other parts that do not lie on one
-    line."""
-    positions = [joint.origin.xyz[:2] for joint in wheels]
-    bottom = min(joint.origin.xyz[2] - (_radius(model, joint) or 0.0) for joint in wheels) if wheels else 0.0
-    for name in model.links_below(model.root, rigid=True):
-        offset = next((joint.origin.xyz for joint in model.joints if joint.child == name), (0.0, 0.0, 0.0))
-        for part in model.link(name).collisions:
-            x, y, z = part.origin.xyz
-            shape = part.shape
-            reach = getattr(shape, "radius", 0.0)
-            low = z + offset[2] - (reach if isinstance(shape, Sphere) else _half_height(shape))
-            if low < bottom + _GROUND_GAP:
-                width = 0.0 if isinstance(shape, Sphere) else _half_width(shape)
-                positions += [(x + offset[0] + width * side, y + offset[1]) for side in (-1.0, 1.0)]
-    spread = [
-        max(at[axis] for at in positions) - min(at[axis] for at in positions) if positions else 0.0
-        for axis in (0, 1)
-    ]
-    return min(spread) > 1e-3
+def _stands_on_one_axle(model: RobotModel, wheels: Sequence[Joint]) -> bool:
+    """Return whether all wheels turn about the same level line, and the robot touches the ground beside that
+    line too, so that it stands without balancing."""
+    placed = link_frames(model)
+    hubs = [placed[joint.child][0] for joint in wheels]
+    axes = [rotate(placed[joint.child][1], joint.axis) for joint in wheels]
+    x, y, z = axes[0]
 
+    def distance(point: Sequence[float]) -> float:
+        return abs((point[0] - hubs[0][0]) * y - (point[1] - hubs[0][1]) * x)
 
-def _half_height(shape: object) -> float:
-    size = getattr(shape, "size", None)
-    return float(size[2]) / 2 if size is not None else float(getattr(shape, "length", 0.0)) / 2
-
-
-def _half_width(shape: object) -> float:
-    size = getattr(shape, "size", None)
-    return float(size[0]) / 2 if size is not None else float(getattr(shape, "radius", 0.0))
+    is_one_axle = (
+        abs(z) < _SAME_DIRECTION
+        and all(hypot(*cross(axes[0], axis)) < _SAME_DIRECTION for axis in axes)
+        and all(distance(hub) < _SAME_PLACE for hub in hubs)
+    )
+    return is_one_axle and any(distance(point) > _SAME_PLACE for point in contact_points(model, _GROUND_GAP))
 
 
 def _speed_of(analysis: Analysis, subject: str) -> float:
@@ -293,7 +292,6 @@ def _clipped(interval: Interval, limit: float) -> Interval:
 def highest_return(analysis: Analysis) -> float:
     """Return the highest return of an episode within limits of speed; infinite where nothing bounds it."""
     reward = analysis.reward
-    highest = return_range(analysis).high
     if not reward.is_complete:
         return INF
     ranges = SpeedRanges(analysis, {}, (1.0, float(analysis.last_step)))
@@ -302,7 +300,7 @@ def highest_return(analysis: Analysis) -> float:
     total = 0.0
     for term, node in reward.terms:
         total += max(0.0, ranges.of(node).high) if term.name in final else _sum(ranges, node, ticks).high
-    return min(total, highest)
+    return min(total, return_range(analysis).high)
 
 
 def _sum(ranges: SpeedRanges, node: Scalar, ticks: int) -> Interval:
@@ -341,5 +339,5 @@ def speed_notes(analysis: Analysis) -> tuple[str, ...]:
     """Return the largest speeds of the robots, for a note."""
     speeds = {body.name: base_speed(analysis, body.name) for body in analysis.program.world.robots}
     return tuple(
-        f"`{name}` moves at most with {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF
+        f"`{name}` moves at no more than {speed:.3g} m/s" for name, speed in speeds.items() if speed < INF
     )

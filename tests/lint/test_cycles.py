@@ -4,6 +4,7 @@ sum to zero are not."""
 from __future__ import annotations
 
 import shutil
+from math import hypot
 from pathlib import Path
 
 import pytest
@@ -145,6 +146,75 @@ def test_statistics_take_no_bound_that_a_fall_may_exceed(folder: Path) -> None:
 def test_robots_that_balance_fly_or_stand_fixed_have_no_limit_from_wheels(name: str) -> None:
     program = api.compile(name).program
     assert all(base_speed(Analysis(program), body.name) == float("inf") for body in program.world.robots)
+
+
+TWO_WHEELS = """
+<robot name="cart">
+  <link name="base">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <link name="arm"/>
+  <link name="caster"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+  <joint name="bends" type="fixed"><parent link="base"/><child link="arm"/>
+    <origin xyz="{back} {y} 0" rpy="0 1.5707963267948966 0"/></joint>
+  <joint name="ends" type="fixed"><parent link="arm"/><child link="caster"/><origin xyz="{drop} 0 0"/></joint>
+  {wheels}
+</robot>
+"""
+WHEEL = """
+  <link name="{name}_wheel">
+    <inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin rpy="1.5707963267948966 0 0"/>
+      <geometry><cylinder radius="0.05" length="0.01"/></geometry></collision>
+  </link>
+  <joint name="{name}" type="continuous"><parent link="base"/><child link="{name}_wheel"/>
+    <origin xyz="{x} {y} 0"/><axis xyz="0 1 0"/></joint>
+"""
+SPEED, TRACK = 4 * 0.05, 0.2
+"""m/s and m."""
+
+
+def wheel_bound(folder: Path, x: float, y: float, *, behind: float = 0.1, rear_axle: bool = False) -> float:
+    """Return the limit of speed (m/s) of a robot on two driven wheels; x and y (m) are the middle of their
+    axle, from the origin of the robot."""
+    places = {"left": (x, y + TRACK / 2), "right": (x, y - TRACK / 2)}
+    if rear_axle:
+        places |= {"left2": (x - 0.3, y + TRACK / 2), "right2": (x - 0.3, y - TRACK / 2)}
+    wheels = "".join(WHEEL.format(name=name, x=at[0], y=at[1]) for name, at in places.items())
+    urdf = TWO_WHEELS.format(back=x - behind, y=y, drop=0.04, wheels=wheels)
+    (folder / "cart.urdf").write_text(urdf, encoding="utf-8")
+    motors = {name: f"{{type: velocity_motor, joint: {name}, max_torque: 1 N*m}}" for name in places}
+    text = (
+        "deepbots: 1\nname: Cart\nworld: {timestep: 50 ms}\nrobots:\n  cart:\n    urdf: cart.urdf\n"
+        f"    actuators: {{{', '.join(f'{name}: {motor}' for name, motor in motors.items())}}}\n"
+        f"    apply: {{{', '.join(f'{name}: {name[0]} * 4 rad/s' for name in places)}}}\n"
+        "action: {l: -1 .. 1, r: -1 .. 1}\naugment: {vx: velocity(cart).x}\n"
+        "observation: {vx: -1 .. 1 m/s}\nreward: {fast: norm(velocity(cart)) / (m/s)}\n"
+        "truncation: {max_steps: 100}\n"
+    )
+    (folder / "cart.yaml").write_text(text, encoding="utf-8")
+    return base_speed(Analysis(api.compile(folder / "cart.yaml").program), "cart")
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (0, 0.2), (-0.2, 0), (-0.2, 0.2), (0.05, 0.05), (0, -0.15)])
+def test_the_limit_of_two_wheels_is_that_of_a_rigid_robot_that_never_slides(
+    x: float, y: float, folder: Path
+) -> None:
+    """Velocities of the wheels move the middle of the axle and turn the robot about it."""
+
+    def speed(left: float, right: float) -> float:
+        forward, turn = (left + right) / 2, (right - left) / TRACK
+        return hypot(forward + turn * y, turn * x)
+
+    commands = [SPEED * share / 10 for share in range(-10, 11)]
+    fastest = max(speed(left, right) for left in commands for right in commands)
+    assert wheel_bound(folder, x, y) == pytest.approx(1.1 * fastest)
+
+
+def test_wheels_on_two_axles_or_without_a_caster_set_no_limit(folder: Path) -> None:
+    """Where such a robot turns depends on which of its wheels slide."""
+    assert wheel_bound(folder, 0, 0, rear_axle=True) == float("inf")
+    assert wheel_bound(folder, 0, 0, behind=0) == float("inf")
 
 
 @pytest.mark.parametrize(
