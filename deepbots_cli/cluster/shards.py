@@ -29,7 +29,7 @@ from deepbots_cli.rollout.worlds import Array
 _READY_TIMEOUT_S = 60.0
 """The time in s for which shards wait for a new worker while others could take them, and then for the next
 attempt to start one."""
-_MAX_VAIN_STARTS = 5
+_MAX_FAILED_STARTS = 5
 """The number of times in a row that all new workers may end while they start, if there are no others."""
 
 
@@ -56,8 +56,8 @@ class ShardWorker:
         self._shards: dict[int, Any] = {}
 
     def unmet(self, requirements: Requirements, digest: str) -> str | None:
-        """Return a sentence with the requirement that this process does not meet; `digest` is that of the
-        program of the run."""
+        """Return what keeps this process from working on the run, as a sentence; None if nothing does. `digest`
+        is that of the program of the run."""
         reason = requirements.unmet()
         if reason is None and Run.open(self._path).digest != digest:
             host = socket.gethostname()
@@ -132,7 +132,7 @@ class RemoteShards:
         """The worker of each shard; None after it was lost."""
         self._new: set[int] = set()
         """The shards that have to begin on their worker."""
-        self._started = self._vain_starts = 0
+        self._started = self._failed_starts = 0
         self._next_start = 0.0
 
     def begin(self, episodes: Sequence[Sequence[RunningEpisode]]) -> list[Any]:
@@ -183,23 +183,24 @@ class RemoteShards:
         def wait() -> list[Any]:
             while waiting:
                 ready, *_ = self._pool.wait(waiting)
-                shard, worker = waiting.pop(ready)
+                shard, worker = waiting[ready]
                 try:
                     answer = self._pool.answer(ready)
                 except WorkerLost as error:
+                    # A worker works in the order of the calls, so it was lost in the first of these.
                     lost = {call: other for call, (other, home) in waiting.items() if home == worker}
-                    for call in lost:
-                        del waiting[call]
-                    unfinished = sorted([shard, *lost.values()])
-                    losses[unfinished[0]] += 1  # a worker works on its shards in the order of their numbers
+                    first = next(iter(lost.values()))
+                    losses[first] += 1
                     self._forget(worker)
-                    if losses[unfinished[0]] == MAX_LOSSES:
-                        raise self._too_many_losses(unfinished[0], order, worker) from error
+                    if losses[first] == MAX_LOSSES:
+                        raise self._too_many_losses(first, order, worker) from error
                     self._find_homes(balance=False)  # the other shards are at work
-                    for other in unfinished:
+                    for call, other in lost.items():
+                        del waiting[call]
                         self._new.discard(other)
                         ask(other, anew=True)
                     continue
+                del waiting[ready]
                 if isinstance(answer, DeepbotsError):
                     raise answer
                 answers[shard] = answer
@@ -242,13 +243,14 @@ class RemoteShards:
         missing = self._wanted - len(self._workers)
         if not missing or (self._workers and time.monotonic() < self._next_start):
             return
-        waiting = self._begun(missing)
+        waiting = self._start_missing(missing)
         while not self._workers and not self._pool.wait(waiting, timeout_s=_READY_TIMEOUT_S):
             self._pool.check()
         ready = self._pool.wait(waiting, len(waiting), _READY_TIMEOUT_S) if waiting else ()
         for call in waiting.keys() - set(ready):  # its node was lost, or is busy with something else
             self._pool.end(waiting[call][1])
         is_any_lost = len(ready) < len(waiting)
+        refusals = []
         for call in ready:
             number, worker = waiting[call]
             try:
@@ -256,26 +258,27 @@ class RemoteShards:
             except WorkerLost:
                 is_any_lost = True
                 continue
-            if reason is not None:
-                raise UsageError(reason)
             self._workers[number] = worker
+            refusals += [reason] if reason is not None else []
+        if refusals:
+            raise UsageError(refusals[0])
         if is_any_lost:
             self._next_start = time.monotonic() + _READY_TIMEOUT_S
-        self._vain_starts = 0 if self._workers else self._vain_starts + 1
-        if self._vain_starts == _MAX_VAIN_STARTS:
+        self._failed_starts = 0 if self._workers else self._failed_starts + 1
+        if self._failed_starts == _MAX_FAILED_STARTS:
             log = self._log(self._started - 1)
             raise RunError(
-                f"{_MAX_VAIN_STARTS} workers in a row ended while they started; {log} has the output of the"
+                f"{_MAX_FAILED_STARTS} workers in a row ended while they started; {log} has the output of the"
                 " last one"
             )
         if not self._workers:
             self._start_workers()
 
-    def _begun(self, missing: int) -> dict[Any, tuple[int, Any]]:
-        """Begin to start as many of the missing workers as the cluster has room for, at least one if there is
-        none: the calls to wait for, with number and worker."""
+    def _start_missing(self, missing: int) -> dict[Any, tuple[int, Any]]:
+        """Start as many of the missing workers as the cluster has room for, at least one if there is none.
+        Return the calls to wait for, with number and worker."""
         free = self._pool.free()
-        if not self._workers and not free and not self._vain_starts:
+        if not self._workers and not free and not self._failed_starts:
             self._note("waiting for a free CPU in the cluster")
         waiting = {}
         requirements = Requirements.of_this_process([self._run.path / RESOLVED_NAME])
