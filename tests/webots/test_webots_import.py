@@ -206,6 +206,34 @@ def test_all_robots_with_a_class_of_deepbots_are_read(tmp_path: Path) -> None:
         assert "motors: command * 1 rad/s" in part
 
 
+PLAIN_BASE = "from deepbots.robots import CSVRobot\n\nclass Cart(CSVRobot):"
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "from deepbots.robots import CSVRobot as Robot\n\nclass Cart(Robot):",
+        "import deepbots.robots as robots\n\nclass Cart(robots.CSVRobot):",
+        "import base\n\nclass Cart(base.Base):",
+        "from . import base\n\nclass Cart(base.Base):",
+        "from deepbots.robots import CSVRobot\nfrom base import Mixin\n\nclass Cart(CSVRobot, Mixin):",
+    ],
+)
+def test_a_class_has_the_methods_of_all_its_bases(tmp_path: Path, head: str) -> None:
+    first, rest = CART.index("    def create_message"), CART.index("    def use_message_data")
+    message = CART[first:rest]
+    folder = tmp_path / "project" / "controllers" / "cart"
+    folder.mkdir(parents=True)
+    (folder / "base.py").write_text(
+        f"from deepbots.robots import CSVRobot\n\nclass Mixin:\n{message}\nclass Base(CSVRobot):\n{message}"
+    )
+    assert PLAIN_BASE in CART
+    cart = CART if "base" not in head else CART.replace(message, "")
+    _, text = imported(tmp_path, cart=cart.replace(PLAIN_BASE, head))
+    assert "emit: [arm_angle]" in text
+    assert "motors: command * 1 rad/s" in text
+
+
 def test_a_robot_that_uses_the_action_in_another_way_is_left_to_a_person(tmp_path: Path) -> None:
     starter = two_robots(tmp_path, CART.replace("6.0 if choice == 0 else -6.0", "3.0 if choice else 2.0"))
     text = scenario_text(starter)

@@ -44,7 +44,7 @@ class ModuleCode:
     classes: dict[str, ast.ClassDef] = field(default_factory=dict)
     assigned: dict[str, ast.expr] = field(default_factory=dict)
     imported: dict[str, str] = field(default_factory=dict)
-    """Local names by what they name: `np` is `numpy`, `mean` is `numpy.mean`."""
+    """What each local name stands for: `np` is `numpy`, `mean` is `numpy.mean`."""
 
     def location(self, node: ast.AST) -> CodeLocation:
         """Return the location of a node, with its Python on one line."""
@@ -60,7 +60,7 @@ class ModuleCode:
 
 @dataclass(eq=False)
 class ClassCode:
-    """A class on one of deepbots' classes: its methods with those of its bases in the project."""
+    """A class derived from one of deepbots: its methods with those of its bases in the project."""
 
     name: str
     base: str
@@ -81,37 +81,47 @@ class Code:
         for module in self.modules.values():
             for node in module.classes.values():
                 code = ClassCode(node.name, "", module, node)
-                code.base = self._collect(code, module, node, bases, 0)
+                self._collect(code, module, node, bases, 0)
                 if code.base:
                     result.append(code)
         return result
 
+    def resolve(self, target: str) -> tuple[ModuleCode, str] | None:
+        """Return the module of the project in which an imported name such as `package.module.Class` is defined,
+        with its name there; "" for the module itself, None for a name of another package."""
+        source, _, name = target.rpartition(".")
+        if module := self.modules.get(source.rpartition(".")[2]):
+            return module, name
+        if name in self.modules and (not source or source.startswith(".")):
+            return self.modules[name], ""
+        return None
+
     def _collect(
         self, code: ClassCode, module: ModuleCode, node: ast.ClassDef, bases: frozenset[str], depth: int
-    ) -> str:
-        """Add the methods of a class and of its bases; return the base of deepbots, or ""."""
+    ) -> None:
+        """Add the methods of a class and of all its bases, and the first base of deepbots."""
         for statement in node.body:
             if isinstance(statement, ast.FunctionDef):
                 code.methods.setdefault(statement.name, (module, statement))
         for base in node.bases:
-            name = last_name(base)
+            target = _imported_name(module, base)
+            name = target.rpartition(".")[2]
             if name in bases:
-                return name
-            above = self._class_named(module, name)
-            if above is not None and depth < 8:
-                owner, definition = above
-                if result := self._collect(code, owner, definition, bases, depth + 1):
-                    return result
-        return ""
+                code.base = code.base or name
+                continue
+            owner, name = self.resolve(target) or (module, target)
+            if name in owner.classes and depth < 8:
+                self._collect(code, owner, owner.classes[name], bases, depth + 1)
 
-    def _class_named(self, module: ModuleCode, name: str) -> tuple[ModuleCode, ast.ClassDef] | None:
-        if name in module.classes:
-            return module, module.classes[name]
-        target = module.imported.get(name, "").rpartition(".")
-        target_module = self.modules.get(target[0].rpartition(".")[2])
-        if target_module is not None and target[2] in target_module.classes:
-            return target_module, target_module.classes[target[2]]
-        return None
+
+def _imported_name(module: ModuleCode, node: ast.expr) -> str:
+    """Return the name of a base class with the module from which it is imported, such as `robots.Cart`."""
+    match node:
+        case ast.Name(id=name):
+            return module.imported.get(name, name)
+        case ast.Attribute(value=owner, attr=name):
+            return f"{_imported_name(module, owner)}.{name}"
+    return ""
 
 
 def last_name(node: ast.expr) -> str:
@@ -132,8 +142,15 @@ def read_code(files: Files, path: Path, span: Span, findings: WorldFindings) -> 
     modules: dict[str, ModuleCode] = {}
     for file in paths[:MAX_FILES]:
         module = _read(files, file, folder, span, findings)
-        if module is not None:
-            modules.setdefault(module.name, module)
+        if module is None:
+            continue
+        if module.name in modules:
+            findings.warning(
+                span,
+                f"{module.file} is not read: its name is that of {modules[module.name].file}; rename one of"
+                " them",
+            )
+        modules.setdefault(module.name, module)
     return Code(modules)
 
 
@@ -157,11 +174,12 @@ def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFin
     except UsageError as error:
         findings.warning(span, str(error))
         return None
-    return module_of(source.text, path.stem, relative_path, span, findings)
+    name = path.parent.name if path.stem == "__init__" else path.stem
+    return module_of(source.text, name, relative_path, span, findings)
 
 
 def module_of(text: str, name: str, file: str, span: Span, findings: WorldFindings) -> ModuleCode | None:
-    """Return a Python file as a module; None with a finding for a text that is no Python, or too large."""
+    """Return a Python file as a module; None with a finding if it is not Python, or too large."""
     if len(text) > MAX_CHARACTERS:
         findings.warning(span, f"{file} has more than {MAX_CHARACTERS:,} characters; it is not read")
         return None

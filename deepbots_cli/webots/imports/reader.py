@@ -369,15 +369,11 @@ class Reader:
         return self._import(target, node)
 
     def _import(self, target: str, node: ast.AST) -> Value:
-        first, _, last = target.rpartition(".")
-        if target.rpartition(".")[2] in self.code.modules and not first:
-            return ProjectModule(self.code.modules[target])
-        source = first.rpartition(".")[2]
-        if source in self.code.modules:
-            return self.constant(self.code.modules[source], last, node)
-        if last in self.code.modules and (not first or first.startswith(".")):
-            return ProjectModule(self.code.modules[last])
-        return External(target)
+        resolved = self.code.resolve(target)
+        if resolved is None:
+            return External(target)
+        module, name = resolved
+        return self.constant(module, name, node) if name else ProjectModule(module)
 
     def _attribute(self, frame: Frame, owner: Value, name: str, node: ast.expr) -> Value:
         match owner:
