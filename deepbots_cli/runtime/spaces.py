@@ -1,5 +1,4 @@
-"""Spaces of a compiled scenario, actions in their forms, stacks of the frames of an observation, and rewards
-for other goals."""
+"""Spaces of a compiled scenario, actions in their forms, and rewards for other goals."""
 
 from __future__ import annotations
 
@@ -118,7 +117,8 @@ def mask_of_space(space: gym.Space[Any], masks: Sequence[NDArray[np.int8]]) -> A
 
 
 def canonical_action(space: gym.Space[Any], action: Any) -> Any:
-    """Return the action as generated code takes it (int or array); None if it is not in the space."""
+    """Return the action as generated code takes it (int or array); None if it has another shape or kind, is
+    not finite, or names no option. Numbers beyond the bounds of a Box pass."""
     try:
         if isinstance(space, gym.spaces.Dict):
             parts = (
@@ -129,9 +129,7 @@ def canonical_action(space: gym.Space[Any], action: Any) -> Any:
             return parts if parts and all(part is not None for part in parts.values()) else None
         array = np.asarray(action)
         if isinstance(space, gym.spaces.Box):
-            fits = (
-                array.shape == space.shape and np.isrealobj(array) and np.isfinite(array.astype(float)).all()
-            )
+            fits = array.shape == space.shape and array.dtype.kind in "iuf" and np.isfinite(array).all()
             return array if fits else None
         if isinstance(space, gym.spaces.Discrete):
             return array.item() if array.ndim == 0 and space.contains(array.item()) else None
@@ -169,8 +167,8 @@ def fitting_rows(space: gym.Space[Any], actions: Any, count: int) -> NDArray[np.
 
 
 def apply_to_parts(function: Callable[..., Any], *values: Any) -> Any:
-    """Return the function of observations or actions, or of each of their parts where they are dictionaries
-    of arrays."""
+    """Apply a function to observations or actions, or to each of their parts where they are dictionaries of
+    arrays."""
     if isinstance(values[0], dict):
         return {key: function(*(value[key] for value in values)) for key in values[0]}
     return function(*values)

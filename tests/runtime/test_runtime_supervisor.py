@@ -236,3 +236,11 @@ def test_two_engines_agree_on_the_rail(make: Make) -> None:
         worst[substeps] = difference
     assert worst[16] < 3e-3
     assert worst[4] == pytest.approx(4 * worst[16], rel=0.1)
+
+
+@pytest.mark.parametrize("action", [["0.5"], [True], [b"0.5"]])
+def test_an_action_of_text_or_truth_values_fits_no_interval(small: Make, action: list[object]) -> None:
+    environment = small(TIMED)
+    environment.reset(seed=0)
+    with pytest.raises(UsageError, match="does not fit"):
+        environment.step(action)
