@@ -23,6 +23,8 @@ WORKERS_FOLDER = "workers"
 _END_TIMEOUT_S = 60.0
 """The time to wait for the end of a training whose worker was lost, in s. A process ends some time after its
 node was lost."""
+_LOCK_WAIT_S = 1.0
+"""The time to wait for a lock, in s, because `is_training` takes it for a moment."""
 
 
 class RecordFormat(BaseModel, strict=True):
@@ -66,9 +68,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def numbered_files(folder: Path) -> list[tuple[int, Path]]:
-    """Return the files `0001.json`, `0002.json` ... of a folder, by number."""
+    """Return the files `0001.json`, `0002.json` ... of a folder, by number. An empty one has not been
+    written yet, or its writer was killed; it is left out."""
     return sorted(
-        (int(path.stem), path) for path in folder.glob("*.json") if re.fullmatch("[0-9]{4,9}", path.stem)
+        (int(path.stem), path)
+        for path in folder.glob("*.json")
+        if re.fullmatch("[0-9]{4,9}", path.stem) and path.stat().st_size
     )
 
 
@@ -108,11 +113,15 @@ def new_directory(folder: str | Path | None, parent: str | Path, scenario: str, 
     """
     folder = None if folder is None else Path(folder)
     parent = Path(parent)
+    if folder is None:
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:  # it may be a file
+            raise UsageError(unwritable_message(parent, error)) from error
     try:
         if folder is not None:
             folder.mkdir(parents=True)
             return folder
-        parent.mkdir(parents=True, exist_ok=True)
         stem = f"{re.sub(r'[^a-z0-9]+', '_', scenario.lower()).strip('_') or 'run'}-{seed}-"
         number = 1 + max((_number(path.name, stem) for path in parent.iterdir()), default=0)
         while True:
@@ -146,7 +155,7 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
 
 
 @contextmanager
-def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator[None]:
+def run_lock(folder: Path, name: str = ".lock", wait_s: float = _LOCK_WAIT_S) -> Iterator[None]:
     """Context in which nobody else trains in the run directory `folder`. The lock ends with the process, even
     if the process is killed.
 
@@ -154,6 +163,7 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = 0.0) -> Iterator
 
     Raises:
         UsageError: Another training is at work there, or the directory cannot be written to.
+        RunError: The lock is a symbolic link.
     """
     from filelock import FileLock, Timeout  # needs the extra `train`
 

@@ -215,7 +215,7 @@ def next_trial(study: Study, journal: Journal) -> Iterator[int | None]:
     from optuna.samplers import TPESampler
 
     def lock(number: int) -> AbstractContextManager[None]:
-        return run_lock(study.path, f".trial-{number}.lock")
+        return run_lock(study.path, f".trial-{number}.lock", wait_s=0.0)
 
     with ExitStack() as stack:
         # One process at a time: two could choose the same trial.

@@ -8,10 +8,12 @@ import shutil
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import pytest
 import stand_in
+from filelock import FileLock
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +21,7 @@ from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning import TrainingResult, evaluate, resume, train
-from deepbots_cli.learning.directories import new_directory
+from deepbots_cli.learning.directories import new_directory, numbered_files, run_lock, write_numbered
 from deepbots_cli.learning.run import Run
 from deepbots_cli.robots.model import Mesh
 
@@ -364,3 +366,30 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Callable[[], list[Path]]:
 def edit(path: Path, **changes: object) -> None:
     record = json.loads((path / "run.json").read_text())
     (path / "run.json").write_text(json.dumps(record | changes))
+
+
+def test_the_folder_of_runs_may_not_be_a_file(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(UsageError, match="runs cannot be written: file exists"):
+        new_directory(None, tmp_path / "runs", "Cart Pole", 0)
+
+
+def test_an_empty_numbered_file_is_passed_over_and_never_overwritten(tmp_path: Path) -> None:
+    """It belongs to a process that writes it now, or was killed before it wrote it."""
+    (tmp_path / "0001.json").touch()
+    assert numbered_files(tmp_path) == []
+    path = write_numbered(tmp_path, "{}")
+    assert (path.name, numbered_files(tmp_path)) == ("0002.json", [(2, path)])
+
+
+def test_a_lock_that_is_free_after_a_moment_is_waited_for(tmp_path: Path) -> None:
+    """`is_training` takes the lock for a moment, to find out whether it is free."""
+    lock = FileLock(tmp_path / ".lock", thread_local=False)
+    lock.acquire()
+    release = Timer(0.2, lock.release)
+    release.start()
+    try:
+        with run_lock(tmp_path):
+            pass
+    finally:
+        release.join()
