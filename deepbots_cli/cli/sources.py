@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
@@ -121,6 +122,6 @@ def run_to_export(run: Run, agent: str | None) -> Run:
     if not names:
         raise UsageError(f"{run.path} has the policy of one agent; leave out --agent")
     raise UsageError(
-        f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export {run.path}"
-        f" --agent {names[0]}"
+        f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export"
+        f" {quote(str(run.path))} --agent {names[0]}"
     )

@@ -10,7 +10,7 @@ from functools import cached_property
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
-from shlex import join
+from shlex import join, quote
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
@@ -59,13 +59,14 @@ class StudyReport:
             RunError: The study is damaged, or has no complete trial.
         """
         study = Study.open(path)
+        resume = f"deepbots resume {quote(str(path))}"
         journal = study.connect()
         trials = study.trials(journal)
         report = StudyReport(study, journal, trials)
         if not report.ranked:
-            raise RunError(f"{path} has no complete trial yet; continue it with: deepbots resume {path}")
+            raise RunError(f"{path} has no complete trial yet; continue it with: {resume}")
         if any(trial.state == "running" for trial in trials) or len(trials) < study.record.trials:
-            report.notes.append(f"the study is not complete; continue it with: deepbots resume {path}")
+            report.notes.append(f"the study is not complete; continue it with: {resume}")
         if report.importances is None:
             report.notes.append(
                 f"which values matter is shown from {MIN_TRIALS} complete trials with different scores on"

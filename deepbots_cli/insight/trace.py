@@ -11,6 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -113,7 +114,8 @@ class Trace:
 
 
 class TraceRecorder(gym.Wrapper[Any, Any, Any, Any]):
-    """A world that records each step of an episode; a reset begins anew. The wrapper closes the world."""
+    """A world that records each step of an episode; a reset starts a new record. The wrapper closes the
+    world."""
 
     def __init__(
         self, world: Supervisor, instrumented: InstrumentedProgram, units: ShownUnits | None = None
@@ -216,14 +218,15 @@ def trace_episodes(
     from deepbots_cli.learning.sb3.algorithms import torch_settings
     from deepbots_cli.rollout.policies import PolicyDriver
 
-    if not run.model(model).is_file() and run.record.status == "failed":
-        raise RunError(
-            f"the training of {run.path} failed before it saved a model; find the cause with: deepbots"
-            f" diagnose {run.path}"
-        )
     if not run.model(model).is_file():
+        path = quote(str(run.path))
+        if run.record.status == "failed":
+            raise RunError(
+                f"the training of {run.path} failed before it saved a model; find the cause with: deepbots"
+                f" diagnose {path}"
+            )
         raise RunError(
-            f"{run.path} contains no model '{model}'; train it first, with: deepbots resume {run.path}"
+            f"{run.path} contains no model '{model}'; train it first, with: deepbots resume {path}"
         )
     watch = instrument_program(run.program)
     with (

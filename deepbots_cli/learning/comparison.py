@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from shlex import quote
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -510,7 +511,8 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
     ready = group.runs_with_model
     if not ready:
         raise RunError(
-            f"{group.path} contains no trained run yet; train it with: deepbots resume {group.path}"
+            f"{group.path} contains no trained run yet; train it with: deepbots resume"
+            f" {quote(str(group.path))}"
         )
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)

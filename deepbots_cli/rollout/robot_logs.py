@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -91,7 +92,8 @@ class RobotLog:
             if description is None or "resolved.yaml" not in files:
                 raise RecordingError(
                     f"{path} is the log of a robot without the scenario, which the page draws; serve a whole"
-                    f" bundle of this version of deepbots, or read the log with: deepbots diagnose {path}"
+                    f" bundle of this version of deepbots, or read the log with: deepbots diagnose"
+                    f" {quote(str(path))}"
                 )
             info = decode(description)
             files = {safe_name(name): content for name, content in files.items()}

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import islice
 from pathlib import Path
+from shlex import quote
 
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
@@ -116,7 +117,7 @@ class Source:
                 and opened.path.suffix in (".yaml", ".yml")
             ):
                 hint = (
-                    f"; train it first with `deepbots train {opened.name}`, or name one of its runs,"
+                    f"; train it first with `deepbots train {quote(opened.name)}`, or name one of its runs,"
                     " which `deepbots runs` lists"
                 )
             elif SourceKind.RUN in kinds and opened.kind is SourceKind.CHECKPOINT:

@@ -368,3 +368,22 @@ def test_the_script_of_a_steered_robot_reaches_its_mark_from_fifty_starts(deepbo
     assert deepbots(*RACECAR).code == 0
     ran = deepbots("try", "car.yaml", "--driver", "towards", "--episodes", "50", "--engine", engine, "--json")
     assert json.loads(ran.out)["summary"]["successes"] == 50
+
+
+def test_the_comment_about_a_tricycle_says_that_one_joint_steers(deepbots, tmp_path):
+    tire = '<cylinder radius="0.05" length="0.02"/>'
+    level = f'<collision><origin rpy="1.5707963 0 0"/><geometry>{tire}</geometry></collision></link>'
+    links = [link("base", box("0.4 0.2 0.05")), link("fork", box("0.02 0.02 0.02"), 0.1)]
+    axles = [
+        ("fork", "front", "0 0 0"),
+        ("base", "left", "-0.2 0.1 -0.03"),
+        ("base", "right", "-0.2 -0.1 -0.03"),
+    ]
+    for parent, name, at in axles:
+        links.append(re.sub("<visual>.*", level, link(name, tire, 0.1)))
+        links.append(joint(f"{name}_wheel", parent, name, at).replace("revolute", "continuous"))
+    links.append(joint("steering", "base", "fork", "0.2 0 -0.03", "0 0 1"))
+    (tmp_path / "trike.urdf").write_text(f'<robot name="trike">{"".join(links)}</robot>', encoding="utf-8")
+    assert deepbots("new", "first", "--urdf", "trike.urdf", "--json").code == 0
+    text = (tmp_path / "first.yaml").read_text(encoding="utf-8")
+    assert "4 of 4 joints move, 3 of them carry wheels, 1 steers;" in text

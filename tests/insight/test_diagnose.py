@@ -707,8 +707,11 @@ def test_a_folder_that_cannot_be_diagnosed_is_refused_in_a_sentence(short, tmp_p
     assert "0001.json is damaged: 'outcomes'" in capsys.readouterr().err
     evaluation.unlink()
     shutil.rmtree(run / "models")
+    run = run.rename(tmp_path / "a run")
     assert main(["diagnose", str(run), "--episode", "0"]) == 2
-    assert "contains no model" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "contains no model" in err
+    assert f"deepbots resume '{run}'" in " ".join(err.split())
     assert main(["diagnose", str(tmp_path)]) == 2
     assert "is not a run" in capsys.readouterr().err
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -177,10 +178,11 @@ def _list_log(path: Path, *, as_json: bool) -> None:
             {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
         ],
     }
+    log = quote(str(path))
     after = [
-        f"deepbots view {path}",
-        f"deepbots diagnose {path} --episode {episodes[0].number}",
-        f"deepbots transfer RUN --log {path}",
+        f"deepbots view {log}",
+        f"deepbots diagnose {log} --episode {episodes[0].number}",
+        f"deepbots transfer RUN --log {log}",
     ]
     terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
 

@@ -183,7 +183,7 @@ def _show_run(folder: Path, *, as_json: bool) -> None:
     tables = [f"run {folder}\n{table([_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = list(_own_notes(run))
-    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {folder}"]
+    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {quote(str(folder))}"]
     notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
     if not as_json:
         for note in notes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -165,8 +166,8 @@ def _serve_policy(
         if folder_kind(folder) is SourceKind.RUN or folder.suffix == ".zip":
             if trusted is not None:
                 raise UsageError(
-                    f"{folder} is a run, and --trusted needs a signed bundle: deepbots export {folder}"
-                    " --sign KEY"
+                    f"{folder} is a run, and --trusted needs a signed bundle: deepbots export"
+                    f" {quote(str(folder))} --sign KEY"
                 )
             folder = _exported(folder, stack)
         try:

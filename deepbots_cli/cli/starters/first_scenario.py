@@ -16,8 +16,8 @@ def scenario(model: RobotModel, urdf: str, name: str) -> str:
     """Return the text of a scenario called `name` about a robot file.
 
     Raises:
-        UsageError: No joint of the robot can be driven, or a joint moves no mass, with which no simulation
-            begins.
+        UsageError: No joint of the robot can be driven, or a joint carries no mass, so that it cannot be
+            simulated.
     """
     build = Build(model)
     if build.weightless:
@@ -60,19 +60,18 @@ def _found(draft: Draft) -> list[str]:
     """Return the parts that were found in the robot file, for the head of the scenario."""
     build = draft.build
     model = draft.build.model
-    counts = {
-        "of them carry wheels": len(build.wheels),
-        "steer": len(build.steering),
-        "rotors": len(build.rotors),
-        "limb" if len(build.limbs) == 1 else "limbs": 0 if build.wheels else len(build.limbs),
-        "without a motor": len(build.idle),
-        "follows another joint" if len(model.followers) == 1 else "follow another joint": len(
-            model.followers
-        ),
-    }
+    counts = [
+        (len(build.wheels), "of them carries a wheel", "of them carry wheels"),
+        (len(build.steering), "steers", "steer"),
+        (len(build.rotors), "rotor", "rotors"),
+        (0 if build.wheels else len(build.limbs), "limb", "limbs"),
+        (len(build.idle), "without a motor", "without a motor"),
+        (len(model.followers), "follows another joint", "follow another joint"),
+    ]
+    moving = len(model.moving_joints)
     parts = [
-        f"{len(model.moving_joints)} of {len(model.joints)} joints move",
-        *(f"{n} {noun}" for noun, n in counts.items() if n),
+        f"{moving} of {len(model.joints)} joints {'moves' if moving == 1 else 'move'}",
+        *(f"{count} {singular if count == 1 else plural}" for count, singular, plural in counts if count),
     ]
     base = "taken to be fixed to the ground" if draft.fixed else "free"
     lines = [
