@@ -44,7 +44,7 @@ _WINDOWS = (1, 3)
 
 @dataclass(frozen=True)
 class Decline:
-    """A decline of a training: its size, and its begin.
+    """A decline of a training: its size, and its start.
 
     Attributes:
         measure: The measure of the task, whose values are compared.
@@ -75,11 +75,10 @@ class Decline:
     @property
     def text(self) -> str:
         """A sentence without a full stop: the measure that fell, its values before and after, and when."""
-        name = "success rate" if self.measure == "success_rate" else "mean return"
-        best, last = map(
-            "{:.0%}".format if self.measure == "success_rate" else "{:.4g}".format,
-            (self.best_value, self.last_value),
+        name, form = (
+            ("success rate", "{:.0%}") if self.measure == "success_rate" else ("mean return", "{:.4g}")
         )
+        best, last = map(form.format, (self.best_value, self.last_value))
         return (
             f"the training got worse: the {name} of its evaluations fell from {best} at {self.best_steps:,}"
             f" steps to {last} in {self.last} ({self.last_episodes:,} episodes), since about"
@@ -205,9 +204,11 @@ def paired(better: Sequence[float], worse: Sequence[float]) -> float:
         return 1.0
     differences.append(-max(map(abs, differences)))
     mean = fmean(differences)
-    error = variance(differences) / len(differences)
-    if error <= 0:
+    squared_error_of_mean = variance(differences) / len(differences)
+    if squared_error_of_mean <= 0:
         return 1.0
     scale = (8 * freedom + 1) / (8 * freedom + 3)
-    z = math.copysign(scale * math.sqrt(freedom * math.log1p(mean**2 / error / freedom)), mean)
+    z = math.copysign(
+        scale * math.sqrt(freedom * math.log1p(mean**2 / squared_error_of_mean / freedom)), mean
+    )
     return NormalDist().cdf(-z)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from itertools import islice
 from pathlib import PurePosixPath
 from typing import Any
@@ -61,13 +62,14 @@ def test_processors_of_lerobot_around_the_graph_command_what_the_simulated_robot
         files[PurePosixPath("policy.onnx")], providers=["CPUExecutionProvider"]
     )
     features = json.loads(files[PurePosixPath("features.json")])["features"]
-    recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world))
-    for each in islice(recorded, 60):
-        state = [CARTPOLE[name](each.inputs) for name in features[STATE]["names"]]
-        (action,) = session.run([ACTION], {STATE: scaled(files, "policy_preprocessor", STATE, state)[None]})
-        commands = scaled(files, "policy_postprocessor", ACTION, action[0], back=True)
-        assert commands == pytest.approx(each.commands["cart.wheels"], abs=1e-4 * 25)
-    recorded.close()
+    with closing(recorded_steps(step, lambda world: PolicyDriver(learner, world))) as recorded:
+        for each in islice(recorded, 60):
+            state = [CARTPOLE[name](each.inputs) for name in features[STATE]["names"]]
+            (action,) = session.run(
+                [ACTION], {STATE: scaled(files, "policy_preprocessor", STATE, state)[None]}
+            )
+            commands = scaled(files, "policy_postprocessor", ACTION, action[0], back=True)
+            assert commands == pytest.approx(each.commands["cart.wheels"], abs=1e-4 * 25)
     assert [name.removeprefix("cart.wheels.") for name in features[ACTION]["names"]] == [
         *step.outputs[0].components
     ]
@@ -124,23 +126,24 @@ def test_a_pipeline_of_leapp_passes_memories_on_and_commands_what_the_simulated_
         *(name.partition("/")[2] for name in fed),
     }
     memory: dict[str, Any] = {}
-    recorded = recorded_steps(step, lambda world: PolicyDriver(learner, world))
-    for each in islice(recorded, 40):
-        memory = {name.partition("/")[2]: value for name, value in first.items()} if each.first else memory
-        outputs = dict(
-            zip(
-                [out["name"] for out in description["outputs"]],
-                session.run(None, {**each.inputs, **memory}),
-                strict=True,
+    with closing(recorded_steps(step, lambda world: PolicyDriver(learner, world))) as recorded:
+        for each in islice(recorded, 40):
+            memory = (
+                {name.partition("/")[2]: value for name, value in first.items()} if each.first else memory
             )
-        )
-        memory = {
-            targets[0].partition("/")[2]: outputs[source.partition("/")[2]]
-            for source, targets in flow["feedback_flow"].items()
-        }
-        for name, command in each.commands.items():
-            assert outputs[name] == pytest.approx(command, abs=1e-5)
-    recorded.close()
+            outputs = dict(
+                zip(
+                    [out["name"] for out in description["outputs"]],
+                    session.run(None, {**each.inputs, **memory}),
+                    strict=True,
+                )
+            )
+            memory = {
+                targets[0].partition("/")[2]: outputs[source.partition("/")[2]]
+                for source, targets in flow["feedback_flow"].items()
+            }
+            for name, command in each.commands.items():
+                assert outputs[name] == pytest.approx(command, abs=1e-5)
     (legs,) = [each for each in description["outputs"] if each["name"] == "dog.legs"]
     assert legs["kind"] == "target/joint/position"
     assert len(legs["element_names"][0]) == 12

@@ -132,6 +132,7 @@ def test_only_what_is_asked_for_is_fixed(deepbots, files):
     (files / "a.yaml").write_text(WARNED)
     deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", "--select", "DB0")
     assert "15 rad" in (files / "a.yaml").read_text()
+    assert "summary: on" not in (files / "a.yaml").read_text()
 
 
 @pytest.mark.parametrize(
@@ -139,23 +140,23 @@ def test_only_what_is_asked_for_is_fixed(deepbots, files):
     [("deepbots.toml", "[lint]"), ("pyproject.toml", "[project]\nname = 'x'\n[tool.deepbots.lint]")],
 )
 def test_a_project_says_how_it_wants_to_be_linted(deepbots, files, file, head):
-    (files / file).write_text(
-        f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\nexclude = ['drafts/*']\n"
-    )
+    (files / file).write_text(f"{head}\nignore = ['DB003']\nfail-on = 'warning'\nformat = 'json'\n")
     ran = deepbots("lint", "warned.yaml")
     assert ran.code == 1
     assert codes(ran) == ["DB504"]
 
 
 def test_the_command_line_wins_over_the_project(deepbots, files):
-    (files / "deepbots.toml").write_text(
-        "[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\npreview = true\n"
-    )
-    ran = deepbots(
-        "lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise", "--no-preview"
-    )
+    (files / "deepbots.toml").write_text("[lint]\nselect = ['DB5']\nfail-on = 'warning'\nformat = 'json'\n")
+    ran = deepbots("lint", "warned.yaml", "--select", "DB0", "--fail-on", "error", "--format", "concise")
     assert ran.code == 0
     assert [line.split()[2] for line in ran.out.splitlines()] == ["DB003[yaml11-boolean]"]
+
+
+def test_the_command_line_wins_over_the_preview_of_the_project(deepbots, files):
+    (files / "deepbots.toml").write_text("[lint]\npreview = true\n")
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706")) == []
+    assert codes(deepbots("lint", "warned.yaml", "--json", "--select", "DB706", "--no-preview")) == ["DB902"]
 
 
 def test_a_project_leaves_files_out_of_folders_but_not_those_that_are_named(deepbots, files):
@@ -219,8 +220,11 @@ def test_settings_that_mean_nothing_are_wrong_usage_in_one_line(deepbots, files,
 
 
 def test_a_project_of_python_that_says_nothing_of_lint_changes_nothing(deepbots, files):
+    before = deepbots("lint", "warned.yaml")
     (files / "pyproject.toml").write_text("[project]\nname = 'deepbots-worlds'\n[tool.other]\nlint = true\n")
-    assert deepbots("lint", "warned.yaml").code == 0
+    after = deepbots("lint", "warned.yaml")
+    assert (after.code, after.out) == (before.code, before.out)
+    assert "DB504" in after.out
 
 
 def test_the_settings_in_the_docs_are_settings(deepbots, files):

@@ -76,7 +76,7 @@ SUBJECTS = (
 
 
 @dataclass(frozen=True)
-class Words:
+class TableScope:
     """A scope over the tables above."""
 
     context: Context = Context.SIGNAL
@@ -111,7 +111,7 @@ class Bench:
     def __init__(self) -> None:
         self.findings: list[BenchFinding] = []
         self.text = ""
-        self.scope = Words()
+        self.scope = TableScope()
 
     def report(self, code, start, end, headline, remedy=None, replacement=None, names=(), corrected=None):
         assert 0 <= start <= end <= len(self.text)

@@ -15,6 +15,15 @@ from deepbots_cli.learning.listing import read_listed
 from deepbots_cli.learning.run import ModelRef, Run
 from deepbots_cli.learning.verdict import last_episodes, quoted_episodes, quoted_evaluation, run_verdict
 
+SOLVED_AT = {
+    "episode": 3,
+    "steps": 90,
+    "simulated_hours": 0.1,
+    "cpu_seconds": 1.0,
+    "mean_return": 200.0,
+    "success_rate": 0.0,
+}
+
 
 def test_a_quick_evaluation_does_not_replace_the_one_with_the_most_episodes(run_copy: Path) -> None:
     run = Run.open(run_copy)
@@ -81,15 +90,7 @@ def test_training_episodes_make_no_run_solved(run_copy: Path) -> None:
     run = Run.open(run_copy)
     run.write_evaluation(evaluate(run, episodes=3, build=stand_in.build).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {
-        "episode": 3,
-        "steps": 90,
-        "simulated_hours": 0.1,
-        "cpu_seconds": 1.0,
-        "mean_return": 200.0,
-        "success_rate": 0.0,
-    }
-    record["result"]["solved_at"] = at
+    record["result"]["solved_at"] = SOLVED_AT
     (run_copy / "run.json").write_text(json.dumps(record))
     verdict = run_verdict(run_copy, Run.open(run_copy).record)
     assert verdict.solved is None
@@ -101,15 +102,7 @@ def test_a_run_that_is_not_solved_is_not_listed_with_the_steps_until_it_was(run_
     evaluated = evaluate(run, episodes=12, build=stand_in.build)
     run.write_evaluation(evaluated.model_copy(update={"solved": True}).model_dump(mode="json"))
     record = json.loads((run_copy / "run.json").read_text())
-    at = {
-        "episode": 3,
-        "steps": 90,
-        "simulated_hours": 0.1,
-        "cpu_seconds": 1.0,
-        "mean_return": 200.0,
-        "success_rate": 0.0,
-    }
-    record["result"] |= {"solved_at": at, "confirmations": 1}
+    record["result"] |= {"solved_at": SOLVED_AT, "confirmations": 1}
     (run_copy / "run.json").write_text(json.dumps(record))
     listed = read_listed(run_copy)
     assert listed.solved is True

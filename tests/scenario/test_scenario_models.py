@@ -146,7 +146,7 @@ def test_a_schedule_is_read_into_its_ends() -> None:
 
 
 def test_reading_a_scenario_needs_no_simulator_and_no_numbers_library() -> None:
-    heavy = "numpy pybullet torch gymnasium stable_baselines3 difflib"
+    heavy = "numpy pybullet mujoco torch gymnasium stable_baselines3 difflib"
     code = (
         f"import sys, deepbots_cli.scenario; print([name for name in {heavy.split()} if name in sys.modules])"
     )

@@ -99,7 +99,7 @@ class WrenchMonitor:
         self._wrenches[: len(wrenches)] = wrenches
 
     def step(self, model: Any, data: Any) -> None:
-        """Advance by one engine step, and compute its wrenches: with the velocities at its begin, to which
+        """Advance by one engine step, and compute its wrenches: with the velocities at its start, to which
         the positions and accelerations of MuJoCo belong."""
         before = data.qvel.copy()
         mj.mj_step(model, data)
