@@ -18,9 +18,10 @@ from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import INF, Interval
 from deepbots_cli.expressions.scalar import Const, Draw, EngineRead, Name, Op, Scalar, State
-from deepbots_cli.footprint import contact_points, link_frames
+from deepbots_cli.footprint import contact_points
 from deepbots_cli.frames import cross, dot, rotate
 from deepbots_cli.program.robots import Motor
+from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import Cylinder, Joint, RobotModel, Sphere
 
 if TYPE_CHECKING:
