@@ -12,6 +12,7 @@ import queue
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from deepbots_cli.diagnostics.render import render
@@ -109,7 +110,9 @@ class Page:
         """The parameters as the file has them, from which the sliders begin."""
         opened = source.open()
         if playing and opened.recording is not None:
-            raise UsageError(f"`play` does not accept a recording; use: deepbots view {source.reference}")
+            raise UsageError(
+                f"`play` does not accept a recording; use: deepbots view {quote(source.reference)}"
+            )
         self.server, self.address = server.serve(
             host,
             port,

@@ -11,6 +11,7 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -507,4 +508,4 @@ def _record(playback: Playback, client: Any) -> None:
             "not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again"
         )
     else:
-        client.add_notification(f"{path} written", f"deepbots view {path}", loading=False)
+        client.add_notification(f"{path} written", f"deepbots view {quote(str(path))}", loading=False)
