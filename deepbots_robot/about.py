@@ -72,7 +72,7 @@ def misfit(own: About, other: About, *, topics: bool = False) -> str:
 
 
 def _difference(sender: About, taker: About, *, topics: bool) -> str:
-    """Return the first field that one end sends otherwise than the other one receives it."""
+    """Return the first field that one end does not send as the other one receives it."""
     for name in (*taker.takes, *(() if topics else sender.sends)):
         sent, taken = sender.sends.get(name), taker.takes.get(name)
         if sent is None:

@@ -176,7 +176,7 @@ def _opened(folder: Path, name: str) -> BinaryIO:
     file = os.fdopen(os.open(_regular_file(folder, name), flags), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
-        raise BundleError(f"{name} is no regular file")
+        raise BundleError(f"{name} is not a regular file")
     return file
 
 
@@ -239,7 +239,7 @@ class Bundle:
             )
             inputs, outputs = self.session.get_inputs(), self.session.get_outputs()
             metadata = self.session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
-        except Exception as error:  # by onnxruntime, or by Python for a name that is no text
+        except Exception as error:  # by onnxruntime, or by Python for a name that is not text
             raise BundleError(f"{GRAPH_NAME} cannot be run by onnxruntime: {_one_line(error)}") from error
         problem = next(_differences(info, inputs, outputs), None)
         if problem is not None:
@@ -257,12 +257,12 @@ class Bundle:
                 and returns its last commands in between.
 
         Raises:
-            BundleError: The rate is no whole multiple of that of the bundle.
+            BundleError: The rate is not a whole multiple of that of the bundle.
         """
         every = 1.0 if rate_hz is None else rate_hz / self.info.rate_hz
         if not (0.999 <= every <= _MAX_RATIO and abs(every - round(every)) <= 1e-3 * every):
             raise BundleError(
-                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is no whole"
+                f"the policy acts at {self.info.rate_hz:g} Hz, and a loop of {rate_hz:g} Hz is not a whole"
                 " multiple of it; call it at"
                 f" {self.info.rate_hz:g} Hz, or {2 * self.info.rate_hz:g} Hz, or train again with another"
                 " timestep"
@@ -420,7 +420,7 @@ def _fitting(name: str, value: Any, shape: tuple[int, ...], kind: type[Any]) -> 
     try:
         array = np.asarray(value)
     except ValueError as error:
-        raise InputError(f"the value of '{name}' is no array") from error
+        raise InputError(f"the value of '{name}' is not an array") from error
     if array.shape != shape:
         if array.shape == () and shape == (1,):
             array = array.reshape(1)
@@ -507,7 +507,7 @@ def _read_archive(content: bytes, names: Collection[str]) -> dict[str, Array]:
         sizes = {entry.filename: entry.file_size for entry in entries}
         if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
             # LZMA allocates as much memory as the file states.
-            raise BundleError(f"{PARITY_NAME} is compressed otherwise than by an export")
+            raise BundleError(f"{PARITY_NAME} is not compressed as an export compresses it")
         if sum(entry.compress_size for entry in entries) > len(content):
             raise BundleError(f"{PARITY_NAME} has arrays in the same bytes")
         if len(sizes) != len(entries):

@@ -102,7 +102,8 @@ class RosLink:
             interface not in interfaces or not re.fullmatch(r"[A-Za-z0-9_.:-]{1,32}", interface)
         ):
             raise ValueError(
-                f"'{interface[:40]}' is no network interface of this machine; it has {', '.join(interfaces)}"
+                f"'{interface[:40]}' is not a network interface of this machine; it has"
+                f" {', '.join(interfaces)}"
             )
         self.name = f"ROS 2 on {interface or 'the loopback interface'}, domain {domain}"
         network = (
@@ -244,12 +245,12 @@ def _by_topic(mapped: Mapped) -> dict[str, Codec]:
 
 
 def _taken(reader: Any) -> list[Any]:
-    """Return the messages of a reader. An exception stands for bytes that are no message of its type."""
+    """Return the messages of a reader. An exception stands for bytes that are not a message of its type."""
     messages: list[Any] = []
     for _ in range(_TAKEN):
         try:
             taken = reader.take(1)
-        except Exception as error:  # noqa: BLE001  what the deserializer raises for bytes that are no message is not documented
+        except Exception as error:  # noqa: BLE001  what the deserializer raises for bytes that are not a message is not documented
             messages.append(error)
             continue
         if not taken:
@@ -260,7 +261,7 @@ def _taken(reader: Any) -> list[Any]:
 
 def _arrival(name: str, codec: Codec, message: Any) -> Arrival:
     if isinstance(message, Exception):
-        return Arrival(name, problem=f"a message that is no {codec.type}")
+        return Arrival(name, problem=f"a message that is not of type {codec.type}")
     stamp = stamp_of(message)
     if stamp is None and message.sample_info is not None:
         stamp = message.sample_info.source_timestamp * 1e-9

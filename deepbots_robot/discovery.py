@@ -142,7 +142,7 @@ class Others:
 
 
 def _about(participant: Any) -> About | None:
-    """Return the description of a program; None if it is no program of deepbots."""
+    """Return the description of a program; None if it is not a program of deepbots."""
     data = bytes(participant.qos[Policy.Userdata].data) if Policy.Userdata in participant.qos else b""
     try:
         return msgspec.json.decode(data.removeprefix(MARK), type=About) if data.startswith(MARK) else None

@@ -147,7 +147,7 @@ def read_log(
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: The file is no log.
+        ValueError: The file is not a log.
     """
     with path.open("rb") as file:
         content = file.read(MAX_READ)

@@ -56,7 +56,7 @@ _READ_JSON, _READ_PACKED = msgspec.json.Decoder(Message), msgspec.msgpack.Decode
 
 
 def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
-    """Read a message. `problem` has the fault of bytes that are no message."""
+    """Read a message. `problem` has the fault of bytes that are not a message."""
     try:
         message = (_READ_JSON if content[:1] == b"{" else _READ_PACKED).decode(content)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
@@ -177,7 +177,7 @@ class MessageLink(ABC):
         # Remarks on another connection do not apply to this one.
         if not arrival.problem and sender != self._introduced:
             self._remarks, self._other, self._introduced = [], None, sender
-        # Bytes that are no message change neither the answered connection nor the format.
+        # Bytes that are not a message change neither the answered connection nor the format.
         if not arrival.problem:
             self._packed = content[:1] != b"{"
             self._heard_at = time.monotonic()

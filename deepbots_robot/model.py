@@ -303,7 +303,7 @@ def decode(content: bytes) -> BundleInfo:
     """Return the records of `bundle.json`, whose parts are checked against each other.
 
     Raises:
-        BundleError: The text is no JSON, has another format, an unknown or a missing key, or values that
+        BundleError: The text is not JSON, has another format, an unknown or a missing key, or values that
             contradict each other.
     """
     try:
@@ -363,7 +363,7 @@ def _problems(info: BundleInfo) -> Iterator[str]:
     tensors: tuple[Input | Memory | Output, ...] = (*info.inputs, *info.memory, *info.outputs)
     if sum(size_of(tensor.shape) for tensor in tensors) > MAX_NUMBERS:
         yield f"its inputs, memories and commands have more than {MAX_NUMBERS} numbers together"
-    yield from (f"'{path}' is no path in a bundle" for path in info.files if not _is_path(path))
+    yield from (f"'{path}' is not a path in a bundle" for path in info.files if not _is_path(path))
     for memory in info.memory:
         yield from _wrong_memory(memory)
     for entry in info.inputs:
@@ -396,7 +396,7 @@ def _wrong_memory(memory: Memory) -> Iterator[str]:
     if not all(
         low <= number <= high and (not is_whole or number == int(number)) for number in memory.initial
     ):
-        yield f"'{memory.name}' has an initial number that is no {memory.dtype}"
+        yield f"'{memory.name}' has an initial number that is not of type {memory.dtype}"
 
 
 def _wrong_input(entry: Input) -> Iterator[str]:

@@ -150,7 +150,7 @@ class _RefusedError(Exception):
 
 
 class _WireError(Exception):
-    """The error for bytes that are no such message."""
+    """The error for bytes that are not such a message."""
 
 
 def require_plain(graph: bytes) -> int:
@@ -160,8 +160,8 @@ def require_plain(graph: bytes) -> int:
         An upper limit of the operations of a step, of which 1,000 stand for the start of a node.
 
     Raises:
-        BundleError: The graph is no ONNX model, or has a field, an operator, a file, an inner graph or a size
-            that no export writes.
+        BundleError: The graph is not an ONNX model, or has a field, an operator, a file, an inner graph or a
+            size that no export writes.
     """
     try:
         return _operations_of_model(memoryview(graph))
@@ -171,7 +171,7 @@ def require_plain(graph: bytes) -> int:
         IndexError,
     ) as error:
         # An IndexError means an operator with too few inputs.
-        raise BundleError("policy.onnx is damaged: it is no ONNX model") from error
+        raise BundleError("policy.onnx is damaged: it is not an ONNX model") from error
     except _RefusedError as error:
         raise BundleError(f"policy.onnx is refused: {error}") from error
 
@@ -410,7 +410,7 @@ def _read(content: memoryview, message: _Message, what: str) -> _Fields:
     """Return the fields of a message, all of them known.
 
     Raises:
-        _WireError: The bytes are no message.
+        _WireError: The bytes are not a message.
         _RefusedError: A field is unknown, of another wire type, or occurs twice though it may not.
     """
     read: _Fields = {}

@@ -173,7 +173,7 @@ def _decompressed(content: bytes, field: Field) -> np.ndarray[Any, Any]:
         struct.error,
         Image.DecompressionBombError,
     ) as error:
-        raise ValueError(f"{field.name} is no PNG or JPEG that can be read") from error
+        raise ValueError(f"{field.name} is not a PNG or JPEG that can be read") from error
 
 
 def _set_scan(message: Any, type: str, field: Field) -> None:

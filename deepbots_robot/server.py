@@ -145,7 +145,7 @@ class Server:
         wall time.
 
         With `lockstep` the robot waits for each answer: a step happens whenever all inputs have new values,
-        and silence is no fault.
+        and silence is not a fault.
         """
         self.intake = Intake(inputs, None if lockstep else speed)
         self.commands = Commands(outputs)

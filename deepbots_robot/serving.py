@@ -68,7 +68,7 @@ class Transport:
         if address.startswith(("tcp://", "ipc://")):
             return cls(zmq=address)
         raise ServeError(
-            f"'{address[:100]}' is no address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT,"
+            f"'{address[:100]}' is not an address of a robot; write ros, ros:DOMAIN, ros1, tcp://HOST:PORT,"
             " ipc://FILE or ws://HOST:PORT"
         )
 
@@ -287,7 +287,7 @@ def serve(
         raise ServeError(f"the speed {speed:g} is not between 0 and {MAX_SPEED:g}")
     if seconds is not None and not 0.0 < seconds < np.inf:
         raise ServeError(
-            f"{seconds:g} is no time to serve for; write a number of seconds above 0, or none, to serve"
+            f"{seconds:g} is not a time to serve for; write a number of seconds above 0, or none, to serve"
             " until Ctrl-C"
         )
     inputs, outputs = inputs_of(bundle.info), outputs_of(bundle.info)

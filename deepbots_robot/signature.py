@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 _CONTEXT = b"deepbots bundle 1\n"
-"""The prefix of the signed bytes, so that a signature for another purpose is no signature of a bundle."""
+"""The prefix of the signed bytes, so that a signature for another purpose is not a signature of a bundle."""
 _MAX_KEY_BYTES = 100_000
 _KIND = "ssh-ed25519"
 
@@ -84,7 +84,7 @@ def sign(description: bytes, key: Path) -> bytes:
     try:
         private = load_key(content, password=None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:  # a TypeError: a password is required
-        raise KeyFileError(f"{key} is no private key without a password") from error
+        raise KeyFileError(f"{key} is not a private key without a password") from error
     if not isinstance(private, private_key):
         raise KeyFileError(f"{key} is a key of another kind; make one with: deepbots export --new-key FILE")
     signed = base64.b64encode(private.sign(_CONTEXT + description)).decode()
@@ -95,7 +95,7 @@ def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
     """Return public keys as `ssh-ed25519 AAAA...`, from lines or from a file with one key per line.
 
     Raises:
-        BundleError: There is no key, or a line is no key.
+        BundleError: There is no key, or a line is not a key.
     """
     if isinstance(trusted, str | Path):
         try:
@@ -110,7 +110,9 @@ def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
         if not words or words[0].startswith("#"):
             continue
         if len(words) < 2 or words[0] != _KIND:
-            raise BundleError(f"'{line[:40]}' is no trusted key; write a line such as `{_KIND} AAAA... name`")
+            raise BundleError(
+                f"'{line[:40]}' is not a trusted key; write a line such as `{_KIND} AAAA... name`"
+            )
         keys.append(f"{words[0]} {words[1]}")
     if not keys:
         raise BundleError("there is no trusted key")
@@ -176,7 +178,7 @@ def _line(key: Ed25519PublicKey) -> str:
 def _read_key_file(path: Path) -> bytes:
     try:
         if not path.is_file():
-            raise KeyFileError(f"{path} is no file")
+            raise KeyFileError(f"{path} is not a file")
         with path.open("rb") as file:
             content = file.read(_MAX_KEY_BYTES + 1)
     except OSError as error:

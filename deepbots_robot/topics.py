@@ -137,14 +137,14 @@ def part_of(field: Field, topic: Topic) -> str:
     """Return the name of the part of the message that carries a field.
 
     Raises:
-        ValueError: The topic is no name of ROS 2, the type is unknown, or no part of it has the unit and the
-            count of the field. The text is a sentence for a person.
+        ValueError: The topic is not a name of ROS 2, the type is unknown, or no part of it has the unit and
+            the count of the field. The text is a sentence for a person.
     """
     if topic.type not in PARTS:
         raise ValueError(f"'{topic.type}' is unknown; the types are: {', '.join(PARTS)}")
     if len(topic.name) > MAX_NAME or not _TOPIC.fullmatch(topic.name):
         raise ValueError(
-            f"'{topic.name[:MAX_NAME]}' is no topic; write one like /{field.robot or 'robot'}/joint_states"
+            f"'{topic.name[:MAX_NAME]}' is not a topic; write one like /{field.robot or 'robot'}/joint_states"
         )
     known_parts = parts(topic.type)
     if topic.part is not None:

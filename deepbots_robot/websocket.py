@@ -29,7 +29,7 @@ from deepbots_robot.link import Arrival
 from deepbots_robot.messages import MessageLink
 from deepbots_robot.topics import Field
 
-# websockets writes a traceback for each connection that is no WebSocket.
+# websockets writes a traceback for each connection that is not a WebSocket.
 _SILENT = logging.getLogger(__name__)
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
@@ -63,11 +63,11 @@ class WebSocketLink(MessageLink):
         """Listen at `PORT` of this machine or at `HOST:PORT`, or with `robot` connect to it.
 
         Raises:
-            ValueError: The address is no address, is taken, or cannot be reached at all.
+            ValueError: The address is not valid, is taken, or cannot be reached at all.
         """
         host, _, port = address.rpartition(":")
         if not re.fullmatch(r"([A-Za-z0-9_.-]{1,255}:)?[0-9]{1,5}", address) or not 0 < int(port) < 2**16:
-            raise ValueError(f"'{address[:100]}' is no port; write one like 8765, or HOST:PORT")
+            raise ValueError(f"'{address[:100]}' is not a port; write one like 8765, or HOST:PORT")
         self._host, self._port = host or "127.0.0.1", int(port)
         self.name = f"WebSocket at {self._host}:{self._port}"
         super().__init__(receives, sends, about)

@@ -60,13 +60,13 @@ class ZmqLink(MessageLink):
         """Bind the address, or with `robot` connect to it.
 
         Raises:
-            ValueError: The address is no address of ZeroMQ, or is taken.
+            ValueError: It is not an address of ZeroMQ, or is taken.
         """
         if not re.fullmatch(ADDRESS, address) or (
             address.startswith("tcp") and int(address.rpartition(":")[2]) > 65535
         ):
             raise ValueError(
-                f"'{address[:100]}' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555"
+                f"'{address[:100]}' is not an address of ZeroMQ; write one like tcp://127.0.0.1:5555"
             )
         self.name = f"ZeroMQ at {address}"
         super().__init__(receives, sends, about)

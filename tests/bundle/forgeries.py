@@ -204,7 +204,7 @@ def examine(outcome: Outcome, folder: Path, trusted: Path, same_as: Path) -> Non
             outcome.end = "loaded"
             outcome.stopped = _act(loaded, outcome.number)
     if not outcome.text.isprintable() or len(outcome.text) > _MAX_SENTENCE:
-        raise FailedError(f"the refusal is no sentence: {outcome.text[:300]!r}")
+        raise FailedError(f"the refusal is not a sentence: {outcome.text[:300]!r}")
     if outcome.seconds > MAX_SECONDS:
         raise FailedError(f"{outcome.seconds:.2f} s of CPU until: {outcome.text or outcome.end}")
     if outcome.megabytes > MAX_MEMORY / 1e6:

@@ -207,11 +207,11 @@ DESCRIPTIONS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "51 GB of memories": (_memories, "more than 4000000 numbers together"),
     "a file outside of the bundle": (
         lambda tree: tree["files"].update({"../x": "0" * 64}),
-        "'../x' is no path in a bundle",
+        "'../x' is not a path in a bundle",
     ),
     "a file at a fixed place": (
         lambda tree: tree["files"].update({"/etc/passwd": "0" * 64}),
-        "is no path in a bundle",
+        "is not a path in a bundle",
     ),
     "no digest of the scenario": (
         lambda tree: tree["files"].pop("scenario.yaml"),
@@ -246,7 +246,7 @@ PARITIES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
         "another shape or type",
     ),
     "no numbers": (_parity_with("output/scores", lambda rows: rows[:, :0]), "another shape or type"),
-    "scores that are no numbers": (
+    "scores that are not numbers": (
         _parity_with("output/scores", lambda rows: rows * np.nan),
         "is not finite",
     ),
@@ -407,7 +407,7 @@ def test_a_bundle_has_no_file_without_a_digest(folder: Path) -> None:
     assert names == {bundle.BUNDLE_NAME, *info.files}
 
 
-def test_a_name_from_a_scenario_is_no_markup_in_the_readme() -> None:
+def test_a_name_from_a_scenario_is_not_markup_in_the_readme() -> None:
     """`<script>` passed into README.md, by whose limits a person works."""
     text = plain_markdown("a <script>x</script> [link](javascript:x) `code`\n# Limits: none")
     assert not set("<>[]`#\n") & set(text.replace("&#", "&"))

@@ -192,7 +192,7 @@ def test_a_command_is_clipped_where_the_graph_does_not(bases: Path, tmp_path: Pa
     ]
 
 
-def test_a_command_that_is_no_number_is_an_error_and_changes_nothing(bases: Path, tmp_path: Path) -> None:
+def test_a_command_that_is_not_a_number_is_an_error_and_changes_nothing(bases: Path, tmp_path: Path) -> None:
     forged = _forged(bases)
     _command(
         forged,
@@ -542,10 +542,10 @@ def _hundred_thousand_steps(forged: Forged) -> None:
 
 WAYS: dict[str, tuple[Callable[[Forged], None], str]] = {
     "a key of bundle.json twice": (_twice, "not written as an export writes it"),
-    "a truth value of one half at the start": (_initial, "an initial number that is no bool"),
+    "a truth value of one half at the start": (_initial, "an initial number that is not of type bool"),
     "a picture with a range": (_picture_with_a_range, "neither a row of numbers nor a picture"),
-    "a name that no file system takes": (_long_part, "is no path in a bundle"),
-    "a path of 200 folders": (_deep, "is no path in a bundle"),
+    "a name that no file system takes": (_long_part, "is not a path in a bundle"),
+    "a path of 200 folders": (_deep, "is not a path in a bundle"),
     "4,000 inputs that nothing reads": (_many_fields, ""),
     "two million empty operator sets": (_no_room, "more than 1,000,000 bytes without"),
     "whole numbers divided by zero": (_whole_numbers_divided, "'Div' divides whole numbers"),
@@ -555,7 +555,7 @@ WAYS: dict[str, tuple[Callable[[Forged], None], str]] = {
     "a convolution without a kernel": (_no_inputs, "policy.onnx is damaged"),
     "a shape with 50,000 sides": (_long_shape, "more than 8 sides"),
     "a truth value of two": (_truth_that_is_two, "is neither 0 nor 1"),
-    "an archive packed by LZMA": (_lzma, "compressed otherwise than by an export"),
+    "an archive packed by LZMA": (_lzma, "is not compressed as an export compresses it"),
     "a key twice in the header of an array": (_key_twice_in_a_header, "parity.npz is damaged"),
     "entries that share their bytes": (_same_bytes, "has arrays in the same bytes"),
     "100,000 recorded steps": (_hundred_thousand_steps, "recorded steps take more than"),
@@ -622,7 +622,7 @@ def test_a_pipe_instead_of_a_signature_does_not_wait(bases: Path, tmp_path: Path
         lambda folder: ((folder / bundle.SIGNATURE_NAME).unlink(), os.mkfifo(folder / bundle.SIGNATURE_NAME))
     )
     forged.write(tmp_path / "forged", digests=True)
-    with pytest.raises(BundleError, match="is no regular file"):
+    with pytest.raises(BundleError, match="is not a regular file"):
         deepbots_robot.load(tmp_path / "forged", trusted=bases / "key.pub")
 
 

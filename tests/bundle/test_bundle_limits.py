@@ -49,7 +49,7 @@ def test_a_file_that_is_exchanged_after_its_checks_is_neither_waited_for_nor_fol
 
     monkeypatch.setattr(bundle, "_checked_size", lambda place, info: 0)
     monkeypatch.setattr(bundle, "_regular_file", exchanged)
-    with pytest.raises(BundleError, match=r"parity.npz (is no regular file|cannot be read)"):
+    with pytest.raises(BundleError, match=r"parity.npz (is not a regular file|cannot be read)"):
         deepbots_robot.load(folder)
 
 

@@ -302,7 +302,7 @@ def test_an_option_that_is_not_the_best_is_refused_unless_two_are_equally_good(
 
 
 @given(st.binary(max_size=200))
-def test_bytes_that_are_no_model_are_refused_or_have_no_nodes(content: bytes) -> None:
+def test_bytes_that_are_not_a_model_are_refused_or_have_no_nodes(content: bytes) -> None:
     try:
         onnx_file.require_plain(content)
     except BundleError:
@@ -311,7 +311,7 @@ def test_bytes_that_are_no_model_are_refused_or_have_no_nodes(content: bytes) ->
 
 
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
-def test_bytes_that_are_no_description_are_refused(content: bytes) -> None:
+def test_bytes_that_are_not_a_description_are_refused(content: bytes) -> None:
     with pytest.raises(BundleError, match=r"bundle.json"):
         model.decode(content)
 

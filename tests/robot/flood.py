@@ -5,9 +5,9 @@ time.
 
 `deepbots-robot serve` acts on ZeroMQ, then on WebSocket. For each, a robot sends its sensors at the rate of
 the policy: first alone, then while other clients send as fast as they can, each in a process of its own: the
-longest legal messages, the longest bytes that are no message, longer ones than any message, and (WebSocket)
-connections that never say anything. An answer is in time if it comes within a period. The share without a
-flood says what the machine allows. The clients run with less priority (`nice`): they stand for other
+longest legal messages, the longest bytes that are not a message, longer ones than any message, and
+(WebSocket) connections that never say anything. An answer is in time if it comes within a period. The share
+without a flood says what the machine allows. The clients run with less priority (`nice`): they stand for other
 machines.
 """
 

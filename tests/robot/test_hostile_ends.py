@@ -145,7 +145,7 @@ def test_a_time_to_serve_that_never_passes_is_refused(bundle: Path, tmp_path: Pa
     with serving(bundle, tmp_path, f"--seconds={seconds}") as (_, process):
         _, err = process.communicate(timeout=20)
     assert process.returncode == 1
-    assert re.fullmatch(r"error: .* is no time to serve for; .*\n", err)
+    assert re.fullmatch(r"error: .* is not a time to serve for; .*\n", err)
 
 
 @pytest.mark.slow

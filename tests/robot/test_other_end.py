@@ -177,7 +177,7 @@ def test_over_ros_types_and_second_senders_are_noticed() -> None:
 
 
 @pytest.mark.slow
-def test_over_ros_a_robot_that_has_ended_is_no_second_sender() -> None:
+def test_over_ros_a_robot_that_has_ended_is_not_a_second_sender() -> None:
     pytest.importorskip("cyclonedds")
     transport = Transport(domain=78)
     with closing(policy_end(transport)) as policy:
@@ -262,5 +262,5 @@ def test_a_listener_that_asks_for_reliable_sensor_data_is_noticed() -> None:
 
 def test_an_interface_that_does_not_exist_is_refused() -> None:
     pytest.importorskip("cyclonedds")
-    with pytest.raises(ServeError, match=r"'nope0' is no network interface of this machine; it has lo"):
+    with pytest.raises(ServeError, match=r"'nope0' is not a network interface of this machine; it has lo"):
         policy_end(Transport(interface="nope0"))

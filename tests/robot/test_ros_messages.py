@@ -154,7 +154,7 @@ def test_a_compressed_image_comes_back_and_what_is_none_is_refused(shape: tuple[
     assert np.abs(codec.decode(message)["dog.eye"].astype(int) - value).max() < 40
     for wrong in (b"", message.data[:100], message.data[: len(message.data) // 2], b"GIF89a" + bytes(50)):
         message.data = wrong
-        with pytest.raises(ValueError, match=r"dog.eye is no PNG or JPEG that can be read"):
+        with pytest.raises(ValueError, match=r"dog.eye is not a PNG or JPEG that can be read"):
             codec.decode(message)
     content = io.BytesIO()
     image.new("L", (9000, 9000)).save(content, "PNG")
@@ -212,7 +212,7 @@ def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
         (
             FIELDS[0],
             Topic("joint states", "sensor_msgs/JointState"),
-            "'joint states' is no topic; write one like /dog/joint_states",
+            "'joint states' is not a topic; write one like /dog/joint_states",
         ),
         (
             FIELDS[5],

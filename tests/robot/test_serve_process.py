@@ -134,13 +134,13 @@ def _until(holds: object) -> None:
         ),
         (
             ["BUNDLE", "--zmq", "127.0.0.1:5555"],
-            "'127.0.0.1:5555' is no address of ZeroMQ; write one like tcp://127.0.0.1:5555",
+            "'127.0.0.1:5555' is not an address of ZeroMQ; write one like tcp://127.0.0.1:5555",
         ),
         (
             ["BUNDLE", "--zmq", "tcp://127.0.0.1:5555", "--domain", "3"],
             "--interface and --domain belong to ROS 2",
         ),
-        (["BUNDLE", "--interface", "<x>"], "'<x>' is no network interface of this machine; it has"),
+        (["BUNDLE", "--interface", "<x>"], "'<x>' is not a network interface of this machine; it has"),
         (["BUNDLE", "--speed", "0"], "--speed 0: write a number above 0, at most 1000"),
         (["BUNDLE", "--episodes", "3"], "belong to a simulated robot; add --as-robot or leave them out"),
         (

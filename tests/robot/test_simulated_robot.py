@@ -151,5 +151,5 @@ def test_a_robot_without_a_policy_says_so(tmp_path: Path) -> None:
         next(serve_robot(program, Transport(zmq=f"ipc://{tmp_path}/nobody"), patience=0.1))
     with pytest.raises(UsageError, match="has copies of a robot"):
         next(serve_robot(api.compile("multi_cartpole").program, Transport(zmq=f"ipc://{tmp_path}/nobody")))
-    with pytest.raises(UsageError, match="is no address of ZeroMQ"):
+    with pytest.raises(UsageError, match="is not an address of ZeroMQ"):
         next(serve_robot(program, Transport(zmq="127.0.0.1:5555")))
