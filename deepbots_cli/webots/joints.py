@@ -84,7 +84,7 @@ class Motor(JointDevice):
     def setPosition(self, position: float) -> None:
         position = float(position)
         if math.isnan(position):
-            raise ValueError(f"setPosition() of '{self._spec.name}': NaN is no position")
+            raise ValueError(f"setPosition() of '{self._spec.name}': NaN is not a position")
         low, high = self._range
         if low != high and not math.isinf(position) and not low <= position <= high:
             self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
@@ -98,7 +98,7 @@ class Motor(JointDevice):
     def setVelocity(self, velocity: float) -> None:
         velocity, state = float(velocity), self._state
         if math.isnan(velocity):
-            raise ValueError(f"setVelocity() of '{self._spec.name}': NaN is no velocity")
+            raise ValueError(f"setVelocity() of '{self._spec.name}': NaN is not a velocity")
         if abs(velocity) > state.max_velocity:
             if math.isfinite(velocity):
                 self._warn(

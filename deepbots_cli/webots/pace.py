@@ -25,7 +25,7 @@ class Pace:
         self.on_pause: Callable[[], None] = lambda: None
         """Called in the thread of the world before it stands still."""
         self.wants_restart = False
-        """Whether the run is to end, and to begin anew."""
+        """Whether the run is to end, and to start again."""
         self.run(is_fast=is_fast)
 
     def run(self, *, is_fast: bool) -> None:

@@ -55,7 +55,7 @@ class Files:
         """Read a text.
 
         Raises:
-            UsageError: The file may not be read, or is no text.
+            UsageError: The file may not be read, or is not text.
         """
         path = path.resolve()
         if path not in self._sources:
@@ -131,7 +131,7 @@ def read_world(path: Path, library: Sequence[Path] = (), *, allow_code: bool = F
     the user allows it.
 
     Raises:
-        WorldError: The text is no world; has the finding.
+        WorldError: The text is not a world; has the finding.
         UsageError: A file cannot be read.
     """
     files = Files.of_world(path, library)
@@ -142,7 +142,7 @@ def world_of_source(source: Source, path: Path, files: Files, *, allow_code: boo
     """Read a world from a text that is already in memory.
 
     Raises:
-        WorldError: The text is no world; has the finding.
+        WorldError: The text is not a world; has the finding.
     """
     findings = WorldFindings()
     try:

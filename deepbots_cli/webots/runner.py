@@ -116,7 +116,7 @@ class Runner:
             simulation: The world.
             programs: The robots with the programs of their controllers.
             steps: The number of basic time steps after which the run ends.
-            timeout: The time (s) after which a controller that makes no step ends the run.
+            timeout: The time (s) after which a controller that does not step ends the run.
             packages: Further folders from which controllers import.
             output: Where controllers print, by default `sys.stdout`.
             errors: Where errors of controllers go, by default `sys.stderr`.
@@ -182,7 +182,7 @@ class Runner:
         """Do what the end of the run needs."""
 
     def _watch(self) -> None:
-        """Wait for the end; a controller that makes no step for too long ends the run."""
+        """Wait for the end; a controller that does not step for too long ends the run."""
         timeout = inf if self.timeout is None else self.timeout
         last_progress, since = self._progress, time.monotonic()
         while not self._everything_ended.wait(min(timeout, WATCH_INTERVAL_S)):

@@ -387,7 +387,7 @@ class _Builder:
                 self._link(device, node)
                 device = real(device)
                 if device.type not in ("RotationalMotor", "LinearMotor", "PositionSensor", "Brake"):
-                    self.findings.error(device.span, f"{device.type} is no device of a joint")
+                    self.findings.error(device.span, f"{device.type} is not a device of a joint")
                     continue
                 if device.type.endswith("Motor"):
                     joint.motor = device

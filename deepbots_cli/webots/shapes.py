@@ -136,7 +136,7 @@ def _mesh(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> S
     address = next(iter(texts(node, "url")), "")
     path = (files.project / "worlds" / address).resolve()
     if "://" in address or not path.is_file() or not files.allows(path):
-        findings.error(node.span, f"the mesh '{address[:80]}' is no file of the project")
+        findings.error(node.span, f"the mesh '{address[:80]}' is not a file of the project")
         return None
     try:
         points, faces = _load_mesh(path)

@@ -135,7 +135,9 @@ class Supervisor(Robot):
         super().__init__()
         robot = self._webots_robot
         if not robot.is_supervisor:
-            print(f"Error: '{robot.name}' is no supervisor; set its field supervisor TRUE", file=sys.stderr)
+            print(
+                f"Error: '{robot.name}' is not a supervisor; set its field supervisor TRUE", file=sys.stderr
+            )
 
     def getRoot(self) -> Node:
         root = Written("Group", self._webots_robot.node.span)

@@ -50,7 +50,7 @@ _CONSTANTS: Mapping[str, bool | None] = {"TRUE": True, "FALSE": False, "NULL": N
 
 
 class WorldSyntaxError(DeepbotsError):
-    """A text is no world; has the finding."""
+    """A text is not a world; has the finding."""
 
     def __init__(self, span: Span, headline: str, remedy: str = "") -> None:
         self.finding = WorldFinding("error", span, headline, remedy)
@@ -140,7 +140,7 @@ def parse(source: Source, *, is_proto: bool = False) -> Document:
     """Read the text of a world, or of a file with a PROTO.
 
     Raises:
-        WorldSyntaxError: The text is no world or PROTO, is of a release with other axes, or is too large.
+        WorldSyntaxError: The text is not a world or PROTO, is of a release with other axes, or is too large.
     """
     return _Parser(source).document(is_proto=is_proto)
 
@@ -243,7 +243,7 @@ class _Parser:
             if "\0" in self.text[:1000]:
                 raise self._error(0, "the file is binary")
             raise self._error(
-                0, "the first line is no header of Webots", "a world begins with: #VRML_SIM R2023b utf8"
+                0, "the first line is not a header of Webots", "a world begins with: #VRML_SIM R2023b utf8"
             )
         release = _RELEASE.match(header[1])
         newer = release is not None and (int(release[1]), release[2]) >= OLDEST_RELEASE

@@ -71,7 +71,7 @@ class HeldKeys:
         `RELEASE_TIMEOUT_S`.
 
         Raises:
-            ValueError: A key is no number.
+            ValueError: A key is not a number.
         """
         self._held = [int(key) for key in keys][: server.MAX_KEYS], time.monotonic()
 
@@ -231,7 +231,7 @@ class Viewer:
         buttons.on_click(lambda event: acts[event.target.value]())
         if self._can_restart:
             restart = gui.add_button(
-                "restart", hint="end all controllers, read the files again, and begin anew"
+                "restart", hint="end all controllers, read the files again, and start again"
             )
             restart.on_click(lambda _: pace.restart())
         gui.add_html(panel_html.hint("Keys that you press on this page are those of each Keyboard."))

@@ -216,7 +216,7 @@ def test_less_available_torque_is_less_acceleration():
 
 
 @pytest.mark.parametrize("value", [math.nan])
-def test_a_command_that_is_no_number_is_an_error(value: float):
+def test_a_command_that_is_not_a_number_is_an_error(value: float):
     motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
     with pytest.raises(ValueError, match="NaN"):
         motor.setVelocity(value)

@@ -573,7 +573,7 @@ REPEATED = """    def step(self, action, repeat=1):
         (("self.get_reward(action)", "0.5 * self.get_reward(action)"), "", True),
     ],
 )
-def test_a_step_that_does_what_that_of_deepbots_does_is_no_place_left(
+def test_a_step_that_does_what_that_of_deepbots_does_leaves_nothing_to_fill_in(
     tmp_path: Path, changed: tuple[str, str], calls: str, is_left: bool
 ) -> None:
     judge = JUDGE.replace("    def solved", REPEATED.replace(*changed)) + calls

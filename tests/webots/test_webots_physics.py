@@ -37,7 +37,7 @@ def test_a_supervisor_sets_gravity():
     assert info.getField("gravity").getSFFloat() == 2
 
 
-def test_gravity_is_no_vector_in_webots():
+def test_gravity_is_not_a_vector_in_webots():
     with pytest.raises(WorldError, match=r"WorldInfo\.gravity is 3 numbers, and not a number"):
         simulate("", gravity="0 0 -9.81")
 

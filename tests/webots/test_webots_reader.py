@@ -133,7 +133,7 @@ def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("text", "headline"),
     [
-        ("", "the first line is no header of Webots"),
+        ("", "the first line is not a header of Webots"),
         ("\x00\x01\x02", "the file is binary"),
         (
             "#VRML_SIM R2021b utf8\nWorldInfo { }",
@@ -155,7 +155,7 @@ def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest
         (HEADER + "Solid { children [ " * (MAX_DEPTH + 1), f"nodes are more than {MAX_DEPTH} levels deep"),
     ],
 )
-def test_a_text_that_is_no_world_is_one_finding(text: str, headline: str):
+def test_a_text_that_is_not_a_world_is_one_finding(text: str, headline: str):
     with pytest.raises(WorldError) as caught:
         world_of_source(Source("w.wbt", text), Path("/n/worlds/w.wbt"), Files(Path("/n")))
     (finding,) = caught.value.findings
@@ -190,7 +190,7 @@ def test_a_text_that_is_no_world_is_one_finding(text: str, headline: str):
         ),
         (
             'Solid { boundingObject Mesh { url "../../etc/passwd" } }',
-            "the mesh '../../etc/passwd' is no file of the project",
+            "the mesh '../../etc/passwd' is not a file of the project",
         ),
         (
             "Solid { boundingObject ElevationGrid { } }",

@@ -303,7 +303,7 @@ def test_an_option_of_a_run_needs_permission(project: Project):
     assert "--steps runs the programs of the project; add --allow-code" in ran.stderr
 
 
-def test_a_file_that_is_no_world_is_named_with_the_worlds_beside_it(project: Project):
+def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: Project):
     for path, words in (
         ("worlds/v.wbt", "does not exist; {} has the worlds w.wbt"),
         ("worlds", "is a folder; {} has the worlds w.wbt"),
@@ -518,7 +518,7 @@ def test_a_video_has_a_known_suffix_and_replaces_no_file(project: Project, name:
 @pytest.mark.slow
 @pytest.mark.skipif(not (cameras.is_available() and cameras.opens_context()), reason="there is no OpenGL")
 def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
-    """At 32 ms, every fourth step is in a GIF of at most 10 pictures per second; the first is the begin."""
+    """At 32 ms, every fourth step is in a GIF of at most 10 pictures per second; the first is the start."""
     from PIL import Image
 
     box = """Solid { translation 2 0 0 children [ DEF BOX Shape { geometry Box { size 1 1 1 } } ]

@@ -107,7 +107,7 @@ def test_a_radar_sees_within_its_range_of_speeds(fields: str, count: int):
     assert len(radar_targets(target("10 0 0", "-2 0 0"), fields)) == count
 
 
-def test_a_solid_without_a_cross_section_is_no_target():
+def test_a_solid_without_a_cross_section_is_not_a_target():
     assert radar_targets(target("10 0 0", section=0.0)) == []
 
 
